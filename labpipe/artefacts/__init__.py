@@ -1,0 +1,1 @@
+"""labpipe's own files: a header of kind, schema and provenance over the numbers; written whole or not at all."""

@@ -1,0 +1,74 @@
+"""The header of every artefact: kind, schema number, parameters, input checksums, findings, version; no clock."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from labpipe import __version__
+from labpipe.errors import DataError
+from labpipe.records.finding import Finding
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class SourceRef:
+    """A file that went into an artefact, by its path as people know it and its SHA-256."""
+
+    path: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Header:
+    """What an artefact says of itself; *contents* describes its columns (channels, ports, rate)."""
+
+    kind: str
+    parameters: dict[str, Any]
+    inputs: tuple[SourceRef, ...]
+    findings: tuple[Finding, ...] = ()
+    contents: dict[str, Any] = field(default_factory=dict)
+    schema: int = SCHEMA
+    labpipe: str = __version__
+
+    def to_json(self) -> str:
+        """The header as it stands in the file."""
+        return json.dumps(dataclasses.asdict(self), allow_nan=False)
+
+    def same_work(self, other: Header) -> bool:
+        """Whether both were made from the same inputs with the same parameters by the same version."""
+        mine, theirs = (json.dumps([h.kind, h.schema, h.labpipe, h.parameters, _asdicts(h.inputs)]) for h in (self, other))
+        return mine == theirs
+
+
+def _asdicts(records: Iterable[Any]) -> list[dict[str, Any]]:
+    return [dataclasses.asdict(record) for record in records]
+
+
+def header_from_json(text: str | bytes, path: Path, kind: str) -> Header:
+    """The header read from an artefact; DataError when it is another kind or a newer schema."""
+    entries = json.loads(text)
+    if entries.get("kind") != kind:
+        raise DataError(f"is a {entries.get('kind')} file, a {kind} file is needed", where=str(path))
+    if entries.get("schema") != SCHEMA:
+        hint = "make it again with this version"
+        raise DataError(f"has schema {entries.get('schema')}, this version reads {SCHEMA}", where=str(path), hint=hint)
+    entries["inputs"] = tuple(SourceRef(**entry) for entry in entries["inputs"])
+    entries["findings"] = tuple(Finding(**entry) for entry in entries["findings"])
+    return Header(**entries)
+
+
+def source_ref(path: Path, folder: Path) -> SourceRef:
+    """Checksum of a file; its path is kept relative to *folder* so that the same work gives the same bytes anywhere."""
+    digest = hashlib.sha256()
+    with path.open("rb") as stream:
+        while chunk := stream.read(1 << 20):
+            digest.update(chunk)
+    return SourceRef(Path(os.path.relpath(path, folder)).as_posix(), digest.hexdigest())

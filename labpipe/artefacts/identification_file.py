@@ -1,0 +1,189 @@
+"""``identification.json``, schema "labpipe/identification/1": all fits with their doubt, and the responses they came from."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe import __version__
+from labpipe.errors import DataError
+from labpipe.records.finding import Finding
+from labpipe.records.identification import Fit, FittedCurve, Goodness, Identification, Parameter, RuleOutcome
+from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+
+SCHEMA = "labpipe/identification/1"
+NAME = "identification.json"
+
+
+def write_identification(path: Path, identification: Identification) -> None:
+    """Write the result; not-a-number has no place in JSON, what cannot be given is null."""
+    entries = {
+        "schema": SCHEMA,
+        "labpipe": __version__,
+        "title": identification.title,
+        "pipeline": identification.pipeline,
+        "sources": list(identification.sources),
+        "rig": identification.rig,
+        "settings": identification.settings,
+        "fits": [_fit_entry(fit) for fit in identification.fits],
+        "accept": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "accept"],
+        "expect": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "expect"],
+        "responses": [_response_entry(response) for response in identification.responses],
+    }
+    path.write_text(json.dumps(_without_nan(entries), indent=1, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def read_identification(path: Path) -> Identification:
+    """The result of an identification.json; DataError when the file is none."""
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise DataError("no such file", where=str(path), hint="run `labpipe identify` first") from None
+    except (ValueError, IsADirectoryError) as error:
+        raise DataError(f"is not a readable identification.json ({error})", where=str(path)) from None
+    if not isinstance(entries, dict) or entries.get("schema") != SCHEMA:
+        raise DataError(f"is not of schema {SCHEMA}", where=str(path))
+    outcomes = [RuleOutcome(section, **entry) for section in ("accept", "expect") for entry in entries.get(section, [])]
+    return Identification(
+        fits=tuple(_fit(entry) for entry in entries["fits"]),
+        title=entries["title"],
+        pipeline=entries["pipeline"],
+        sources=tuple(entries["sources"]),
+        settings=entries.get("settings", {}),
+        rig=entries.get("rig", {}),
+        responses=tuple(_response(entry) for entry in entries.get("responses", [])),
+        outcomes=tuple(outcomes),
+        version=entries["labpipe"],
+    )
+
+
+def _without_nan(entry: Any) -> Any:
+    if isinstance(entry, dict):
+        return {key: _without_nan(item) for key, item in entry.items()}
+    if isinstance(entry, (list, tuple)):
+        return [_without_nan(item) for item in entry]
+    return None if isinstance(entry, float) and not math.isfinite(entry) else entry
+
+
+def _outcome_entry(outcome: RuleOutcome) -> dict[str, Any]:
+    return {"rule": outcome.rule, "value": outcome.value, "passed": outcome.passed}
+
+
+def _fit_entry(fit: Fit) -> dict[str, Any]:
+    return {
+        **{name: getattr(fit, name) for name in ("name", "test", "model", "estimator")},
+        "band_hz": list(fit.band_hz),
+        "centre_hz": fit.centre_hz,
+        **{name: getattr(fit, name) for name in ("lines", "equations", "dof")},
+        "gof": dataclasses.asdict(fit.gof),
+        **{name: getattr(fit, name) for name in ("condition_number", "converged", "iterations")},
+        "parameters": [dataclasses.asdict(parameter) for parameter in fit.parameters],
+        "correlation": fit.correlation.tolist(),
+        "warnings": [dataclasses.asdict(finding) for finding in fit.findings],
+        "notes": list(fit.notes),
+        "curve": None if fit.curve is None else _curve_entry(fit.curve),
+    }
+
+
+def _fit(entry: dict[str, Any]) -> Fit:
+    plain = {name: entry[name] for name in ("name", "test", "model", "estimator", "lines", "equations", "dof", "converged", "iterations")}
+    condition = entry["condition_number"]
+    return Fit(
+        **plain,
+        band_hz=(entry["band_hz"][0], entry["band_hz"][1]),
+        gof=Goodness(**entry["gof"]),
+        condition_number=math.inf if condition is None else condition,
+        parameters=tuple(_parameter(parameter) for parameter in entry["parameters"]),
+        correlation=np.array(entry["correlation"], np.float64),
+        findings=tuple(Finding(**warning) for warning in entry["warnings"]),
+        notes=tuple(entry.get("notes", [])),
+        curve=None if entry.get("curve") is None else _curve(entry["curve"]),
+    )
+
+
+def _parameter(entry: dict[str, Any]) -> Parameter:
+    interval = entry["ci95"]
+    return Parameter(**{**entry, "ci95": None if interval is None else (interval[0], interval[1])})
+
+
+def _complex_entry(values: NDArray[np.complex128]) -> dict[str, Any]:
+    return {"re": values.real.tolist(), "im": values.imag.tolist()}
+
+
+def _complex(entry: dict[str, Any]) -> NDArray[np.complex128]:
+    return np.array(entry["re"], np.float64) + 1j * np.array(entry["im"], np.float64)
+
+
+def _curve_entry(curve: FittedCurve) -> dict[str, Any]:
+    return {
+        "frequency_hz": curve.frequency.tolist(),
+        "measured": _complex_entry(curve.measured),
+        "fitted": _complex_entry(curve.fitted),
+        "variance": None if curve.variance is None else curve.variance.tolist(),
+        "outputs": list(curve.outputs),
+        "inputs": list(curve.inputs),
+        "form": curve.form,
+    }
+
+
+def _curve(entry: dict[str, Any]) -> FittedCurve:
+    return FittedCurve(
+        np.array(entry["frequency_hz"], np.float64),
+        _complex(entry["measured"]),
+        _complex(entry["fitted"]),
+        None if entry["variance"] is None else np.array(entry["variance"], np.float64),
+        tuple(entry["outputs"]),
+        tuple(entry["inputs"]),
+        entry["form"],
+    )
+
+
+_OPTIONAL_ARRAYS = ("coherence", "multiple_coherence", "snr")
+
+
+def _response_entry(response: FrequencyResponse) -> dict[str, Any]:
+    """The response for reading and plotting: its variance, not the whole covariance (that stays in the FRF file)."""
+    variance = response.variance
+    optional = {name: getattr(response, name) for name in _OPTIONAL_ARRAYS}
+    return {
+        "test": response.name,
+        "form": response.form,
+        "outputs": [dataclasses.asdict(port) for port in response.outputs],
+        "inputs": [dataclasses.asdict(port) for port in response.inputs],
+        "frequency_hz": response.frequency.tolist(),
+        "matrix": _complex_entry(response.matrix),
+        "variance": None if variance is None else variance.tolist(),
+        **{name: None if values is None else values.tolist() for name, values in optional.items()},
+        "snr_channels": list(response.snr_channels),
+        "averages": response.averages,
+        "covariance_dof": response.covariance_dof,
+        "conditions": response.conditions,
+        "warnings": [dataclasses.asdict(finding) for finding in response.findings],
+    }
+
+
+def _response(entry: dict[str, Any]) -> FrequencyResponse:
+    matrix = _complex(entry["matrix"])
+    variance = entry["variance"]
+    dof = entry["covariance_dof"]
+    return FrequencyResponse(
+        frequency=np.array(entry["frequency_hz"], np.float64),
+        matrix=matrix,
+        outputs=tuple(Port(**port) for port in entry["outputs"]),
+        inputs=tuple(Port(**port) for port in entry["inputs"]),
+        form=entry["form"],
+        covariance=None if variance is None else uncorrelated(np.array(variance, np.float64)),
+        **{name: None if entry[name] is None else np.array(entry[name], np.float64) for name in _OPTIONAL_ARRAYS},
+        snr_channels=tuple(entry["snr_channels"]),
+        averages=entry["averages"],
+        covariance_dof=math.inf if dof is None else dof,
+        name=entry["test"],
+        findings=tuple(Finding(**warning) for warning in entry["warnings"]),
+        conditions=entry["conditions"],
+    )

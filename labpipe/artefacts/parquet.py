@@ -1,0 +1,40 @@
+"""Parquet files with our header among their metadata."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from labpipe.artefacts.header import Header, header_from_json
+from labpipe.errors import DataError
+
+HEADER_KEY = b"labpipe"
+
+
+def open_parquet(path: Path) -> pq.ParquetFile:
+    """A Parquet file opened for reading; DataError in plain words when it is none."""
+    try:
+        return pq.ParquetFile(path)
+    except FileNotFoundError:
+        raise DataError("no such file", where=str(path)) from None
+    except IsADirectoryError:
+        raise DataError("is a folder, a file is needed", where=str(path)) from None
+    except (pa.ArrowInvalid, OSError) as error:
+        reason = "is a folder" if path.is_dir() else f"is not a readable Parquet file ({str(error).splitlines()[0].rstrip('.')})"
+        raise DataError(reason, where=str(path)) from None
+
+
+def has_header(path: Path) -> bool:
+    """Whether the Parquet file is one of labpipe's own."""
+    return HEADER_KEY in (open_parquet(path).metadata.metadata or {})
+
+
+def read_header(path: Path, kind: str) -> Header:
+    """The header of one of labpipe's own Parquet files; DataError for any other."""
+    metadata = open_parquet(path).metadata.metadata or {}
+    if HEADER_KEY not in metadata:
+        hint = "another program may have saved it again and dropped the header; make it again with labpipe"
+        raise DataError("has no labpipe header", where=str(path), hint=hint)
+    return header_from_json(metadata[HEADER_KEY], path, kind)

@@ -1,0 +1,86 @@
+"""``*.recording.parquet``: one calibrated recording, written and read block by block."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from labpipe.artefacts.header import Header
+from labpipe.artefacts.parquet import HEADER_KEY, open_parquet, read_header
+from labpipe.errors import DataError
+from labpipe.records.finding import Finding
+from labpipe.records.recording import Channel, Recording
+
+SUFFIX = ".recording.parquet"
+
+
+class RecordingWriter:
+    """Writes the blocks of a recording as they come; the header, known at the end, goes to the file's foot."""
+
+    def __init__(self, path: Path, channels: tuple[Channel, ...]) -> None:
+        self._schema = pa.schema([(channel.name, pa.float64()) for channel in channels])
+        self._writer = pq.ParquetWriter(path, self._schema, compression="zstd")
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._writer.close()
+
+    def write(self, block: NDArray[np.float64]) -> None:
+        """Append a block (n, n_channel) [SI]."""
+        arrays = [pa.array(column) for column in np.ascontiguousarray(block.T)]
+        self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
+
+    def finish(self, header: Header) -> None:
+        """Put the header."""
+        self._writer.add_key_value_metadata({HEADER_KEY: header.to_json().encode()})
+
+
+def recording_contents(channels: tuple[Channel, ...], sample_rate: float, name: str) -> dict[str, object]:
+    """The part of the header that describes the recording's columns."""
+    entries = [{**dataclasses.asdict(channel), "unit": channel.unit} for channel in channels]
+    return {"name": name, "sample_rate": sample_rate, "channels": entries}
+
+
+@dataclasses.dataclass(frozen=True)
+class StoredRecording:
+    """A recording on disk. Satisfies SampleSource: its blocks are read when they are asked for."""
+
+    path: Path
+    channels: tuple[Channel, ...]
+    sample_rate: float
+    n_sample: int
+    name: str
+    findings: tuple[Finding, ...]
+    header: Header
+
+    def blocks(self, n_sample: int) -> Iterator[NDArray[np.float64]]:
+        """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]."""
+        names = [channel.name for channel in self.channels]
+        for batch in open_parquet(self.path).iter_batches(batch_size=n_sample, columns=names):
+            yield np.column_stack([batch.column(name).to_numpy(zero_copy_only=False) for name in names])
+
+    def in_memory(self) -> Recording:
+        """The whole recording as an array record."""
+        samples = np.concatenate(list(self.blocks(1 << 16)))
+        return Recording(self.channels, samples, self.sample_rate, self.name, self.findings)
+
+
+def open_recording(path: Path) -> StoredRecording:
+    """A calibrated recording on disk; DataError when the file is not one."""
+    header = read_header(path, "recording")
+    contents = header.contents
+    channels = tuple(Channel(**{k: v for k, v in entry.items() if k != "unit"}) for entry in contents["channels"])
+    file = open_parquet(path)
+    missing = {channel.name for channel in channels} - set(file.schema_arrow.names)
+    if missing:
+        raise DataError(f"lacks the column of channel {', '.join(sorted(missing))}", where=str(path))
+    return StoredRecording(path, channels, contents["sample_rate"], file.metadata.num_rows, contents["name"], header.findings, header)

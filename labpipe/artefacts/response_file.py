@@ -1,0 +1,108 @@
+"""``*.frf.parquet``: a frequency response with its covariance, real and imaginary parts in their own columns."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from labpipe.artefacts.header import Header
+from labpipe.artefacts.parquet import HEADER_KEY, open_parquet, read_header
+from labpipe.records.response import FrequencyResponse, Port
+
+SUFFIX = ".frf.parquet"
+
+
+def write_response(path: Path, response: FrequencyResponse, header: Header) -> None:
+    """Write the response; *header* gets its contents and findings from the response."""
+    columns: dict[str, NDArray[np.float64]] = {"frequency_hz": response.frequency}
+    for o, output in enumerate(response.outputs):
+        for i, port in enumerate(response.inputs):
+            columns[f"{output.label}/{port.label}:re"] = response.matrix[:, o, i].real
+            columns[f"{output.label}/{port.label}:im"] = response.matrix[:, o, i].imag
+            if response.coherence is not None:
+                columns[f"{output.label}/{port.label}:coh"] = response.coherence[:, o, i]
+        if response.multiple_coherence is not None:
+            columns[f"{output.label}:multiple_coh"] = response.multiple_coherence[:, o]
+    if response.covariance is not None:
+        for p, q in _upper(response.covariance.shape[1]):
+            columns[f"cov:{p}:{q}:re"] = response.covariance[:, p, q].real
+            columns[f"cov:{p}:{q}:im"] = response.covariance[:, p, q].imag
+    if response.snr is not None:
+        columns.update({f"{name}:snr": response.snr[:, n] for n, name in enumerate(response.snr_channels)})
+    whole = dataclasses.replace(header, contents=_contents(response), findings=response.findings)
+    table = pa.table({name: pa.array(values) for name, values in columns.items()})
+    pq.write_table(table.replace_schema_metadata({HEADER_KEY: whole.to_json().encode()}), path, compression="zstd")
+
+
+def _upper(n: int) -> Iterator[tuple[int, int]]:
+    return ((p, q) for p in range(n) for q in range(p, n))
+
+
+def _contents(response: FrequencyResponse) -> dict[str, Any]:
+    dof = response.covariance_dof
+    return {
+        "name": response.name,
+        "form": response.form,
+        "outputs": [dataclasses.asdict(port) for port in response.outputs],
+        "inputs": [dataclasses.asdict(port) for port in response.inputs],
+        "averages": float(response.averages),
+        "covariance_dof": None if math.isinf(dof) else float(dof),
+        "snr_channels": list(response.snr_channels),
+        "conditions": response.conditions,
+    }
+
+
+def read_response(path: Path) -> FrequencyResponse:
+    """The response of a ``*.frf.parquet`` file; DataError when the file is not one."""
+    header = read_header(path, "frf")
+    contents = header.contents
+    table = open_parquet(path).read()
+    columns = {name: table.column(name).to_numpy() for name in table.column_names}
+    outputs = tuple(Port(**entry) for entry in contents["outputs"])
+    inputs = tuple(Port(**entry) for entry in contents["inputs"])
+    pairs = [[f"{o.label}/{i.label}" for i in inputs] for o in outputs]
+    real, imaginary = _matrix(columns, pairs, ":re"), _matrix(columns, pairs, ":im")
+    dof = contents["covariance_dof"]
+    snr_channels = tuple(contents["snr_channels"])
+    has_coherence = f"{pairs[0][0]}:coh" in columns
+    has_multiple = f"{outputs[0].label}:multiple_coh" in columns
+    return FrequencyResponse(
+        frequency=columns["frequency_hz"],
+        matrix=real + 1j * imaginary,
+        outputs=outputs,
+        inputs=inputs,
+        form=contents["form"],
+        covariance=_covariance(columns, len(outputs) * len(inputs)),
+        coherence=_matrix(columns, pairs, ":coh") if has_coherence else None,
+        multiple_coherence=np.stack([columns[f"{o.label}:multiple_coh"] for o in outputs], 1) if has_multiple else None,
+        snr=np.stack([columns[f"{name}:snr"] for name in snr_channels], 1) if snr_channels else None,
+        snr_channels=snr_channels,
+        averages=contents["averages"],
+        covariance_dof=math.inf if dof is None else dof,
+        name=contents["name"],
+        findings=header.findings,
+        conditions=contents["conditions"],
+    )
+
+
+def _matrix(columns: dict[str, NDArray[np.float64]], pairs: list[list[str]], suffix: str) -> NDArray[np.float64]:
+    return np.stack([np.stack([columns[pair + suffix] for pair in row], -1) for row in pairs], 1)
+
+
+def _covariance(columns: dict[str, NDArray[np.float64]], n: int) -> NDArray[np.complex128] | None:
+    """The Hermitian covariance from its stored upper triangle."""
+    if "cov:0:0:re" not in columns:
+        return None
+    covariance = np.empty((columns["frequency_hz"].size, n, n), np.complex128)
+    for p, q in _upper(n):
+        covariance[:, p, q] = columns[f"cov:{p}:{q}:re"] + 1j * columns[f"cov:{p}:{q}:im"]
+        covariance[:, q, p] = covariance[:, p, q].conj()
+    return covariance

@@ -1,0 +1,67 @@
+"""Whole or nothing: files appear complete under their name, or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from labpipe.errors import DataError
+
+
+@dataclass(frozen=True)
+class OutputFolder:
+    """A folder being filled: new files go to *staging* and move to *target* together when everything is done."""
+
+    target: Path
+    staging: Path
+
+    def write_path(self, name: str) -> Path:
+        """Where to write the file that will be *name* in the target folder."""
+        path = self.staging / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def read_path(self, name: str) -> Path:
+        """Where *name* can be read now: just written, or from before."""
+        staged = self.staging / name
+        return staged if staged.exists() else self.target / name
+
+
+@contextmanager
+def output_folder(target: Path) -> Iterator[OutputFolder]:
+    """A folder that changes only if the block succeeds; DataError when it cannot be a folder or may not be written."""
+    if target.exists() and not target.is_dir():
+        raise DataError("is a file, a folder is needed", where=str(target))
+    home = target
+    while not home.exists():
+        home = home.parent
+    staging = Path(tempfile.mkdtemp(prefix=".labpipe-", dir=home))
+    try:
+        yield OutputFolder(target, staging)
+        _move_all(staging, target)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _move_all(staging: Path, target: Path) -> None:
+    for source in sorted(path for path in staging.rglob("*") if path.is_file()):
+        goal = target / source.relative_to(staging)
+        goal.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(source, goal)
+
+
+@contextmanager
+def output_file(path: Path) -> Iterator[Path]:
+    """A path to write to that becomes *path* if the block succeeds; a device such as /dev/stdout is written as it is."""
+    if path.is_dir():
+        raise DataError("is a folder, a file name is needed", where=str(path))
+    if path.exists() and not path.is_file():
+        yield path
+        return
+    with output_folder(path.parent) as folder:
+        yield folder.write_path(path.name)

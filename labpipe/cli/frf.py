@@ -1,0 +1,55 @@
+"""labpipe frf -c PIPELINE -o DIR [RECORDING...]"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from labpipe import pipeline as flow
+from labpipe.artefacts.writing import output_folder
+from labpipe.cli import options
+from labpipe.config.pipeline import Pipeline, SourceFile, Test, load_pipeline
+from labpipe.errors import ConfigError
+from labpipe.records.response import FrequencyResponse
+
+
+@click.command()
+@click.argument("recordings", nargs=-1, metavar="[RECORDING...]", type=options.PATH)
+@options.pipeline_file
+@options.out_folder
+@options.overrides
+@options.quiet
+@options.verbose
+def frf(recordings: tuple[Path, ...], pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> None:
+    """Turn recordings into frequency responses: DIR/<test>.frf.parquet.
+
+    RECORDING... (raw or calibrated) take the place of the pipeline's own and together give one FRF matrix.
+    """
+    pipeline = load_pipeline(pipeline_path, overrides)
+    if recordings:
+        pipeline = with_recordings(pipeline, recordings)
+    with output_folder(output) as folder:
+        measured = flow.measure_tests(pipeline, folder, options.teller(quiet, verbose))
+    for response in measured.responses:
+        echo_response(response, quiet)
+
+
+def with_recordings(pipeline: Pipeline, recordings: tuple[Path, ...]) -> Pipeline:
+    """The pipeline with one test made of these recordings."""
+    rig = pipeline.rig or next((source.rig for test in pipeline.tests for source in test.recordings), None)
+    if rig is None:
+        raise ConfigError("rig: is missing", where=str(pipeline.path), hint="add rig: FILE")
+    test = Test("", tuple(SourceFile(path, rig) for path in recordings))
+    return replace(pipeline, tests=(test,), calibrations=())
+
+
+def echo_response(response: FrequencyResponse, quiet: bool) -> None:
+    """One line about a response, and its warnings."""
+    if not quiet:
+        size = f"{len(response.outputs)} x {len(response.inputs)} {response.form}"
+        band = f"{response.frequency[0]:g}-{response.frequency[-1]:g} Hz"
+        click.echo(f"{response.name or 'frf'}: {size}, {response.n_frequency} lines, {band}")
+    for finding in response.findings:
+        click.echo(f"  warning {finding.code}: {finding.message}")

@@ -1,0 +1,51 @@
+"""labpipe identify -c PIPELINE -o DIR [FRF...]"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from labpipe.artefacts.header import source_ref
+from labpipe.artefacts.writing import OutputFolder, output_folder
+from labpipe.cli import options
+from labpipe.cli.terminal import echo_identification
+from labpipe.config.pipeline import Pipeline, load_pipeline
+from labpipe.errors import DataError
+from labpipe.stages.frf import frf_file_name, load_response
+from labpipe.stages.identify import identify_stage
+
+
+@click.command()
+@click.argument("frfs", nargs=-1, metavar="[FRF...]", type=options.PATH)
+@options.pipeline_file
+@options.out_folder
+@options.overrides
+@options.quiet
+def identify(frfs: tuple[Path, ...], pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool) -> int:
+    """Identify parameters from frequency responses: DIR/identification.json.
+
+    Without FRF... the responses that `labpipe frf` left in DIR are used, or the pipeline's own frfs:.
+    """
+    pipeline = load_pipeline(pipeline_path, overrides)
+    with output_folder(output) as folder:
+        paths = list(frfs) or _known_responses(pipeline, folder)
+        responses = [load_response(path) for path in paths]
+        sources = [source_ref(path, path.parent) for path in paths]
+        sources.extend(source_ref(calibration.path, pipeline.folder) for calibration in pipeline.calibrations)
+        identification = identify_stage(pipeline, responses, sources, folder)
+    echo_identification(identification, quiet)
+    return 0 if identification.accepted else 1
+
+
+def _known_responses(pipeline: Pipeline, folder: OutputFolder) -> list[Path]:
+    """The responses of the pipeline's tests: in the folder, or ready ones that the pipeline names."""
+    paths: list[Path] = []
+    for test in pipeline.tests:
+        paths.extend(test.frfs)
+        made = folder.read_path(frf_file_name(test.name))
+        if test.recordings and not made.exists():
+            raise DataError("no such file", where=str(made), hint="run `labpipe frf` first, or `labpipe run` for all stages")
+        if test.recordings:
+            paths.append(made)
+    return paths

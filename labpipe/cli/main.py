@@ -1,0 +1,99 @@
+"""The command line: a lazy group of commands, and the one exit path for everything that goes wrong."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Any, NoReturn
+
+import click
+
+from labpipe import __version__
+from labpipe.errors import ConfigErrors, LabpipeError
+from labpipe.registry import Registry, nearest
+
+COMMANDS = {
+    "init": "Scaffold a project: rig, pipeline and a sample recording; runs as it is.",
+    "inspect": "What is in a recording: channels, rate, length, gaps, clipping, levels.",
+    "ingest": "Raw files -> calibrated recordings (SI units, findings, source checksum).",
+    "frf": "Recordings -> frequency responses with covariance and coherence.",
+    "identify": "Frequency responses -> stiffness and damping with their doubt.",
+    "report": "Identification -> a report that opens offline.",
+    "run": "All stages of a pipeline; what is up to date is not computed again.",
+    "check": "Run pipelines and hold them against their expect: and accept: rules.",
+    "simulate": "Recordings of a virtual rig with known truth.",
+    "excite": "Test signals: Schroeder, random-phase, optimised multisine, odd lines.",
+    "calibrate": "Sensor, actuator and stiffness calibration fits.",
+    "export": "Write an artefact as CSV or Parquet.",
+    "schema": "The JSON schema of rig or pipeline files, for editors.",
+}
+TABLE = Registry("command", {name: f"labpipe.cli.{name}:{name}" for name in COMMANDS})
+
+
+class LazyGroup(click.Group):
+    """Imports a command only when it is called, so that --help is quick."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 (click's signature)
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        if cmd_name not in COMMANDS:
+            raise click.UsageError(f"no command '{cmd_name}'; {nearest(cmd_name, COMMANDS)}")
+        command: click.Command = TABLE.load(cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.command(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="labpipe")
+def group() -> None:
+    """From recorded test-rig runs to stiffness and damping with their doubt.
+
+    \b
+    labpipe run pipelines/pedestal.yaml -o out/pedestal
+    """
+
+
+def main() -> NoReturn:
+    """Run the command line and end with exit code 0 (done), 1 (a rule fails) or 2 (not done)."""
+    sys.exit(run_command(sys.argv[1:]))
+
+
+def run_command(arguments: list[str]) -> int:
+    """The exit code of one command; errors of the input go to standard error as one readable message."""
+    try:
+        outcome: Any = group.main(arguments, prog_name="labpipe", standalone_mode=False)
+        sys.stdout.flush()
+    except click.exceptions.Exit as stop:
+        return stop.exit_code
+    except click.UsageError as error:
+        command = f"{error.ctx.command_path} --help" if error.ctx else "labpipe --help"
+        return _fail(f"{error.format_message().rstrip('.')}; see '{command}'")
+    except click.ClickException as error:
+        return _fail(error.format_message())
+    except LabpipeError as error:
+        faults = error.faults if isinstance(error, ConfigErrors) else (error,)
+        return _fail(*(str(fault) for fault in faults))
+    except (KeyboardInterrupt, click.Abort):
+        return _fail("interrupted; nothing was changed")
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        if error.errno is None:
+            raise
+        return _fail(f"{error.filename or 'output'}: {os.strerror(error.errno).lower()}")
+    return outcome if isinstance(outcome, int) else 0
+
+
+def _fail(*messages: str) -> int:
+    for message in messages:
+        click.echo(f"error: {message}", err=True)
+    return 2
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,30 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+
+PATH = click.Path(path_type=Path)
+
+overrides = click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Override a config entry, e.g. identify.direct.band='60-70 Hz'.",
+)
+quiet = click.option("-q", "--quiet", is_flag=True, help="Say only what went wrong.")
+verbose = click.option("-v", "--verbose", is_flag=True, help="Say every step, also when the output is not a terminal.")
+out_folder = click.option("-o", "--output", type=PATH, required=True, metavar="DIR", help="Folder for the results.")
+pipeline_file = click.option("-c", "--config", "pipeline_path", type=PATH, required=True, metavar="PIPELINE", help="Pipeline file (YAML).")
+
+
+def teller(quiet: bool, verbose: bool) -> Callable[[str], None]:
+    """Where progress goes: to a terminal, or anywhere with -v; nowhere with -q."""
+    if quiet or not (verbose or sys.stderr.isatty()):
+        return lambda _message: None
+    return lambda message: click.echo(message, err=True)

@@ -1,0 +1,27 @@
+"""labpipe simulate RIG -o DIR [--seed N]"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from labpipe.artefacts.writing import output_folder
+from labpipe.cli import options
+from labpipe.stages.simulate import load_virtual_rig, simulate_files
+
+
+@click.command()
+@click.argument("rig_path", metavar="RIG", type=options.PATH)
+@options.out_folder
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the noise; the same seed, the same bytes.")
+@click.option("--run", "runs", multiple=True, metavar="NAME", help="Make this run only (repeatable); default: all.")
+@options.overrides
+@options.quiet
+def simulate(rig_path: Path, output: Path, seed: int, runs: tuple[str, ...], overrides: tuple[str, ...], quiet: bool) -> None:
+    """Make recordings of a virtual RIG with known truth (truth.json)."""
+    rig = load_virtual_rig(rig_path, overrides)
+    with output_folder(output) as folder:
+        names = simulate_files(rig, seed, runs or None, folder)
+    if not quiet:
+        click.echo(f"written to {output}: {', '.join(names)}")

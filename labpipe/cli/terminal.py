@@ -1,0 +1,69 @@
+"""Results as short tables on the terminal."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import click
+
+from labpipe.quantities import display_unit, to_display
+from labpipe.records.identification import Fit, Identification, Parameter
+
+MAX_BANDS = 8
+
+
+def echo_identification(identification: Identification, quiet: bool) -> None:
+    """Fits, warnings and rule outcomes; long sliding series are cut in the middle, the report has all."""
+    if quiet:
+        return
+    for name in dict.fromkeys(fit.name for fit in identification.fits):
+        fits = [fit for fit in identification.fits if fit.name == name]
+        shown = fits if len(fits) <= MAX_BANDS else [*fits[: MAX_BANDS // 2], *fits[-MAX_BANDS // 2 :]]
+        for number, fit in enumerate(shown):
+            if len(shown) < len(fits) and number == MAX_BANDS // 2:
+                click.echo(f"  ... {len(fits) - len(shown)} more fits of '{name}' in identification.json ...")
+            _echo_fit(fit)
+        _echo_warnings(fits)
+    for outcome in identification.outcomes:
+        mark = _coloured("passed", "green") if outcome.passed else _coloured("FAILED", "red")
+        click.echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {_found(outcome.value)})")
+
+
+def _found(value: float | str | None) -> str:
+    return "nothing" if value is None else value if isinstance(value, str) else f"{value:.6g}"
+
+
+def _echo_fit(fit: Fit) -> None:
+    test = f" [{fit.test}]" if fit.test else ""
+    band = f" {fit.band_hz[0]:g}-{fit.band_hz[1]:g} Hz" if fit.band_hz[1] > fit.band_hz[0] else ""
+    chi2 = "" if fit.gof.chi2_reduced is None else f", chi2/dof {fit.gof.chi2_reduced:.2f}"
+    click.echo(f"{fit.name}{test}: {fit.model}, {fit.estimator}{band}, G.o.F {fit.gof.r2_adjusted:.4f}{chi2}")
+    for parameter in fit.parameters:
+        click.echo(f"  {_parameter_line(parameter)}")
+
+
+def _parameter_line(parameter: Parameter) -> str:
+    unit = display_unit(parameter.unit)
+    value = to_display(parameter.value, unit)
+    mark = "" if parameter.significant is not False or parameter.derived else " *"
+    if parameter.std_error is None:
+        return f"{parameter.name:<14}{value:>12.6g} {unit}"
+    error = to_display(parameter.std_error, unit)
+    return f"{parameter.name:<14}{value:>12.6g} {unit:<7} +- {error:.2g} (standard error){mark}"
+
+
+def _echo_warnings(fits: list[Fit]) -> None:
+    """Each warning once, with the number of fits that carry it."""
+    seen: dict[str, list[str]] = {}
+    for fit in fits:
+        for finding in fit.findings:
+            seen.setdefault(finding.code, []).append(finding.message)
+    for code, messages in seen.items():
+        times = "" if len(fits) == 1 else f" (in {len(messages)} of {len(fits)} fits; the first:)"
+        click.echo(f"  {_coloured('warning', 'yellow')} {code}{times}: {messages[0]}")
+
+
+def _coloured(text: str, colour: str) -> str:
+    plain = os.environ.get("NO_COLOR") or not sys.stdout.isatty()
+    return text if plain else click.style(text, fg=colour)

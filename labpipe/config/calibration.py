@@ -1,0 +1,24 @@
+"""The ``calibrate:`` section: straight lines through calibration tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from labpipe.records.settings import setting
+
+
+@dataclass(frozen=True)
+class CalibrationSettings:
+    """One straight-line fit: a table's column *y* over its column *x*, once per value of *group* if given."""
+
+    table: str = setting("text", "table file (CSV), relative to this file")
+    x: str = setting("text", "column of the known or set value")
+    y: str = setting("text", "column of the answer")
+    x_unit: str = setting("text", "unit of x; default: in brackets behind the column's name", default="")
+    y_unit: str = setting("text", "unit of y; default: in brackets behind the column's name", default="")
+    group: str = setting("text", "column by which the table falls into several lines", default="")
+    through_origin: bool = setting("flag", "force the line through the origin", default=False)
+    tolerance: float | None = setting("value", "slope change allowed in the linear range", unit="1", default=None)
+    name: str = ""
+    path: Path = Path()

@@ -1,0 +1,54 @@
+"""Collecting the faults of a file, so that one run names them all."""
+
+from __future__ import annotations
+
+from labpipe.errors import ConfigError, ConfigErrors
+from labpipe.marked_yaml import Marked
+from labpipe.quantities import UnitError
+from labpipe.registry import nearest
+
+
+class Faults:
+    """The faults found so far; `raise_any` ends the pass."""
+
+    def __init__(self) -> None:
+        self._faults: list[ConfigError] = []
+
+    def add(self, node: Marked, key: str, what: str, hint: str = "") -> None:
+        """A fault of the entry *key* at its place in the file."""
+        text = f"{key}: {what}" if key else what
+        self._faults.append(ConfigError(text, where=node.place, hint=hint))
+
+    def add_unit(self, node: Marked, key: str, error: UnitError) -> None:
+        """A value that could not be read, with the hint of the unit table."""
+        self.add(node, key, error.what, error.hint)
+
+    def merge(self, error: ConfigError) -> None:
+        """The faults of another file that this one names."""
+        self._faults.extend(error.faults if isinstance(error, ConfigErrors) else [error])
+
+    def unknown_keys(self, node: Marked, key: str, known: tuple[str, ...]) -> None:
+        """A fault for every key of the mapping that is not known, with the nearest known one."""
+        for name, entry in node.content.items():
+            if name not in known:
+                self.add(entry, join(key, name), "unknown key", nearest(name, known))
+
+    def mapping(self, node: Marked, key: str) -> dict[str, Marked]:
+        """The entries of a mapping, or none and a fault when the node is something else."""
+        if isinstance(node.content, dict):
+            return node.content
+        self.add(node, key, "a mapping of keys to values is needed")
+        return {}
+
+    def raise_any(self) -> None:
+        """Raise everything found, once, in the order of the file."""
+        if self._faults:
+            raise ConfigErrors(self._faults)
+
+    def __len__(self) -> int:
+        return len(self._faults)
+
+
+def join(*keys: str) -> str:
+    """The dotted key of an entry."""
+    return ".".join(key for key in keys if key)

@@ -1,0 +1,218 @@
+"""Reading a rig file: what the rig IS; no processing parameter is known here."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from labpipe.config.faults import Faults, join
+from labpipe.config.reader import read_settings
+from labpipe.marked_yaml import Marked, load_marked, set_entry
+from labpipe.quantities import QUANTITIES, Unit, UnitError, check_dimension, parse_unit, parse_value
+from labpipe.records.recording import ROLES, Channel
+from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
+from labpipe.records.settings import setting
+from labpipe.registry import nearest
+
+DEFAULT_ROLES = {"force": "input", "displacement": "output", "velocity": "output", "acceleration": "output"}
+
+
+@dataclass(frozen=True)
+class RigSettings:
+    """The plain entries of a rig file (its channels are read by themselves)."""
+
+    name: str = setting("text", "name of the rig, as the report shows it", default="")
+    description: str = setting("text", "what a reader should know of the rig", default="")
+    sample_rate: float | None = setting("value", "sampling rate, where no time column gives it", unit="Hz", default=None)
+    time: str | None = setting("text", 'time column, for example "t [s]"', default=None)
+    mass: float | None = setting("value", "mass that moves with the response", unit="kg", default=None)
+
+
+@dataclass(frozen=True)
+class ChannelSettings:
+    """One entry below ``channels:``."""
+
+    quantity: str = setting("choice", "what is measured", choices=tuple(QUANTITIES))
+    unit: str = setting("text", "unit of the recorded numbers; default: SI", default="")
+    column: str = setting("text", "column of the file; default: the channel's key", default="")
+    role: str = setting("choice", "input (force), output (response) or reference", choices=ROLES, default="")
+    dof: str = setting("text", "x, y, z, any name, or an angle from x such as '45 deg'", default="")
+    sensitivity: str = setting("text", "of the sensor, for example '8 V/mm'", default="")
+    invert: bool = setting("flag", "turn the sign around", default=False)
+    range: tuple[float, float] | None = setting("text", "recorded values at which the logger clips, e.g. '-10 V .. 10 V'", default=None)
+
+
+def load_rig(path: Path, overrides: Iterable[str] = ()) -> Rig:
+    """The rig of a rig file; ConfigErrors with every fault at its place."""
+    tree = load_marked(path)
+    for assignment in overrides:
+        set_entry(tree, assignment)
+    faults = Faults()
+    rig = read_rig(tree, faults)
+    faults.raise_any()
+    assert rig is not None
+    return rig
+
+
+def override_channels(path: Path, entry: Marked, faults: Faults, key: str) -> Rig | None:
+    """The rig of *path* in which a recording's own ``channels:`` entries take the place of the rig file's."""
+    tree = load_marked(path)
+    for name, node in faults.mapping(entry, key).items():
+        channel = tree.content.get("channels", Marked({}, tree.where)).content.get(name)
+        if channel is None:
+            faults.add(node, join(key, name), "the rig has no such channel", nearest(name, tree.content["channels"].content))
+        else:
+            channel.content.update(faults.mapping(node, join(key, name)))
+    return read_rig(tree, faults)
+
+
+def read_rig(tree: Marked, faults: Faults) -> Rig | None:
+    """The rig of a marked tree; None and faults where it cannot be read."""
+    before = len(faults)
+    entries = faults.mapping(tree, "")
+    plain = Marked({k: v for k, v in entries.items() if k != "channels"}, tree.where)
+    known = read_settings(RigSettings, plain, "", faults)
+    channels = _read_channels(entries.get("channels"), tree, faults)
+    if known is not None and (known.sample_rate is None) == (known.time is None):
+        node = entries.get("time", tree)
+        faults.add(node, "sample_rate", "one of sample_rate and time is needed", 'write sample_rate: 20 kHz or time: "t [s]"')
+    if known is not None and known.sample_rate is not None and known.sample_rate <= 0:
+        faults.add(entries["sample_rate"], "sample_rate", "must be positive")
+    if len(faults) > before or known is None:
+        return None
+    return Rig(
+        name=known.name,
+        channels=tuple(channels),
+        sample_rate=known.sample_rate,
+        time=known.time,
+        time_scale=_time_scale(known.time),
+        mass=known.mass,
+        description=known.description,
+    )
+
+
+def _time_scale(column: str | None) -> float:
+    """Seconds per unit of the time column, from the unit in brackets behind its name (seconds without one)."""
+    match = re.search(r"[\[(]([^\])]+)[\])]\s*$", column or "")
+    if match is None:
+        return 1.0
+    try:
+        return parse_value(f"1 {match[1]}", "s")
+    except UnitError:
+        return 1.0
+
+
+def _read_channels(node: Marked | None, tree: Marked, faults: Faults) -> list[RigChannel]:
+    if node is None:
+        faults.add(tree, "channels", "is missing", "name each channel with its column, quantity and unit")
+        return []
+    channels: list[RigChannel] = []
+    columns: dict[str, str] = {}
+    for name, entry in faults.mapping(node, "channels").items():
+        channel = _read_channel(name, entry, join("channels", name), faults)
+        if channel is None:
+            continue
+        if channel.column in columns:
+            faults.add(entry, join("channels", name), f"takes the column '{channel.column}' of channel '{columns[channel.column]}'")
+        columns[channel.column] = name
+        channels.append(channel)
+    return channels
+
+
+def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChannel | None:
+    known = read_settings(ChannelSettings, node, key, faults)
+    if known is None:
+        return None
+    before = len(faults)
+    scale, offset = _calibration(known, node, key, faults)
+    limits = _limits(known, node, key, faults)
+    dof, angle = _direction(known.dof or name, node, key, faults)
+    if len(faults) > before:
+        return None
+    sign = -1.0 if known.invert else 1.0
+    role = known.role or DEFAULT_ROLES.get(known.quantity, "reference")
+    channel = Channel(name, known.quantity, role, dof, angle)
+    return RigChannel(channel, known.column or name, known.unit or channel.unit, sign * scale, sign * offset, limits)
+
+
+def _direction(dof: str, node: Marked, key: str, faults: Faults) -> tuple[str, float | None]:
+    """dof label and angle [rad] from x; "45 deg" is an angle, x and y are the angles 0 and 90 deg."""
+    if dof in AXIS_ANGLES:
+        return dof, AXIS_ANGLES[dof]
+    if re.match(r"^\s*[+-]?[\d.]", dof) and " " in dof.strip():
+        try:
+            return dof, parse_value(dof, "rad")
+        except UnitError as error:
+            faults.add_unit(node.content.get("dof", node), join(key, "dof"), error)
+    return dof, None
+
+
+def _calibration(known: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[float, float]:
+    """(scale, offset) from the recorded number to SI: directly by the unit, or through the sensitivity."""
+    si_unit = QUANTITIES[known.quantity].si_unit
+    unit_node = node.content.get("unit", node)
+    try:
+        unit = parse_unit(known.unit or si_unit)
+        if not known.sensitivity:
+            check_dimension(known.unit or si_unit, unit, si_unit)
+            return unit.factor, unit.offset
+    except UnitError as error:
+        faults.add_unit(unit_node, join(key, "unit"), error)
+        return 1.0, 0.0
+    try:
+        return unit.factor / _sensitivity(known.sensitivity, unit, si_unit, node), 0.0
+    except UnitError as error:
+        faults.add_unit(node.content["sensitivity"], join(key, "sensitivity"), error)
+        return 1.0, 0.0
+
+
+def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
+    """Recorded SI unit per SI unit of the quantity; "8 V/mm", or the reciprocal "5.8 N/V", or FILE#FIT of a calibration."""
+    if "#" in text:
+        text = _calibrated_slope(text, Path(node.where.rsplit(":", 2)[0]).parent)
+    match = re.match(r"^\s*(\S+)\s+(.+)$", text)
+    if match is None:
+        raise UnitError(f"'{text}' is not a sensitivity", "for example '8 V/mm'")
+    given = parse_unit(match[2]).dimension
+    wanted = tuple(u - q for u, q in zip(unit.dimension, parse_unit(si_unit).dimension, strict=True))
+    value = parse_value(text, match[2]) * parse_unit(match[2]).factor
+    if value == 0:
+        raise UnitError(f"the sensitivity '{text}' is zero")
+    if given == wanted:
+        return value
+    if given == tuple(-w for w in wanted):
+        return 1.0 / value
+    raise UnitError(f"'{match[2]}' does not lead from the channel's unit to {si_unit}", "write recorded unit per quantity, e.g. 'V/mm'")
+
+
+def _calibrated_slope(reference: str, folder: Path) -> str:
+    """The slope of a calibration fit as "value unit"; the reference is FILE#FIT, relative to the rig file."""
+    file, _, fit_name = reference.partition("#")
+    try:
+        fits: list[Mapping[str, Any]] = json.loads((folder / file).read_text(encoding="utf-8"))["fits"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise UnitError(f"'{file}' is not a readable identification.json of a calibration") from None
+    for fit in fits:
+        for parameter in fit["parameters"]:
+            if fit["name"] == fit_name and parameter["name"] == "slope":
+                return f"{parameter['value']!r} {parameter['unit']}"
+    raise UnitError(f"'{file}' holds no calibration fit '{fit_name}'", nearest(fit_name, {fit["name"] for fit in fits}))
+
+
+def _limits(known: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[float, float] | None:
+    """The recorded values at which the logger clips, in the recorded unit; "10 V" means -10 V .. 10 V."""
+    if known.range is None:
+        return None
+    low, dots, high = str(known.range).partition("..")
+    unit = known.unit or QUANTITIES[known.quantity].si_unit
+    try:
+        upper = parse_value((high if dots else low).strip(), unit)
+        lower = parse_value(low.strip(), unit) if dots else -upper
+    except UnitError as error:
+        faults.add_unit(node.content["range"], join(key, "range"), error)
+        return None
+    return lower, upper

@@ -1,0 +1,88 @@
+"""The JSON schema (draft 2020-12) of rig and pipeline files, made from the same settings that read them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labpipe.config.calibration import CalibrationSettings
+from labpipe.config.pipeline import ReportSettings
+from labpipe.config.rig import ChannelSettings, RigSettings
+from labpipe.identify.settings import FitSettings
+from labpipe.records.settings import Setting, settings_of
+from labpipe.spectra.settings import FrfSettings
+
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+_TEXT_OR_NUMBER: dict[str, Any] = {"type": ["string", "number"]}
+_TEXTS: dict[str, Any] = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}
+
+
+def rig_schema() -> dict[str, Any]:
+    """The schema of a rig file."""
+    schema = _object(RigSettings)
+    schema["properties"]["channels"] = {"type": "object", "additionalProperties": _object(ChannelSettings)}
+    schema["required"] = ["channels"]
+    return {"$schema": DRAFT, "title": "labpipe rig", **schema}
+
+
+def pipeline_schema() -> dict[str, Any]:
+    """The schema of a pipeline file."""
+    entry = {
+        "type": "object",
+        "properties": {"file": {"type": "string"}, "rig": {"type": "string"}, "channels": {"type": "object"}},
+        "required": ["file"],
+        "additionalProperties": False,
+    }
+    recordings = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"anyOf": [{"type": "string"}, entry]}}]}
+    conditions = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
+    test = {"name": {"type": "string"}, "recordings": recordings, "frfs": _TEXTS, "conditions": conditions}
+    rules = {"type": "object", "additionalProperties": {"anyOf": [_TEXT_OR_NUMBER, {"type": "boolean"}, {"type": "array"}]}}
+    properties = {
+        "title": {"type": "string"},
+        "rig": {"type": "string", "description": "rig file, relative to this file"},
+        "recordings": recordings,
+        "tests": {"type": "array", "items": {"type": "object", "properties": test, "additionalProperties": False}},
+        "frfs": _TEXTS,
+        "conditions": conditions,
+        "frf": _object(FrfSettings),
+        "identify": {"type": "object", "additionalProperties": _object(FitSettings)},
+        "calibrate": {"type": "object", "additionalProperties": _object(CalibrationSettings)},
+        "report": _object(ReportSettings),
+        "accept": rules,
+        "expect": rules,
+    }
+    return {
+        "$schema": DRAFT,
+        "title": "labpipe pipeline",
+        "type": "object",
+        "properties": properties,
+        "additionalProperties": False,
+    }
+
+
+def _object(owner: type) -> dict[str, Any]:
+    settings = settings_of(owner)
+    properties = {name: {**_kind(setting), "description": _described(setting)} for name, (setting, _) in settings.items()}
+    required = [name for name, (_, needed) in settings.items() if needed]
+    return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
+
+
+def _described(setting: Setting) -> str:
+    return f"{setting.help} [{setting.unit}]" if setting.unit else setting.help
+
+
+def _kind(setting: Setting) -> dict[str, Any]:
+    if setting.kind == "section":
+        assert setting.section is not None
+        return _object(setting.section)
+    return {
+        "value": _TEXT_OR_NUMBER,
+        "uncertain": _TEXT_OR_NUMBER,
+        "band": {"type": "string"},
+        "bands": _TEXTS,
+        "integer": {"type": "integer", "minimum": 0},
+        "flag": {"type": "boolean"},
+        "text": _TEXT_OR_NUMBER,
+        "choice": {"enum": list(setting.choices)},
+        "names": _TEXTS,
+        "mass": {"type": ["string", "number", "array"]},
+    }[setting.kind]

@@ -1,0 +1,42 @@
+"""What can go wrong because of the user's input, and how it is said.
+
+Every LabpipeError reads ``where: what; hint`` on one line and ends the command with exit code 2.
+Anything else that escapes is a fault of labpipe itself and keeps its traceback.
+"""
+
+from __future__ import annotations
+
+
+class LabpipeError(Exception):
+    """A fault of the input: *where* it is, *what* is wrong, and a *hint* at what would be right."""
+
+    def __init__(self, what: str, *, where: str = "", hint: str = "") -> None:
+        self.what = what
+        self.where = where
+        self.hint = hint
+        super().__init__(what)
+
+    def __str__(self) -> str:
+        place = f"{self.where}: " if self.where else ""
+        hint = f"; {self.hint}" if self.hint else ""
+        return f"{place}{self.what}{hint}"
+
+
+class ConfigError(LabpipeError):
+    """A fault in a rig, pipeline or bearing file, in ``--set`` or on the command line."""
+
+
+class ConfigErrors(ConfigError):
+    """All faults of a file, found in one pass; one line each."""
+
+    def __init__(self, faults: list[ConfigError]) -> None:
+        super().__init__("\n".join(str(fault) for fault in faults))
+        self.faults = tuple(faults)
+
+
+class DataError(LabpipeError):
+    """A fault in a recording or an artefact: the measured numbers cannot be used as they are."""
+
+
+class FitError(LabpipeError):
+    """The measurement cannot support the requested fit."""

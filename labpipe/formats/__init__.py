@@ -1,0 +1,1 @@
+"""Foreign files at the edge: READERS by suffix."""

@@ -1,0 +1,137 @@
+"""Finding out how a text table is laid out: encoding, delimiter, decimal sign, header, unit row, first row of numbers."""
+
+from __future__ import annotations
+
+import codecs
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from labpipe.errors import DataError
+from labpipe.quantities import UnitError, parse_unit
+
+HEAD_BYTES = 1 << 18
+DELIMITERS = ("\t", ";", ",", "|")
+MISSING = frozenset(("", "nan", "NaN", "NAN", "NA", "N/A", "#N/A", "null", "-", "--", "---"))
+_COMMENT = re.compile(r"^\s*(?:#|%|//|!)+\s?")
+_BRACKETS = re.compile(r"[\[(]([^\])]+)[\])]\s*$")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """*names* has one entry per field of a data row (empty behind a trailing delimiter); *first_line* is 0-based."""
+
+    encoding: str
+    delimiter: str
+    decimal: str
+    names: tuple[str, ...]
+    units: dict[str, str]
+    first_line: int
+
+
+def is_number(field: str, decimal: str) -> bool:
+    """Whether a field is one number with this decimal sign."""
+    text = field.strip().strip('"')
+    if decimal == "," and "." in text:
+        return False
+    try:
+        float(text.replace(",", ".") if decimal == "," else text)
+    except ValueError:
+        return False
+    return "_" not in text
+
+
+def is_number_or_missing(field: str, decimal: str) -> bool:
+    """Whether a field is a number or a known mark for a missing one."""
+    return field.strip().strip('"') in MISSING or is_number(field, decimal)
+
+
+def find_layout(path: Path) -> Layout:
+    """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers."""
+    encoding, lines = _head(path)
+    candidates = [
+        (delimiter, decimal, *_numeric_rows(lines, delimiter, decimal))
+        for delimiter in DELIMITERS
+        for decimal in (".", ",")
+        if delimiter != decimal
+    ]
+    delimiter, decimal, rows, n_field = max(candidates, key=lambda c: (_rank(c[2]), _header_fits(lines, c), c[3]))
+    if not rows:
+        raise DataError("no row of numbers in it", where=str(path), hint="a table of numbers below one header line is needed")
+    first = rows[0]
+    names, units = _header(lines[:first], delimiter, n_field)
+    return Layout(encoding, delimiter, decimal, names, units, first)
+
+
+def _head(path: Path) -> tuple[str, list[str]]:
+    with path.open("rb") as stream:
+        head = stream.read(HEAD_BYTES)
+    if not head.strip():
+        raise DataError("the file is empty", where=str(path))
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        encoding = "utf-16"
+    elif b"\0" in head:
+        raise DataError("is not a text file", where=str(path))
+    else:
+        encoding = "utf-8-sig" if head.startswith(codecs.BOM_UTF8) else _utf8_or_latin(head)
+    lines = head.decode(encoding, errors="ignore").splitlines()
+    return encoding, lines[:-1] if len(head) == HEAD_BYTES else lines
+
+
+def _utf8_or_latin(head: bytes) -> str:
+    try:
+        head[:-4].decode("utf-8") if len(head) == HEAD_BYTES else head.decode("utf-8")
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"
+
+
+def _numeric_rows(lines: list[str], delimiter: str, decimal: str) -> tuple[list[int], int]:
+    """The lines that are rows of numbers, and their number of fields (the most frequent one)."""
+    counts: dict[int, list[int]] = {}
+    for number, line in enumerate(lines):
+        fields = line.split(delimiter)
+        if any(is_number(f, decimal) for f in fields) and all(is_number_or_missing(f, decimal) for f in fields):
+            counts.setdefault(len(fields), []).append(number)
+    n_field = max(counts, key=lambda n: (len(counts[n]), n), default=0)
+    return counts.get(n_field, []), n_field
+
+
+def _rank(rows: list[int]) -> float:
+    """Number of numeric rows on a coarse scale, so that a few faulty rows do not decide over the delimiter."""
+    return round(len(rows).bit_length(), 0)
+
+
+def _header_fits(lines: list[str], candidate: tuple[str, str, list[int], int]) -> bool:
+    delimiter, _, rows, n_field = candidate
+    above = [line for line in lines[: rows[0]] if line.strip()] if rows else []
+    return bool(above) and len(above[-1].split(delimiter)) in (n_field, n_field - 1)
+
+
+def _header(above: list[str], delimiter: str, n_field: int) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Names and units from the lines above the numbers; columns without a header are called 1, 2, ..."""
+    rows = [[field.strip().strip('"').strip() for field in _COMMENT.sub("", line).split(delimiter)] for line in above]
+    titles = [row + [""] * (n_field - len(row)) for row in rows if n_field - 1 <= len(row) <= n_field and any(row)]
+    if not titles:
+        return tuple(str(n + 1) for n in range(n_field)), {}
+    names, unit_row = titles[-1], [""] * n_field
+    if len(titles) > 1 and all(not field or _unit_of(field) for field in names):
+        names, unit_row = titles[-2], [_unit_of(field) for field in names]
+    units = {name: unit or bracketed_unit(name) for name, unit in zip(names, unit_row, strict=True)}
+    return tuple(names), {name: unit for name, unit in units.items() if unit}
+
+
+def _unit_of(field: str) -> str:
+    """The unit that a field of a unit row names, or nothing."""
+    text = field.strip().strip("[]()").strip()
+    try:
+        parse_unit(text)
+    except UnitError:
+        return ""
+    return text
+
+
+def bracketed_unit(name: str) -> str:
+    """ "x [um]" -> "um"; nothing when the brackets hold no unit."""
+    match = _BRACKETS.search(name)
+    return _unit_of(match[1]) if match else ""

@@ -1,0 +1,73 @@
+"""Text tables: sniffed delimiter and decimal sign, comment headers, unit rows; read in blocks by pyarrow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pc
+from numpy.typing import NDArray
+
+from labpipe.errors import DataError
+from labpipe.formats.csv_layout import MISSING, find_layout, is_number_or_missing
+
+BLOCK_BYTES = 1 << 23
+
+
+class CsvTable:
+    """A text table of numbers. Satisfies Table; every faulty row is refused with its line number."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.layout = find_layout(path)
+        self.columns = tuple(name for name in self.layout.names if name)
+        self.units = self.layout.units
+
+    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
+        """Consecutive chunks (n, len(columns)); DataError names the line and column of the first row that is not numbers."""
+        fields = [str(self.layout.names.index(name)) for name in columns]
+        try:
+            for batch in self._open(fields):
+                if batch.num_rows:
+                    yield np.column_stack([batch.column(field).to_numpy(zero_copy_only=False) for field in fields])
+        except pa.ArrowInvalid as error:
+            raise self._located(columns, str(error)) from None
+
+    def _open(self, fields: list[str]) -> pc.CSVStreamingReader:
+        layout = self.layout
+        encoding = "utf8" if layout.encoding.startswith("utf-8") else layout.encoding
+        n_field = len(layout.names)
+        return pc.open_csv(
+            self.path,
+            pc.ReadOptions(
+                block_size=BLOCK_BYTES,
+                skip_rows=layout.first_line,
+                column_names=[str(n) for n in range(n_field)],
+                encoding=encoding,
+            ),
+            pc.ParseOptions(delimiter=layout.delimiter),
+            pc.ConvertOptions(
+                column_types={field: pa.float64() for field in fields},
+                include_columns=fields,
+                null_values=sorted(MISSING),
+                decimal_point=layout.decimal,
+            ),
+        )
+
+    def _located(self, columns: Sequence[str], reason: str) -> DataError:
+        """The error with the first faulty line, found by reading the file again as text."""
+        layout, indices = self.layout, [self.layout.names.index(name) for name in columns]
+        with self.path.open(encoding=layout.encoding, errors="replace") as lines:
+            for number, line in enumerate(lines):
+                if number < layout.first_line or not line.strip():
+                    continue
+                fields = line.rstrip("\r\n").split(layout.delimiter)
+                where = f"{self.path}:{number + 1}"
+                if len(fields) != len(layout.names):
+                    return DataError(f"{len(fields)} fields, {len(layout.names)} are needed as in the rows before", where=where)
+                for index, name in zip(indices, columns, strict=True):
+                    if not is_number_or_missing(fields[index], layout.decimal):
+                        return DataError(f"column '{name}': '{fields[index].strip()[:40]}' is not a number", where=where)
+        return DataError(f"cannot be read: {reason.splitlines()[0]}", where=str(self.path))

@@ -1,0 +1,72 @@
+"""Artefacts as tables for other programs. WRITERS by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from labpipe.artefacts.identification_file import read_identification
+from labpipe.artefacts.parquet import open_parquet
+from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
+from labpipe.artefacts.recording_file import open_recording
+from labpipe.artefacts.response_file import read_response
+from labpipe.formats.frf_csv import write_frf_csv
+from labpipe.registry import Registry
+
+WRITERS = Registry(
+    "writer",
+    {"csv": "labpipe.formats.exports:write_csv", "parquet": "labpipe.formats.exports:write_parquet"},
+)
+
+
+def write_csv(artefact: Path, target: Path) -> None:
+    """An FRF as the table labpipe reads again, a recording as one column per channel "name [unit]", a result as its parameters."""
+    if artefact.suffix == ".json":
+        parameter_table(artefact).to_csv(target, index=False)
+    elif artefact.name.endswith(RECORDING_SUFFIX):
+        recording_table(artefact).to_csv(target, index=False)
+    else:
+        write_frf_csv(target, read_response(artefact))
+
+
+def write_parquet(artefact: Path, target: Path) -> None:
+    """The same tables as Parquet, without labpipe's header."""
+    if artefact.suffix == ".json":
+        parameter_table(artefact).to_parquet(target, index=False)
+    elif artefact.name.endswith(RECORDING_SUFFIX):
+        recording_table(artefact).to_parquet(target, index=False)
+    else:
+        read_response(artefact)  # refuses what is no response
+        open_parquet(artefact).read().to_pandas().to_parquet(target, index=False)
+
+
+def recording_table(artefact: Path) -> pd.DataFrame:
+    """Time in seconds and the channels in SI units."""
+    recording = open_recording(artefact)
+    record = recording.in_memory()
+    names = [f"{channel.name} [{channel.unit}]" for channel in record.channels]
+    table = pd.DataFrame(record.samples, columns=names)
+    table.insert(0, "t [s]", [n / record.sample_rate for n in range(record.n_sample)])
+    return table
+
+
+def parameter_table(artefact: Path) -> pd.DataFrame:
+    """One row per fit and parameter."""
+    rows = [
+        {
+            "fit": fit.name,
+            "test": fit.test,
+            "centre_hz": fit.centre_hz,
+            "parameter": parameter.name,
+            "value": parameter.value,
+            "unit": parameter.unit,
+            "std_error": parameter.std_error,
+            "ci95_low": parameter.ci95[0] if parameter.ci95 else None,
+            "ci95_high": parameter.ci95[1] if parameter.ci95 else None,
+            "warnings": " ".join(finding.code for finding in fit.findings),
+        }
+        for fit in read_identification(artefact).fits
+        for parameter in fit.parameters
+    ]
+    return pd.DataFrame(rows)

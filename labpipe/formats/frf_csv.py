@@ -1,0 +1,95 @@
+"""Frequency responses as CSV: ``frequency_hz``, then ``o/i:re``, ``o/i:im`` and, where known, ``o/i:var``, ``o/i:coh``."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import DataError
+from labpipe.formats.csv_table import CsvTable
+from labpipe.formats.table import check_columns
+from labpipe.records.response import FORMS, FrequencyResponse, Port, uncorrelated
+from labpipe.records.rig import AXIS_ANGLES
+from labpipe.registry import nearest
+
+_COLUMN = re.compile(r"^(?P<output>[^/]+)/(?P<input>[^:]+):(?P<part>re|im|var|coh)$")
+
+
+def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
+    """The response of an FRF table in SI units; DataError names what is missing.
+
+    A variance per element is read as a covariance without correlation between the elements.
+    """
+    table = CsvTable(path)
+    check_columns(table, ["frequency_hz"])
+    pairs = [match for column in table.columns if (match := _COLUMN.match(column))]
+    if not pairs:
+        raise DataError("no columns 'output/input:re' and 'output/input:im'", where=str(path), hint="for example 'x/f:re', 'x/f:im'")
+    outputs = tuple(dict.fromkeys(match["output"] for match in pairs))
+    inputs = tuple(dict.fromkeys(match["input"] for match in pairs))
+    wanted = [f"{o}/{i}:{part}" for o in outputs for i in inputs for part in ("re", "im")]
+    check_columns(table, wanted)
+    columns = dict(zip(table.columns, np.concatenate(list(table.chunks(table.columns))).T, strict=True))
+    real, imaginary = (_cube(columns, outputs, inputs, part) for part in ("re", "im"))
+    variance, coherence = (_optional_cube(columns, outputs, inputs, part) for part in ("var", "coh"))
+    return FrequencyResponse(
+        frequency=columns["frequency_hz"],
+        matrix=real + 1j * imaginary,
+        outputs=tuple(_port(label) for label in outputs),
+        inputs=tuple(_port(label) for label in inputs),
+        form=_form(path),
+        covariance=None if variance is None else uncorrelated(variance),
+        coherence=coherence,
+        name=name,
+    )
+
+
+def _port(label: str) -> Port:
+    return Port(label, label, label, AXIS_ANGLES.get(label))
+
+
+def _form(path: Path) -> str:
+    """The form named in the comment lines above the table; receptance where none is named."""
+    with path.open(encoding="utf-8-sig", errors="replace") as lines:
+        for line in lines:
+            if not line.startswith("#"):
+                break
+            match = re.match(r"#\s*form:\s*(\S+)", line)
+            if match and match[1] not in FORMS:
+                raise DataError(f"unknown form '{match[1]}'", where=f"{path}:1", hint=nearest(match[1], FORMS))
+            if match:
+                return match[1]
+    return "receptance"
+
+
+def _cube(columns: dict[str, NDArray[np.float64]], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str) -> NDArray[np.float64]:
+    return np.stack([np.stack([columns[f"{o}/{i}:{part}"] for i in inputs], -1) for o in outputs], 1)
+
+
+def _optional_cube(
+    columns: dict[str, NDArray[np.float64]], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str
+) -> NDArray[np.float64] | None:
+    """The cube where every element has the column, else None."""
+    known = all(f"{o}/{i}:{part}" in columns for o in outputs for i in inputs)
+    return _cube(columns, outputs, inputs, part) if known else None
+
+
+def write_frf_csv(path: Path, response: FrequencyResponse) -> None:
+    """Write the response as `read_frf_csv` reads it."""
+    columns = {"frequency_hz": response.frequency}
+    variance = response.variance
+    for o, output in enumerate(response.outputs):
+        for i, port in enumerate(response.inputs):
+            pair = f"{output.label}/{port.label}"
+            columns[f"{pair}:re"] = response.matrix[:, o, i].real
+            columns[f"{pair}:im"] = response.matrix[:, o, i].imag
+            if variance is not None:
+                columns[f"{pair}:var"] = variance[:, o, i]
+            if response.coherence is not None:
+                columns[f"{pair}:coh"] = response.coherence[:, o, i]
+    with path.open("w", encoding="utf-8", newline="\n") as stream:
+        stream.write(f"# form: {response.form}\n{','.join(columns)}\n")
+        np.savetxt(stream, np.stack(list(columns.values()), 1), "%.17g", delimiter=",")

@@ -1,0 +1,38 @@
+"""Parquet tables that other programs wrote."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from labpipe.artefacts.parquet import open_parquet
+from labpipe.errors import DataError
+from labpipe.formats.csv_layout import bracketed_unit
+
+CHUNK_ROWS = 1 << 17
+
+
+class ParquetTable:
+    """A Parquet table of numbers. Satisfies Table."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._schema = open_parquet(path).schema_arrow
+        self.columns = tuple(self._schema.names)
+        self.units = {name: unit for name in self.columns if (unit := bracketed_unit(name))}
+        if open_parquet(path).metadata.num_rows == 0:
+            raise DataError("has no rows", where=str(path))
+
+    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
+        """Consecutive chunks (n, len(columns)); DataError when a column does not hold numbers."""
+        for name in columns:
+            kind = self._schema.field(name).type
+            if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+                raise DataError(f"column '{name}' holds {kind}, numbers are needed", where=str(self.path))
+        for batch in open_parquet(self.path).iter_batches(batch_size=CHUNK_ROWS, columns=list(dict.fromkeys(columns))):
+            table = [batch.column(name).cast(pa.float64()).to_numpy(zero_copy_only=False) for name in columns]
+            yield np.column_stack(table)

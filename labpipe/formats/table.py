@@ -1,0 +1,56 @@
+"""A table on disk: named columns of numbers, read chunk by chunk. READERS by suffix."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import DataError
+from labpipe.registry import Registry, nearest
+
+READERS = Registry(
+    "reader",
+    {
+        **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc"), "labpipe.formats.csv_table:CsvTable"),
+        ".parquet": "labpipe.formats.parquet_table:ParquetTable",
+    },
+)
+
+
+class Table(Protocol):
+    """Columns by name; *units* where the file itself states them; missing numbers are NaN."""
+
+    path: Path
+    columns: tuple[str, ...]
+    units: dict[str, str]
+
+    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
+        """Consecutive chunks (n, len(columns)) of the named columns."""
+        ...
+
+
+def open_table(path: Path) -> Table:
+    """The table of a file by its suffix; DataError when it is missing, a folder, or of no known kind."""
+    if path.is_dir():
+        raise DataError("is a folder, a file is needed", where=str(path))
+    if not path.exists():
+        raise DataError("no such file", where=str(path))
+    suffix = path.suffix.lower()
+    if suffix not in READERS.names():
+        raise DataError(f"files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {', '.join(READERS.names())}")
+    table: Table = READERS.load(suffix)(path)
+    return table
+
+
+def check_columns(table: Table, wanted: Sequence[str]) -> None:
+    """DataError when a wanted column is missing (with the nearest name) or stands twice."""
+    for name in wanted:
+        count = table.columns.count(name)
+        if count == 0:
+            raise DataError(f"no column '{name}'", where=str(table.path), hint=nearest(name, table.columns))
+        if count > 1:
+            raise DataError(f"the column '{name}' stands {count} times", where=str(table.path), hint="rename one of them")

@@ -1,0 +1,133 @@
+"""Straight lines through calibration points: slope with its doubt, a check for curvature, the range in which the line holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from labpipe.errors import FitError
+from labpipe.identify.regression import solve_scaled
+from labpipe.identify.statistics import condition_number, correlation, estimated
+from labpipe.records.finding import Finding
+from labpipe.records.identification import Fit, Goodness, Parameter
+
+CURVATURE_P = 0.01
+
+
+@dataclass(frozen=True)
+class Line:
+    """y = slope x + intercept: values and covariance in this order (slope alone through the origin), residuals (n_point,)."""
+
+    values: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    r2: float
+    dof: int
+    condition_number: float
+
+    @property
+    def slope(self) -> float:
+        return float(self.values[0])
+
+
+def fit_line(x: NDArray[np.float64], y: NDArray[np.float64], *, through_origin: bool = False) -> Line:
+    """Least-squares line with standard errors from the residual; R^2 about the mean, or about zero through the origin.
+
+    Raises FitError with fewer points than parameters + 1, or when x does not vary.
+    """
+    columns = x[:, None] if through_origin else np.column_stack([x, np.ones_like(x)])
+    n_parameter = columns.shape[1]
+    if x.size <= n_parameter:
+        raise FitError(f"{x.size} points cannot determine a line with its uncertainty", hint=f"at least {n_parameter + 1} are needed")
+    if not np.ptp(x) > 0:
+        raise FitError("all points have the same x")
+    values, inverse = solve_scaled(columns, y)
+    residual = y - columns @ values
+    dof = x.size - n_parameter
+    total = float(np.sum(y**2) if through_origin else np.sum((y - y.mean()) ** 2))
+    r2 = 1 - float(residual @ residual) / total if total > 0 else 0.0
+    scaled = columns / np.linalg.norm(columns, axis=0)
+    return Line(values, inverse * float(residual @ residual) / dof, residual, r2, dof, condition_number(scaled))
+
+
+def curvature_p(x: NDArray[np.float64], y: NDArray[np.float64]) -> float | None:
+    """p-value of a quadratic term beside the line (t-test); None with too few points."""
+    if x.size < 5:
+        return None
+    centred = (x - x.mean()) / np.ptp(x)
+    columns = np.column_stack([centred**2, centred, np.ones_like(x)])
+    values, inverse = solve_scaled(columns, y)
+    residual = y - columns @ values
+    variance = float(residual @ residual) / (x.size - 3)
+    if variance == 0:
+        return None
+    return 2 * float(stats.t.sf(abs(values[0]) / np.sqrt(variance * inverse[0, 0]), x.size - 3))
+
+
+def linear_range(positions: NDArray[np.float64], slopes: NDArray[np.float64], tolerance: float) -> float:
+    """Largest position up to which every slope stays within *tolerance* of the one at the first position (sorted by size)."""
+    order = np.argsort(np.abs(positions))
+    within = np.abs(slopes[order] / slopes[order[0]] - 1) <= tolerance
+    last = int(np.argmin(within)) - 1 if not np.all(within) else within.size - 1
+    return float(np.abs(positions[order[last]]))
+
+
+def linear_range_of_curve(x: NDArray[np.float64], y: NDArray[np.float64], tolerance: float) -> float:
+    """Largest range of x, from the smallest up, whose line has a slope within *tolerance* of the line through the first third."""
+    order = np.argsort(x)
+    x, y = x[order], y[order]
+    start = max(3, x.size // 3)
+    reference = fit_line(x[:start], y[:start]).slope
+    reach = start
+    for end in range(start + 1, x.size + 1):
+        local = fit_line(x[end - start : end], y[end - start : end]).slope
+        if abs(local / reference - 1) > tolerance:
+            break
+        reach = end
+    return float(x[reach - 1] - x[0])
+
+
+def line_fit(
+    name: str,
+    test: str,
+    line: Line,
+    units: tuple[str, str],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    extra: tuple[Parameter, ...] = (),
+) -> Fit:
+    """A line as a Fit: parameters slope and intercept [units], a finding when the points bend."""
+    names = ("slope", "intercept")[: line.values.size]
+    std_errors = np.sqrt(np.diag(line.covariance))
+    parameters = tuple(
+        estimated(parameter, unit, float(value), float(error), line.dof, None)
+        for parameter, unit, value, error in zip(names, units, line.values, std_errors, strict=False)
+    )
+    n = x.size
+    adjusted = 1 - (1 - line.r2) * (n - 1) / line.dof
+    return Fit(
+        name=name,
+        model="straight-line",
+        estimator="ls",
+        band_hz=(0.0, 0.0),
+        lines=n,
+        equations=n,
+        dof=line.dof,
+        gof=Goodness(line.r2, adjusted),
+        parameters=(*parameters, *extra),
+        condition_number=line.condition_number,
+        correlation=correlation(line.covariance),
+        findings=_bent(curvature_p(x, y), line, y),
+        test=test,
+    )
+
+
+def _bent(p_value: float | None, line: Line, y: NDArray[np.float64]) -> tuple[Finding, ...]:
+    if p_value is None or p_value >= CURVATURE_P:
+        return ()
+    share = 100 * np.max(np.abs(line.residual)) / np.ptp(y)
+    message = f"the points bend (p = {p_value:.2g} for a straight line); the largest deviation is {share:.2g} % of the range"
+    return (Finding("model-mismatch", message),)

@@ -1,0 +1,117 @@
+"""What a fit must say about itself, in words: each finding has a code and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.identify.statistics import Estimate, condition_number
+from labpipe.records.finding import Finding
+from labpipe.records.identification import Parameter
+from labpipe.records.response import FrequencyResponse
+
+# Condition numbers of a column-scaled design above 30 are strong collinearity (Belsley, Kuh and Welsch 1980, section 3.2);
+# there more than half of a parameter's variance comes from the weak direction.
+COLLINEAR_CONDITION = 30.0
+VARIANCE_PROPORTION = 0.5
+MISMATCH_P = 0.01
+FEW_DOF = 5
+EQUATIONS_PER_PARAMETER = 3
+LOW_COHERENCE = 0.9
+LOW_SNR = 10.0
+POOR_SHARE = 0.1
+
+
+def estimate_findings(estimate: Estimate, names: Sequence[str], n_equation: int, n_line: int) -> list[Finding]:
+    """Findings on the estimate itself: convergence, collinearity, few lines, model mismatch."""
+    found: list[Finding] = []
+    if not estimate.converged:
+        message = f"the estimator did not converge in {estimate.iterations} iterations; its numbers are not a result"
+        found.append(Finding("no-convergence", message))
+    found.extend(_collinear(estimate.scaled_design, names))
+    if estimate.dof < FEW_DOF or n_equation < EQUATIONS_PER_PARAMETER * len(names):
+        message = f"{n_line} lines give {n_equation} equations for {len(names)} parameters; widen the band or measure with finer spacing"
+        found.append(Finding("few-lines", message))
+    found.extend(_mismatch(estimate))
+    return found
+
+
+def _collinear(scaled_design: NDArray[np.float64], names: Sequence[str]) -> list[Finding]:
+    """Which parameters cannot be told apart, by Belsley's variance proportions of the weak directions."""
+    condition = condition_number(scaled_design)
+    if condition < COLLINEAR_CONDITION:
+        return []
+    groups = collinear_groups(scaled_design, names)
+    listed = "; ".join(", ".join(group) for group in groups) or ", ".join(names)
+    message = (
+        f"the excitation does not tell these parameters apart: {listed} (condition number {condition:.3g}, limit {COLLINEAR_CONDITION:g}). "
+        "Their values and signs are not determined, however good the fit looks. Remedy: measure a second, independent force direction, "
+        "or fit a model with fewer parameters (rotor-2dof-direct, a known mass)."
+    )
+    return [Finding("collinear", message)]
+
+
+def collinear_groups(scaled_design: NDArray[np.float64], names: Sequence[str]) -> list[list[str]]:
+    """Parameters with most of their variance in weak directions; directions that share a parameter form one group.
+
+    Variance proportion of direction j in parameter i: (v_ij^2 / s_j^2) / sum_j (v_ij^2 / s_j^2).
+    """
+    _, singular, vectors = np.linalg.svd(scaled_design, full_matrices=False)
+    floor = singular[0] * np.finfo(float).eps
+    parts = (vectors / np.maximum(singular, floor)[:, None]) ** 2
+    weak = singular[0] > COLLINEAR_CONDITION * singular
+    involved = np.sum(parts[weak], axis=0) > VARIANCE_PROPORTION * np.sum(parts, axis=0)
+    return [[name for name, inside in zip(names, involved, strict=True) if inside]] if np.any(involved) else []
+
+
+def _mismatch(estimate: Estimate) -> list[Finding]:
+    reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
+    if reduced is None or p_value is None or p_value >= MISMATCH_P:
+        return []
+    factor = np.sqrt(reduced)
+    message = (
+        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom {reduced:.3g}, "
+        f"p = {p_value:.2g}): the model lacks something. Multiply the standard errors by {factor:.3g} at least, or narrow the band."
+    )
+    return [Finding("model-mismatch", message)]
+
+
+def parameter_findings(parameters: Sequence[Parameter]) -> list[Finding]:
+    """Findings on the reported parameters: insignificant ones, and what no passive support can have."""
+    found: list[Finding] = []
+    weak = [p.name for p in parameters if p.significant is False and not p.derived]
+    if weak:
+        message = f"{', '.join(weak)} cannot be told from zero at 95 %; a fit without them (`eliminate: true`) describes the data as well"
+        found.append(Finding("insignificant", message))
+    negative = [p.name for p in parameters if p.name in ("k", "c", "m") and p.value < 0 and p.significant]
+    if negative:
+        found.append(
+            Finding("unphysical", f"{', '.join(negative)} came out negative; check the mass, the sign of the channels and the band")
+        )
+    over = [p for p in parameters if p.name == "zeta" and p.value > 1]
+    if over:
+        found.append(Finding("unphysical", f"zeta = {over[0].value:.3g} is above 1: there is no resonance in this fit, f_n means little"))
+    return found
+
+
+def quality_findings(response: FrequencyResponse, rows: list[int], columns: list[int], lines: NDArray[np.bool_]) -> list[Finding]:
+    """Poor coherence or signal-to-noise ratio on the lines of this fit."""
+    if response.multiple_coherence is not None:
+        share = float(np.mean(np.min(response.multiple_coherence[lines][:, rows], axis=1) < LOW_COHERENCE))
+        what = f"the coherence is below {LOW_COHERENCE:g}"
+    elif response.coherence is not None:
+        share = float(np.mean(np.min(response.coherence[lines][:, rows][:, :, columns], axis=(1, 2)) < LOW_COHERENCE))
+        what = f"the coherence is below {LOW_COHERENCE:g}"
+    elif response.variance is not None:
+        size = np.abs(response.matrix[lines][:, rows][:, :, columns])
+        std = np.sqrt(response.variance[lines][:, rows][:, :, columns])
+        share = float(np.mean(np.max(std, axis=(1, 2)) * LOW_SNR > np.max(size, axis=(1, 2))))
+        what = f"the FRF is less than {LOW_SNR:g} times its standard deviation"
+    else:
+        return []
+    if share <= POOR_SHARE:
+        return []
+    remedy = "raise the force, average longer, or leave these lines out with `exclude`"
+    return [Finding("low-coherence", f"{what} at {100 * share:.0f} % of the lines in the band; {remedy}")]

@@ -1,0 +1,183 @@
+"""ml: output error weighted with the FRF covariance, the maximum-likelihood estimate for known noise.
+
+chi^2(p) = 2 sum_lines d^H C^-1 d with d = vec(H_measured - H(p)) and C = E[d d^H], minimised by Levenberg and Marquardt's method with
+the analytic Jacobian. The factor 2 counts real and imaginary part: each holds half of the variance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from labpipe.errors import FitError
+from labpipe.identify.measured import Measured
+from labpipe.identify.model import DynamicModel
+from labpipe.identify.regression import least_squares, solve_scaled
+from labpipe.identify.statistics import Estimate, determination, stacked
+from labpipe.records.identification import Goodness
+
+MAX_ITERATIONS = 100
+MAX_DAMPING_STEPS = 20
+STEP_TOLERANCE = 1e-10
+REWEIGHTINGS = 12
+UNWEIGHTED_NOTE = (
+    "ml: the FRF came without its covariance, so all lines weigh alike, the standard errors come from the residual, and the "
+    "chi-square test of the model is not possible."
+)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """A weighted output-error problem in real numbers: residual and Jacobian as functions of the parameters."""
+
+    measured: Measured
+    model: DynamicModel
+    whitener: NDArray[np.complex128]
+
+    def whitened(self, values: NDArray[np.complex128]) -> NDArray[np.float64]:
+        """(..., n_line, n_output, n_input) -> (..., n_equation): uncorrelated, each real part of variance 1."""
+        flat = values.reshape(*values.shape[:-2], -1)
+        white = np.einsum("lab,...lb->...la", self.whitener, flat)
+        return np.sqrt(2.0) * stacked(white.reshape(*white.shape[:-2], -1))
+
+    def residual(self, parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self.whitened(self.measured.matrix - self.model.receptance(parameters, self.measured.omega))
+
+    def jacobian(self, parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+        """d residual / d p, (n_equation, n_parameter)."""
+        return -self.whitened(self.model.jacobian(parameters, self.measured.omega)).T
+
+
+def maximum_likelihood(measured: Measured, model: DynamicModel) -> Estimate:
+    """Weighted output-error estimate with standard errors from the information matrix, cov = (J^T J)^-1.
+
+    A covariance that was itself estimated from nu degrees of freedom makes E[C^-1] too large by nu / (nu - n) for n FRFs per line
+    (complex Wishart); chi-square and covariance are corrected for it. FitError when the covariance cannot serve as a weight.
+    """
+    n_parameter = len(model.terms)
+    if measured.n_equation <= n_parameter:
+        raise FitError(f"{measured.n_equation} real equations cannot determine {n_parameter} parameters", hint="widen the band")
+    problem = _Problem(measured, model, _whitener(measured))
+    values, converged, iterations = _minimise(problem, _start(problem))
+    jacobian = problem.jacobian(values)
+    _, inverse = solve_scaled(jacobian, problem.residual(values))
+    residual = problem.residual(values)
+    dof = measured.n_equation - n_parameter
+    excess = float(residual @ residual) / dof
+    fitted_error = measured.matrix - model.receptance(values, measured.omega)
+    r2, adjusted = determination(measured.matrix, fitted_error, n_parameter)
+    design = jacobian / np.linalg.norm(jacobian, axis=0)
+    if measured.covariance is None:
+        gof = Goodness(r2, adjusted)
+        return Estimate(values, excess * inverse, design, gof, dof, converged, iterations, (UNWEIGHTED_NOTE,))
+    factor = _estimated_weight_factor(measured)
+    reduced = excess / factor
+    p_value = float(stats.f.sf(reduced, dof, measured.band_dof) if np.isfinite(measured.band_dof) else stats.chi2.sf(reduced * dof, dof))
+    gof = Goodness(r2, adjusted, reduced, p_value)
+    return Estimate(values, factor * inverse, design, gof, dof, converged, iterations)
+
+
+def _estimated_weight_factor(measured: Measured) -> float:
+    """nu / (nu - n): how much a covariance estimated from nu degrees of freedom makes n residuals per line look too large."""
+    n = measured.matrix.shape[1] * measured.matrix.shape[2]
+    if not np.isfinite(measured.noise_dof):
+        return 1.0
+    if measured.noise_dof <= n + 1:
+        raise FitError(
+            f"the covariance of {n} FRFs was estimated from {measured.noise_dof:.3g} degrees of freedom only",
+            hint="average more periods or blocks, or raise `smooth`",
+        )
+    return measured.noise_dof / (measured.noise_dof - n)
+
+
+def _whitener(measured: Measured) -> NDArray[np.complex128]:
+    """L^-1 of C = L L^H per line, (n_line, n, n); the same number for all lines where the covariance is unknown."""
+    n = measured.matrix.shape[1] * measured.matrix.shape[2]
+    if measured.covariance is None:
+        size = np.sqrt(np.mean(np.abs(measured.matrix) ** 2))
+        return np.broadcast_to(np.eye(n) / size, (measured.omega.size, n, n)).astype(np.complex128)
+    std = np.sqrt(np.einsum("lii->li", measured.covariance).real)
+    if np.any(std == 0):
+        line = int(np.argwhere(std == 0)[0][0])
+        frequency = measured.omega[line] / (2 * np.pi)
+        hint = "noise-free FRFs have no weights; use the estimator ls"
+        raise FitError(f"the variance of the FRF is zero at {frequency:g} Hz", hint=hint)
+    scaled = measured.covariance / (std[:, :, None] * std[:, None, :])
+    try:
+        lower = np.linalg.cholesky(scaled)
+    except np.linalg.LinAlgError:
+        raise FitError("the covariance of the FRF is singular", hint="average more periods or blocks") from None
+    whitener: NDArray[np.complex128] = np.linalg.inv(lower) / std[:, None, :]
+    return whitener
+
+
+def _start(problem: _Problem) -> NDArray[np.float64]:
+    """The better of plain least squares and of its reweighted form, by their chi-square.
+
+    Plain least squares is biased by noise; reweighting the equation error by Z^-1 of the last iterate (Sanathanan and Koerner 1963)
+    makes it nearly an output error and needs no good start itself.
+    """
+    candidates = [least_squares(problem.measured, problem.model).values]
+    for _ in range(REWEIGHTINGS):
+        try:
+            candidates.append(_reweighted(problem, candidates[-1]))
+        except (FitError, np.linalg.LinAlgError):
+            break
+    chi2 = [float(np.sum(problem.residual(candidate) ** 2)) for candidate in candidates]
+    return candidates[int(np.nanargmin(chi2))]
+
+
+def _reweighted(problem: _Problem, last: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Least squares of Z_last^-1 times the equation error, whitened."""
+    measured, model = problem.measured, problem.model
+    z = model.dynamic_stiffness(last, measured.omega)
+    terms = np.linalg.solve(z[None], model.equation_terms(measured.matrix, measured.omega))
+    known = np.linalg.solve(z, model.equation_known(measured.matrix, measured.omega))
+    return solve_scaled(problem.whitened(terms).T, problem.whitened(known))[0]
+
+
+def _minimise(problem: _Problem, start: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool, int]:
+    """Levenberg-Marquardt from *start*: (parameters, converged, iterations)."""
+    values, residual = start, problem.residual(start)
+    damping = 1e-3
+    for iteration in range(1, MAX_ITERATIONS + 1):
+        jacobian = problem.jacobian(values)
+        scale = np.linalg.norm(jacobian, axis=0)
+        step, residual_new, damping = _damped_step(problem, values, residual, jacobian / scale, scale, damping)
+        if step is None:
+            return values, True, iteration
+        values = values + step
+        gain = residual @ residual - residual_new @ residual_new
+        residual = residual_new
+        # In units of the standard errors, which do not depend on the units of the parameters.
+        if np.linalg.norm(step * scale) <= STEP_TOLERANCE * max(np.linalg.norm(values * scale), 1.0) or gain < 1e-13 * (
+            residual @ residual
+        ):
+            return values, True, iteration
+    return values, False, MAX_ITERATIONS
+
+
+def _damped_step(
+    problem: _Problem,
+    values: NDArray[np.float64],
+    residual: NDArray[np.float64],
+    jacobian: NDArray[np.float64],
+    scale: NDArray[np.float64],
+    damping: float,
+) -> tuple[NDArray[np.float64] | None, NDArray[np.float64], float]:
+    """A step that lowers chi-square and the damping for the next one; no step when none lowers it any more."""
+    n = values.size
+    for _ in range(MAX_DAMPING_STEPS):
+        joint = np.vstack([jacobian, np.sqrt(damping) * np.eye(n)])
+        step = np.linalg.lstsq(joint, np.concatenate([-residual, np.zeros(n)]), rcond=None)[0] / scale
+        try:
+            trial = problem.residual(values + step)
+        except FitError:
+            trial = np.full_like(residual, np.inf)
+        if np.all(np.isfinite(trial)) and trial @ trial <= residual @ residual:
+            return step, trial, max(damping / 10, 1e-15)
+        damping *= 10
+    return None, residual, damping

@@ -1,0 +1,74 @@
+"""The part of a measured response that one fit uses: chosen lines and ports, as receptance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import ConfigError, FitError
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.registry import nearest
+from labpipe.spectra.convert import receptance_factor
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Receptance of the chosen ports on the chosen lines, with what is known of its noise.
+
+    omega (n_line,) [rad/s]; matrix (n_line, n_output, n_input) [m/N]; covariance (n_line, n, n) of vec row-major, or None;
+    noise_dof: complex degrees of freedom of one covariance estimate; band_dof: real degrees of freedom of the noise level over the
+    whole band.
+    """
+
+    omega: NDArray[np.float64]
+    matrix: NDArray[np.complex128]
+    covariance: NDArray[np.complex128] | None
+    noise_dof: float
+    band_dof: float
+    outputs: tuple[Port, ...]
+    inputs: tuple[Port, ...]
+
+    @property
+    def n_equation(self) -> int:
+        """Number of real equations."""
+        return 2 * self.matrix.size
+
+
+def select_ports(response: FrequencyResponse, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> tuple[list[int], list[int]]:
+    """Rows and columns named by label, channel or dof (all, where no name is given); ConfigError for unknown names."""
+    return _chosen(response.outputs, outputs, "response"), _chosen(response.inputs, inputs, "force")
+
+
+def _chosen(ports: tuple[Port, ...], names: tuple[str, ...], what: str) -> list[int]:
+    if not names:
+        return list(range(len(ports)))
+    chosen: list[int] = []
+    for name in names:
+        exact = [number for number, port in enumerate(ports) if port.label == name]
+        found = exact or [number for number, port in enumerate(ports) if port.answers_to(name)]
+        if not found:
+            raise ConfigError(f"no {what} '{name}' in the FRF", hint=nearest(name, [port.label for port in ports]))
+        chosen.extend(number for number in found if number not in chosen)
+    return chosen
+
+
+def measured_part(response: FrequencyResponse, rows: list[int], columns: list[int], lines: NDArray[np.bool_]) -> Measured:
+    """The chosen part as receptance; FitError when it is empty or its covariance cannot serve as a weight."""
+    frequency = response.frequency[lines]
+    if not frequency.size:
+        raise FitError("no frequency line lies in the band", hint=f"lines from {response.frequency[0]:g} to {response.frequency[-1]:g} Hz")
+    factor = receptance_factor(response.form, frequency)
+    if np.any(factor == 0):
+        raise FitError(f"the line at 0 Hz of a {response.form} says nothing of a receptance", hint="begin the band above 0 Hz")
+    matrix = response.matrix[lines][:, rows][:, :, columns] / factor[:, None, None]
+    covariance = None
+    if response.covariance is not None:
+        index = [row * len(response.inputs) + column for row in rows for column in columns]
+        covariance = response.covariance[lines][:, index][:, :, index] / (np.abs(factor) ** 2)[:, None, None]
+    dof = response.covariance_dof
+    band_dof = 2 * max((response.averages - 1) * frequency.size, dof) if np.isfinite(dof) else np.inf
+    outputs = tuple(response.outputs[row] for row in rows)
+    inputs = tuple(response.inputs[column] for column in columns)
+    return Measured(2 * np.pi * frequency, matrix, covariance, dof, band_dof, outputs, inputs)

@@ -1,0 +1,160 @@
+"""The models by name: which coefficients act between which degrees of freedom. MODELS is the table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import ConfigError
+from labpipe.identify.model import DynamicModel, Term
+from labpipe.identify.settings import ESTIMATE, FitSettings, Mass
+from labpipe.records.response import Port
+from labpipe.records.rig import AXIS_ANGLES
+
+# A force that acts on a direction with less than this share of its size does not excite it.
+SMALLEST_SHARE = 1e-3
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a model needs to know of the measurement: its ports, and the fit's settings."""
+
+    outputs: tuple[Port, ...]
+    inputs: tuple[Port, ...]
+    settings: FitSettings
+
+
+def _term(name: str, kind: str, where: tuple[int, int], shape: tuple[int, int], droppable: bool = True) -> Term:
+    """A parameter that enters one place of one matrix; *shape* is (n_dof, n_input)."""
+    n_dof, n_input = shape
+    matrices = {key: np.zeros((n_dof, n_dof)) for key in ("stiffness", "damping", "mass")}
+    matrices["force"] = np.zeros((n_dof, n_input))
+    matrices[kind][where] = 1.0
+    unit = {"stiffness": "N/m", "damping": "N.s/m", "mass": "kg", "force": "1"}[kind]
+    return Term(name, unit, **matrices, droppable=droppable)
+
+
+def _scalar_mass(mass: Mass) -> float | None:
+    """The mass [kg], or None when it is to be estimated."""
+    if mass == ESTIMATE:
+        return None
+    if not isinstance(mass, (int, float)):
+        raise ConfigError("this model takes one mass", hint="for example mass: 0.92 kg")
+    return float(mass)
+
+
+def sdof(setup: Setup) -> DynamicModel:
+    """(k + j w c - w^2 m) Y = F: one mass on a spring and a damper (Lim et al. 2009, eq. 8-13)."""
+    _need_ports(setup, "sdof", 1)
+    if len(setup.inputs) != 1:
+        raise ConfigError(f"sdof takes one force, found {_labels(setup.inputs)}", hint="name it with `input`")
+    mass = _scalar_mass(setup.settings.mass)
+    shape = (1, 1)
+    terms = [_term("k", "stiffness", (0, 0), shape), _term("c", "damping", (0, 0), shape)]
+    if mass is None:
+        terms.append(_term("m", "mass", (0, 0), shape, droppable=False))
+    return DynamicModel("sdof", tuple(terms), np.array([[mass or 0.0]]), np.ones(shape))
+
+
+def rotor_2dof(setup: Setup) -> DynamicModel:
+    """Eight coefficients of a rotor in its bearings, x and y coupled (Lim et al. 2009, eq. 16-20).
+
+    One force: its factors b_x, b_y are estimated with the coefficients, which needs the known mass. Several forces of known
+    direction: b = (cos, sin) of each is given; of unknown direction: b_x, b_y of each are estimated.
+    """
+    _need_ports(setup, "rotor-2dof", 2)
+    mass = _known_mass(setup)
+    shape = (2, len(setup.inputs))
+    terms = [
+        _term(f"{letter}_{row}{column}", kind, (r, c), shape)
+        for letter, kind in (("k", "stiffness"), ("c", "damping"))
+        for r, row in enumerate("xy")
+        for c, column in enumerate("xy")
+    ]
+    force = np.zeros(shape)
+    angles = [_angle(port) for port in setup.inputs]
+    if len(angles) > 1 and None not in angles:
+        force = _directions([angle for angle in angles if angle is not None])
+    else:
+        terms.extend(_force_factors(setup.inputs, shape))
+    return DynamicModel("rotor-2dof", tuple(terms), mass * np.eye(2), force)
+
+
+def _force_factors(inputs: tuple[Port, ...], shape: tuple[int, int]) -> list[Term]:
+    """b_x, b_y of every force; with the force's label where there are several."""
+    suffixes = [""] if len(inputs) == 1 else [f"_{port.label}" for port in inputs]
+    return [
+        _term(f"b_{axis}{suffix}", "force", (row, column), shape, droppable=False)
+        for column, suffix in enumerate(suffixes)
+        for row, axis in enumerate("xy")
+    ]
+
+
+def rotor_2dof_direct(setup: Setup) -> DynamicModel:
+    """Direct coefficients only: each axis its own spring and damper under its share of the force (Lim et al. 2009, eq. 21-22)."""
+    if len(setup.outputs) not in (1, 2):
+        raise ConfigError(f"rotor-2dof-direct takes one or two responses, found {_labels(setup.outputs)}", hint="name them with `output`")
+    mass = _known_mass(setup)
+    angles = [_angle(port) for port in setup.inputs]
+    if None in angles:
+        hint = "give its dof in the rig file as x, y or an angle such as '45 deg'"
+        raise ConfigError(f"the direction of the force {_labels(setup.inputs)} is not known", hint=hint)
+    axes = [_axis(port, row, len(setup.outputs)) for row, port in enumerate(setup.outputs)]
+    force = _directions([angle for angle in angles if angle is not None])[axes]
+    shape = (len(axes), len(setup.inputs))
+    for row, axis in enumerate(axes):
+        if np.max(np.abs(force[row])) < SMALLEST_SHARE:
+            raise ConfigError(f"no force acts in direction {'xy'[axis]}", hint="choose the other `output`, or excite this direction")
+    terms = [
+        _term(f"{letter}_{'xy'[axis] * 2}", kind, (row, row), shape)
+        for row, axis in enumerate(axes)
+        for letter, kind in (("k", "stiffness"), ("c", "damping"))
+    ]
+    return DynamicModel("rotor-2dof-direct", tuple(terms), mass * np.eye(len(axes)), force)
+
+
+def _known_mass(setup: Setup) -> float:
+    mass = _scalar_mass(setup.settings.mass)
+    if mass is None:
+        raise ConfigError(f"{setup.settings.model} needs the known mass", hint="for example mass: 0.92 kg, here or in the rig file")
+    return mass
+
+
+def _angle(port: Port) -> float | None:
+    return port.angle if port.angle is not None else AXIS_ANGLES.get(port.dof)
+
+
+def _axis(port: Port, row: int, n_output: int) -> int:
+    """0 for x, 1 for y: by the response's dof or label, by its place where both are measured."""
+    for name in (port.dof, port.label):
+        if name in AXIS_ANGLES:
+            return "xy".index(name)
+    if n_output == 2:
+        return row
+    raise ConfigError(f"response '{port.label}' is neither x nor y", hint="give its dof in the rig file")
+
+
+def _directions(angles: list[float]) -> NDArray[np.float64]:
+    """(cos, sin) of every force, (2, n_input); what is zero but for rounding is zero."""
+    force = np.array([np.cos(angles), np.sin(angles)])
+    return np.where(np.abs(force) < 1e-15, 0.0, force)
+
+
+def _labels(ports: tuple[Port, ...]) -> str:
+    return ", ".join(port.label for port in ports)
+
+
+def _need_ports(setup: Setup, model: str, n_output: int) -> None:
+    if len(setup.outputs) != n_output:
+        hint = "name it with `output`" if n_output == 1 else "name them with `output`"
+        raise ConfigError(f"{model} takes {n_output} response(s), found {_labels(setup.outputs)}", hint=hint)
+
+
+MODELS: dict[str, Callable[[Setup], DynamicModel]] = {
+    "sdof": sdof,
+    "rotor-2dof": rotor_2dof,
+    "rotor-2dof-direct": rotor_2dof_direct,
+}

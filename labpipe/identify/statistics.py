@@ -1,0 +1,88 @@
+"""Goodness of fit, standard errors and what follows from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from labpipe.records.identification import Goodness, Parameter
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What an estimator gives: parameters, their covariance, and what the fit leaves.
+
+    values (n_parameter,); covariance (n_parameter, n_parameter); scaled_design (n_equation, n_parameter): real design or Jacobian
+    with columns of length 1; residual and total: sums of squares for R^2; chi2: weighted residual against its expectation.
+    """
+
+    values: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    scaled_design: NDArray[np.float64]
+    gof: Goodness
+    dof: int
+    converged: bool = True
+    iterations: int = 0
+    notes: tuple[str, ...] = ()
+
+
+def determination(known: NDArray[np.complex128], residual: NDArray[np.complex128], n_parameter: int) -> tuple[float, float]:
+    """R^2 = 1 - SS_residual / SS_total about the mean, and its adjusted form 1 - (1 - R^2)(n - 1)/(n - k), n real equations."""
+    n = 2 * known.size
+    total = float(np.sum(np.abs(known - known.mean()) ** 2))
+    r2 = 1 - float(np.sum(np.abs(residual) ** 2)) / total if total > 0 else 0.0
+    return r2, 1 - (1 - r2) * (n - 1) / max(n - n_parameter, 1)
+
+
+def student_limit(dof: int) -> float:
+    """The two-sided 95 % Student quantile."""
+    return float(stats.t.ppf(0.975, max(dof, 1)))
+
+
+def estimated(name: str, unit: str, value: float, std_error: float, dof: int, vif: float | None) -> Parameter:
+    """An estimated parameter with t-ratio, 95 % interval and significance."""
+    if not np.isfinite(std_error):
+        return Parameter(name, value, unit, vif=vif)
+    limit = student_limit(dof)
+    t_ratio = value / std_error if std_error > 0 else None
+    interval = (value - limit * std_error, value + limit * std_error)
+    significant = abs(value) > limit * std_error
+    return Parameter(name, value, unit, std_error, t_ratio, interval, significant, vif)
+
+
+def derived(name: str, unit: str, value: float, std_error: float, dof: int) -> Parameter:
+    """A parameter computed from estimated ones, with its propagated standard error."""
+    limit = student_limit(dof)
+    interval = (value - limit * std_error, value + limit * std_error)
+    return Parameter(name, value, unit, std_error, None, interval, derived=True)
+
+
+def inflation_factors(scaled_design: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Variance inflation of each parameter: diag((W^T W)^-1) of columns of length 1; 1 when no other column resembles it."""
+    _, singular, vectors = np.linalg.svd(scaled_design, full_matrices=False)
+    with np.errstate(divide="ignore"):
+        factors: NDArray[np.float64] = np.sum((vectors / singular[:, None]) ** 2, axis=0)
+    return factors
+
+
+def condition_number(scaled_design: NDArray[np.float64]) -> float:
+    """Largest over smallest singular value of the design with columns of length 1 (Belsley, Kuh and Welsch 1980)."""
+    singular = np.linalg.svd(scaled_design, compute_uv=False)
+    return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
+
+
+def correlation(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The correlation matrix of a covariance."""
+    std = np.sqrt(np.diag(covariance))
+    scale = np.where(std > 0, std, 1.0)
+    matrix: NDArray[np.float64] = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
+    np.fill_diagonal(matrix, 1.0)
+    return matrix
+
+
+def stacked(values: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Real and imaginary parts one below the other along the last axis."""
+    return np.concatenate([values.real, values.imag], axis=-1)

@@ -1,0 +1,165 @@
+"""YAML in which every key and value knows its line and column; duplicate keys are refused.
+
+A parsed file is a tree of Marked nodes: a mapping is ``dict[str, Marked]`` in document order, a list ``list[Marked]``, a scalar
+the plain Python value. The tree is edited by ``--set`` and read by the configuration, which reports faults at the marks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from labpipe.errors import ConfigError, ConfigErrors
+
+
+@dataclass
+class Marked:
+    """A YAML node: its content, and where it stands (1-based line and column, file)."""
+
+    content: Any
+    where: str
+    key_where: str = ""
+    text: str = ""
+
+    @property
+    def place(self) -> str:
+        """Where a fault of this entry is reported: at its key, or at the node itself (list entries, the whole file)."""
+        return self.key_where or self.where
+
+    def plain(self) -> Any:
+        """The node as ordinary dicts, lists and scalars."""
+        if isinstance(self.content, dict):
+            return {key: node.plain() for key, node in self.content.items()}
+        if isinstance(self.content, list):
+            return [node.plain() for node in self.content]
+        return self.content
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML whose scalars keep a plain reading: no dates, no 1_000, no sexagesimal 45:30, no yes/no booleans."""
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, regexp) for tag, regexp in resolvers if tag in ("tag:yaml.org,2002:null", "tag:yaml.org,2002:merge")]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+
+
+def load_marked(path: Path) -> Marked:
+    """The marked tree of a YAML file; ConfigError with the place where it cannot be read."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise ConfigError("no such file", where=str(path)) from None
+    except IsADirectoryError:
+        raise ConfigError("is a directory", where=str(path), hint="name a YAML file") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"is not UTF-8 text (byte {error.start})", where=str(path)) from None
+    except OSError as error:
+        raise ConfigError(error.strerror or str(error), where=str(path)) from None
+    return parse_marked(text, str(path))
+
+
+def parse_marked(text: str, name: str) -> Marked:
+    """The marked tree of YAML *text*; *name* stands for the file in messages."""
+    try:
+        loader = _Loader(text)
+        node = loader.get_single_node()
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
+        raise ConfigError(f"not valid YAML: {error.problem or error.context}", where=place) from None
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ConfigError(f"not valid YAML: {str(error).splitlines()[0]}", where=name) from None
+    if node is None:
+        raise ConfigError("the file is empty", where=name)
+    twice: list[ConfigError] = []
+    tree = _marked(node, name, frozenset(), twice)
+    if twice:
+        raise ConfigErrors(twice)
+    return tree
+
+
+def _place(mark: yaml.Mark, name: str) -> str:
+    return f"{name}:{mark.line + 1}:{mark.column + 1}"
+
+
+def _marked(node: yaml.Node, name: str, above: frozenset[int], twice: list[ConfigError]) -> Marked:
+    where = _place(node.start_mark, name)
+    if id(node) in above:
+        raise ConfigError("an alias refers to the node that contains it", where=where)
+    above = above | {id(node)}
+    if isinstance(node, yaml.MappingNode):
+        return Marked(_mapping(node, name, above, twice), where)
+    if isinstance(node, yaml.SequenceNode):
+        return Marked([_marked(item, name, above, twice) for item in node.value], where)
+    return Marked(_scalar(node), where, text=str(node.value))
+
+
+def _mapping(node: yaml.MappingNode, name: str, above: frozenset[int], twice: list[ConfigError]) -> dict[str, Marked]:
+    entries: dict[str, Marked] = {}
+    for key_node, value_node in node.value:
+        where = _place(key_node.start_mark, name)
+        if not isinstance(key_node, yaml.ScalarNode):
+            raise ConfigError("a key must be a plain name", where=where)
+        key = str(key_node.value)
+        if key in entries:
+            twice.append(ConfigError(f"{key}: the key stands twice", where=where, hint=f"first at {entries[key].key_where}"))
+            continue
+        entries[key] = _marked(value_node, name, above, twice)
+        entries[key].key_where = where
+    return entries
+
+
+def _scalar(node: yaml.Node) -> Any:
+    """Text, None, bool or number: a number only when it is written as one (45 is, '45' and 45 deg are not)."""
+    text = str(node.value)
+    if getattr(node, "style", None) in ("'", '"', "|", ">"):
+        return text
+    if text in ("", "~", "null"):
+        return None
+    if text in ("true", "false"):
+        return text == "true"
+    for convert in (int, float):
+        try:
+            return convert(text) if "_" not in text else text
+        except ValueError:
+            continue
+    return text
+
+
+def set_entry(root: Marked, assignment: str) -> None:
+    """Apply ``key.sub=value`` (the value is YAML) to the tree; list entries go by number. ConfigError if it cannot be."""
+    path, equals, text = assignment.partition("=")
+    where = f"--set {assignment}"
+    if not equals or not path.strip():
+        raise ConfigError("not an assignment", where=where, hint="write --set key.sub=value")
+    value = parse_marked(text or "''", where)
+    value.where = value.key_where = where
+    keys = path.strip().split(".")
+    owner = root
+    for key in keys[:-1]:
+        owner = _descend(owner, key, where)
+    if isinstance(owner.content, list):
+        owner.content[_index(owner, keys[-1], where)] = value
+    elif isinstance(owner.content, dict):
+        owner.content[keys[-1]] = value
+    else:
+        raise ConfigError(f"'{'.'.join(keys[:-1])}' has no entries", where=where)
+
+
+def _descend(owner: Marked, key: str, where: str) -> Marked:
+    if isinstance(owner.content, list):
+        return owner.content[_index(owner, key, where)]
+    if isinstance(owner.content, dict):
+        return owner.content.setdefault(key, Marked({}, where, where))
+    raise ConfigError(f"'{key}' cannot be set inside a plain value", where=where)
+
+
+def _index(owner: Marked, key: str, where: str) -> int:
+    if key.isdigit() and int(key) < len(owner.content):
+        return int(key)
+    raise ConfigError(f"'{key}' is not an entry of a list of {len(owner.content)}", where=where)

@@ -1,0 +1,252 @@
+"""THE table of physical quantities, and the reading of values with units ("90 um", "134.5 kN/m").
+
+Everything inside labpipe is in SI units, with frequencies in Hz and angles in rad. The conversion happens here only.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from dataclasses import dataclass
+
+# A dimension is the tuple of exponents of (m, kg, s, A, K, rad). The angle is kept apart from the pure number so that
+# "45 deg" is refused where "0.5" is meant; Hz counts revolutions or periods, rad/s counts angle.
+Dimension = tuple[float, float, float, float, float, float]
+
+NONE: Dimension = (0, 0, 0, 0, 0, 0)
+
+
+class UnitError(ValueError):
+    """An unknown unit, an unreadable value, or a wrong dimension; carries a hint."""
+
+    def __init__(self, what: str, hint: str = "") -> None:
+        super().__init__(what)
+        self.what = what
+        self.hint = hint
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit: ``value [SI] = factor * value [unit] + offset``."""
+
+    factor: float
+    dimension: Dimension
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A physical quantity: its symbol, SI unit, and the unit people read in tables."""
+
+    name: str
+    symbol: str
+    si_unit: str
+    display_unit: str
+
+
+def _dimension(m: float = 0, kg: float = 0, s: float = 0, a: float = 0, k: float = 0, rad: float = 0) -> Dimension:
+    return (m, kg, s, a, k, rad)
+
+
+_G = 9.80665
+_BASE: dict[str, Unit] = {
+    "m": Unit(1.0, _dimension(m=1)),
+    "g": Unit(1e-3, _dimension(kg=1)),
+    "s": Unit(1.0, _dimension(s=1)),
+    "A": Unit(1.0, _dimension(a=1)),
+    "K": Unit(1.0, _dimension(k=1)),
+    "rad": Unit(1.0, _dimension(rad=1)),
+    "N": Unit(1.0, _dimension(m=1, kg=1, s=-2)),
+    "Pa": Unit(1.0, _dimension(m=-1, kg=1, s=-2)),
+    "bar": Unit(1e5, _dimension(m=-1, kg=1, s=-2)),
+    "J": Unit(1.0, _dimension(m=2, kg=1, s=-2)),
+    "W": Unit(1.0, _dimension(m=2, kg=1, s=-3)),
+    "V": Unit(1.0, _dimension(m=2, kg=1, s=-3, a=-1)),
+    "H": Unit(1.0, _dimension(m=2, kg=1, s=-2, a=-2)),
+    "T": Unit(1.0, _dimension(kg=1, s=-2, a=-1)),
+    "Wb": Unit(1.0, _dimension(m=2, kg=1, s=-2, a=-1)),
+    "C": Unit(1.0, _dimension(s=1, a=1)),
+    "Hz": Unit(1.0, _dimension(s=-1)),
+    "strain": Unit(1.0, NONE),
+}
+_FIXED: dict[str, Unit] = {
+    "1": Unit(1.0, NONE),
+    "-": Unit(1.0, NONE),
+    "%": Unit(1e-2, NONE),
+    "ue": Unit(1e-6, NONE),
+    "rpm": Unit(1 / 60, _dimension(s=-1)),
+    "1/min": Unit(1 / 60, _dimension(s=-1)),
+    "deg": Unit(math.pi / 180, _dimension(rad=1)),
+    "°": Unit(math.pi / 180, _dimension(rad=1)),
+    "min": Unit(60.0, _dimension(s=1)),
+    "h": Unit(3600.0, _dimension(s=1)),
+    "in": Unit(0.0254, _dimension(m=1)),
+    "mil": Unit(2.54e-5, _dimension(m=1)),
+    "lb": Unit(0.45359237, _dimension(kg=1)),
+    "lbf": Unit(0.45359237 * _G, _dimension(m=1, kg=1, s=-2)),
+    "kgf": Unit(_G, _dimension(m=1, kg=1, s=-2)),
+    "psi": Unit(0.45359237 * _G / 0.0254**2, _dimension(m=-1, kg=1, s=-2)),
+    "gn": Unit(_G, _dimension(m=1, s=-2)),
+    "degC": Unit(1.0, _dimension(k=1), 273.15),
+    "°C": Unit(1.0, _dimension(k=1), 273.15),
+}
+_PREFIX = {"G": 1e9, "M": 1e6, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9, "p": 1e-12}
+
+QUANTITIES: dict[str, Quantity] = {
+    q.name: q
+    for q in (
+        Quantity("force", "F", "N", "N"),
+        Quantity("moment", "M", "N.m", "N.m"),
+        Quantity("displacement", "x", "m", "um"),
+        Quantity("velocity", "v", "m/s", "mm/s"),
+        Quantity("acceleration", "a", "m/s^2", "m/s^2"),
+        Quantity("voltage", "U", "V", "V"),
+        Quantity("current", "I", "A", "A"),
+        Quantity("strain", "epsilon", "1", "ue"),
+        Quantity("pressure", "p", "Pa", "bar"),
+        Quantity("temperature", "T", "K", "degC"),
+        Quantity("tacho", "n", "V", "V"),
+        Quantity("time", "t", "s", "s"),
+        Quantity("frequency", "f", "Hz", "Hz"),
+        Quantity("speed", "Omega", "Hz", "rpm"),
+        Quantity("angle", "alpha", "rad", "deg"),
+        Quantity("length", "l", "m", "mm"),
+        Quantity("mass", "m", "kg", "kg"),
+        Quantity("ratio", "r", "1", "%"),
+        Quantity("stiffness", "k", "N/m", "kN/m"),
+        Quantity("damping", "c", "N.s/m", "N.s/m"),
+        Quantity("viscosity", "mu", "Pa.s", "Pa.s"),
+        Quantity("receptance", "H", "m/N", "um/N"),
+        Quantity("mobility", "Y", "m/(N.s)", "mm/(N.s)"),
+        Quantity("accelerance", "A", "m/(N.s^2)", "m/(N.s^2)"),
+    )
+}
+
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_VALUE = re.compile(rf"^\s*({_NUMBER})\s*(.*?)\s*$")
+_TOKEN = re.compile(r"\^\([^)]*\)|\^[+-]?\d+(?:\.\d+)?|[^\W\d_]+|[%°]C?|\d+|[/()]|[.*·\s]+|.")
+
+
+def _simple_unit(symbol: str) -> Unit:
+    if symbol in _FIXED:
+        return _FIXED[symbol]
+    if symbol in _BASE:
+        return _BASE[symbol]
+    if len(symbol) > 1 and symbol[0] in _PREFIX and symbol[1:] in _BASE:
+        base = _BASE[symbol[1:]]
+        return Unit(_PREFIX[symbol[0]] * base.factor, base.dimension)
+    raise UnitError(f"unknown unit '{symbol}'", nearest_unit(symbol))
+
+
+def nearest_unit(symbol: str) -> str:
+    """The hint for a unit nobody knows: "did you mean 'um'?", or an empty text."""
+    known = [*_FIXED, *_BASE, *(p + b for p in _PREFIX for b in ("m", "N", "g", "s", "A", "V", "Hz", "Pa"))]
+    same_case = [k for k in known if k.lower() == symbol.lower()]
+    near = same_case or difflib.get_close_matches(symbol, known, 1, 0.5)
+    return f"did you mean '{near[0]}'?" if near else ""
+
+
+def _power(text: str) -> float:
+    """The exponent behind '^': an integer, a decimal number or a fraction in parentheses."""
+    match = re.fullmatch(r"\^\(?([+-]?\d+(?:\.\d+)?)(?:/(\d+))?\)?", text)
+    if match is None:
+        raise UnitError(f"unreadable exponent '{text}'", "write it as s^2 or m^(10/9)")
+    return float(match[1]) / float(match[2] or 1)
+
+
+def _factors(text: str) -> list[tuple[str, float]]:
+    """(symbol, power) of a compound unit; everything behind a '/' is divided by."""
+    factors: list[tuple[str, float]] = []
+    sign = 1.0
+    for token in _TOKEN.findall(text):
+        if token == "/":
+            sign = -1.0
+        elif token.startswith("^") and factors:
+            factors[-1] = (factors[-1][0], factors[-1][1] * _power(token))
+        elif token.strip(" .*·()\t"):
+            factors.append((token, sign))
+    if text.count("(") != text.count(")") or not factors:
+        raise UnitError(f"unreadable unit '{text}'", "write it as N.s/m or m/(N.s^2)")
+    return factors
+
+
+def parse_unit(text: str) -> Unit:
+    """The unit written as *text*: products with '.', '*' or a blank, powers with '^', one '/' for the quotient.
+
+    ``N.s/m``, ``m/(N.s^2)``, ``N/m^1.5`` are read as an engineer writes them. Raises UnitError with the nearest known unit.
+    """
+    text = text.strip().replace("²", "^2").replace("³", "^3")
+    if text in _FIXED:
+        return _FIXED[text]
+    factor, dimension = 1.0, list(NONE)
+    factors = _factors(text)
+    for symbol, power in factors:
+        unit = _simple_unit(symbol)
+        if unit.offset and len(factors) > 1:
+            raise UnitError(f"'{symbol}' has an offset and cannot be part of a compound unit", "use K")
+        factor *= unit.factor**power
+        dimension = [d + power * u for d, u in zip(dimension, unit.dimension, strict=True)]
+    return Unit(factor, (dimension[0], dimension[1], dimension[2], dimension[3], dimension[4], dimension[5]))
+
+
+def parse_value(text: str | float, si_unit: str) -> float:
+    """The value of ``"90 um"`` in the SI unit given; a bare number is refused unless the SI unit is a pure number.
+
+    Raises UnitError when the number cannot be read, the unit is unknown or has the wrong dimension.
+    """
+    target = parse_unit(si_unit)
+    if isinstance(text, bool) or not isinstance(text, (str, int, float)):
+        raise UnitError(f"'{text}' is not a value with a unit", _example(si_unit))
+    match = _VALUE.match(str(text))
+    if match is None:
+        raise UnitError(f"'{text}' is not a value with a unit", _example(si_unit))
+    number, unit_text = float(match[1]), match[2]
+    if not unit_text:
+        if target.dimension == NONE or number == 0:
+            return _finite(number, text)
+        raise UnitError(f"'{text}' has no unit", f"write it with its unit, e.g. '{match[1]} {si_unit}'")
+    unit = parse_unit(unit_text)
+    check_dimension(unit_text, unit, si_unit)
+    return _finite((number * unit.factor + unit.offset) / target.factor * _angle_per_period(unit, target), text)
+
+
+def _finite(value: float, text: str | float) -> float:
+    if not math.isfinite(value):
+        raise UnitError(f"'{text}' is not a finite value")
+    return value
+
+
+def _angle_per_period(unit: Unit, target: Unit) -> float:
+    """1 Hz = 2 pi rad/s: the factor between counting periods and counting angle."""
+    difference = unit.dimension[5] - target.dimension[5]
+    return float((2 * math.pi) ** -difference) if unit.dimension != target.dimension else 1.0
+
+
+def check_dimension(text: str, unit: Unit, si_unit: str) -> None:
+    """Raise UnitError unless *unit* (written as *text*) measures the same thing as *si_unit*; Hz and rad/s do."""
+    wanted = parse_unit(si_unit).dimension
+    if unit.dimension == wanted:
+        return
+    periods = {_dimension(s=-1), _dimension(s=-1, rad=1)}
+    if unit.dimension in periods and wanted in periods:
+        return
+    raise UnitError(f"'{text}' has the wrong dimension, {si_unit} is needed", _example(si_unit))
+
+
+def _example(si_unit: str) -> str:
+    return f"for example '0.5 {si_unit}'" if si_unit != "1" else "for example '0.5' or '50 %'"
+
+
+def to_display(value: float, display_unit: str) -> float:
+    """The SI *value* expressed in *display_unit* (for tables and axes)."""
+    unit = parse_unit(display_unit)
+    return (value - unit.offset) / unit.factor
+
+
+DISPLAY_UNITS = {"N/m": "kN/m", "m": "um", "rad": "deg", "1": "1"}
+
+
+def display_unit(si_unit: str) -> str:
+    """The unit in which people read values given in *si_unit*."""
+    return DISPLAY_UNITS.get(si_unit, si_unit)

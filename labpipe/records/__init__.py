@@ -1,0 +1,1 @@
+"""The things that flow: frozen, read-only, checked at birth, computing nothing."""

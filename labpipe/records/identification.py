@@ -1,0 +1,123 @@
+"""The result of an identification: parameters that travel with their doubt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.records.finding import Finding
+from labpipe.records.response import FrequencyResponse
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One estimated or derived parameter in SI units.
+
+    *std_error*, *t_ratio*, *ci95* are None where none can be given (at a bound, not determined). *significant*: |t| exceeds the
+    two-sided 95 % Student quantile. *vif*: variance inflation factor. *derived*: computed from the others (f_n, zeta, ...).
+    """
+
+    name: str
+    value: float
+    unit: str
+    std_error: float | None = None
+    t_ratio: float | None = None
+    ci95: tuple[float, float] | None = None
+    significant: bool | None = None
+    vif: float | None = None
+    derived: bool = False
+    at_bound: bool = False
+
+
+@dataclass(frozen=True)
+class Goodness:
+    """R^2, adjusted R^2 ("G.o.F"), and the residual test where the FRF covariance is known."""
+
+    r2: float
+    r2_adjusted: float
+    chi2_reduced: float | None = None
+    chi2_p: float | None = None
+
+
+@dataclass(frozen=True)
+class FittedCurve:
+    """Measured and fitted FRF on the fit's lines: (n_line,) [Hz] and (n_line, n_output, n_input) in the measured form."""
+
+    frequency: NDArray[np.float64]
+    measured: NDArray[np.complex128]
+    fitted: NDArray[np.complex128]
+    variance: NDArray[np.float64] | None
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+    form: str
+
+
+@dataclass(frozen=True)
+class Fit:
+    """One fit of one model in one band.
+
+    lines: frequency lines used; equations: real equations; dof: equations - estimated parameters.
+    correlation: of the estimated (not derived) parameters, in their order.
+    """
+
+    name: str
+    model: str
+    estimator: str
+    band_hz: tuple[float, float]
+    lines: int
+    equations: int
+    dof: int
+    gof: Goodness
+    parameters: tuple[Parameter, ...]
+    condition_number: float
+    correlation: NDArray[np.float64]
+    converged: bool = True
+    iterations: int = 0
+    findings: tuple[Finding, ...] = ()
+    test: str = ""
+    notes: tuple[str, ...] = ()
+    curve: FittedCurve | None = None
+
+    @property
+    def centre_hz(self) -> float:
+        return (self.band_hz[0] + self.band_hz[1]) / 2
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter of that name; KeyError with the known names otherwise."""
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise KeyError(f"no parameter '{name}'; known: {', '.join(p.name for p in self.parameters)}")
+
+
+@dataclass(frozen=True)
+class RuleOutcome:
+    """One rule of ``accept`` or ``expect`` (*section*), what it was held against, and whether it holds."""
+
+    section: str
+    rule: str
+    value: float | str | None
+    passed: bool
+
+
+@dataclass(frozen=True)
+class Identification:
+    """All fits of a pipeline with what they came from: the measured responses, the source files, the settings used."""
+
+    fits: tuple[Fit, ...]
+    title: str = ""
+    pipeline: str = ""
+    sources: tuple[dict[str, str], ...] = ()
+    settings: dict[str, Any] = field(default_factory=dict)
+    rig: dict[str, Any] = field(default_factory=dict)
+    responses: tuple[FrequencyResponse, ...] = ()
+    outcomes: tuple[RuleOutcome, ...] = ()
+    version: str = ""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether every rule holds (true without rules)."""
+        return all(outcome.passed for outcome in self.outcomes)

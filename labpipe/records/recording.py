@@ -1,0 +1,90 @@
+"""A recording: calibrated, uniformly sampled channels of one run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import DataError
+from labpipe.quantities import QUANTITIES
+from labpipe.records.arrays import frozen_array
+from labpipe.records.finding import Finding
+
+ROLES = ("input", "output", "reference")
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured channel in SI units.
+
+    *dof* is a label (``x``, ``y``, ``bearing2.y``); *angle* [rad] from x towards y is set when the direction is known as an angle
+    (``dof: 45 deg``; x is 0, y is 90 deg). *role*: input (force), output (response) or reference (tacho, temperature, ...).
+    """
+
+    name: str
+    quantity: str
+    role: str
+    dof: str
+    angle: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.quantity not in QUANTITIES:
+            raise DataError(f"channel '{self.name}' has the unknown quantity '{self.quantity}'")
+        if self.role not in ROLES:
+            raise DataError(f"channel '{self.name}' has the unknown role '{self.role}'")
+
+    @property
+    def unit(self) -> str:
+        """The SI unit of the samples."""
+        return QUANTITIES[self.quantity].si_unit
+
+
+class SampleSource(Protocol):
+    """What the spectra need of a recording, in memory or on disk: its channels, rate, length and blocks in order."""
+
+    @property
+    def channels(self) -> tuple[Channel, ...]: ...
+    @property
+    def sample_rate(self) -> float: ...
+    @property
+    def n_sample(self) -> int: ...
+    @property
+    def findings(self) -> tuple[Finding, ...]: ...
+    @property
+    def name(self) -> str: ...
+    def blocks(self, n_sample: int) -> Iterator[NDArray[np.float64]]:
+        """Consecutive blocks of at most *n_sample* samples, each (n, n_channel) [SI]."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A run in memory: *samples* (n_sample, n_channel) [SI] at *sample_rate* [Hz]. Satisfies SampleSource."""
+
+    channels: tuple[Channel, ...]
+    samples: NDArray[np.float64]
+    sample_rate: float
+    name: str = ""
+    findings: tuple[Finding, ...] = ()
+    conditions: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        names = [channel.name for channel in self.channels]
+        if len(set(names)) != len(names):
+            raise DataError(f"recording '{self.name}' has two channels of one name: {', '.join(names)}")
+        if not self.sample_rate > 0:
+            raise DataError(f"recording '{self.name}' has the sample rate {self.sample_rate} Hz")
+        shape = (np.shape(self.samples)[0] if np.ndim(self.samples) else 0, len(names))
+        object.__setattr__(self, "samples", frozen_array(self.samples, np.float64, f"recording '{self.name}'", shape))
+
+    @property
+    def n_sample(self) -> int:
+        return int(self.samples.shape[0])
+
+    def blocks(self, n_sample: int) -> Iterator[NDArray[np.float64]]:
+        """Consecutive blocks of at most *n_sample* samples."""
+        for start in range(0, self.n_sample, n_sample):
+            yield self.samples[start : start + n_sample]

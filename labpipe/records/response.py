@@ -1,0 +1,111 @@
+"""A measured frequency response matrix with its doubt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import DataError
+from labpipe.records.arrays import frozen_array
+from labpipe.records.finding import Finding
+
+FORMS = {"receptance": "m/N", "mobility": "m/(N.s)", "accelerance": "m/(N.s^2)", "other": "1"}
+
+
+@dataclass(frozen=True)
+class Port:
+    """Where a response is measured or a force acts: channel name, dof label and, if known, direction [rad] from x towards y.
+
+    *label* is unique within the outputs or the inputs of a matrix and names rows and columns everywhere.
+    """
+
+    label: str
+    channel: str
+    dof: str
+    angle: float | None = None
+
+    def answers_to(self, name: str) -> bool:
+        """Whether a user who writes *name* may mean this port (label, channel or dof)."""
+        return name in (self.label, self.channel, self.dof)
+
+
+@dataclass(frozen=True)
+class FrequencyResponse:
+    """H(f), output per input, with its covariance.
+
+    frequency        (n_frequency,) [Hz], increasing
+    matrix           (n_frequency, n_output, n_input) complex, unit of the form (receptance: m/N)
+    covariance       (n_frequency, n, n) complex with n = n_output * n_input, or None: E[d d^H] of
+                     d = vec(H - E H), row-major (index = output * n_input + input); its diagonal is the variance of the
+                     complex values E|H - E H|^2, half of it
+                     in the real and half in the imaginary part (circular)
+    coherence        (n_frequency, n_output, n_input) ordinary, or None
+    multiple_coherence (n_frequency, n_output), or None
+    snr              (n_frequency, n_channel) signal-to-noise amplitude ratio per channel at the line (periodic data), or None;
+                     its columns are named by snr_channels
+    covariance_dof   effective number of complex degrees of freedom behind the covariance estimate (inf: known)
+    """
+
+    frequency: NDArray[np.float64]
+    matrix: NDArray[np.complex128]
+    outputs: tuple[Port, ...]
+    inputs: tuple[Port, ...]
+    form: str = "receptance"
+    covariance: NDArray[np.complex128] | None = None
+    coherence: NDArray[np.float64] | None = None
+    multiple_coherence: NDArray[np.float64] | None = None
+    snr: NDArray[np.float64] | None = None
+    snr_channels: tuple[str, ...] = ()
+    averages: float = 1.0
+    covariance_dof: float = float("inf")
+    name: str = ""
+    findings: tuple[Finding, ...] = ()
+    conditions: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n_f, n_o, n_i = np.size(self.frequency), len(self.outputs), len(self.inputs)
+        n = n_o * n_i
+        frequency = frozen_array(self.frequency, np.float64, "frequency", (n_f,))
+        if n_f > 1 and np.any(np.diff(frequency) <= 0):
+            raise DataError(f"the frequencies of '{self.name}' do not increase")
+        if self.form not in FORMS:
+            raise DataError(f"unknown form '{self.form}'", hint=f"known: {', '.join(FORMS)}")
+        for ports in (self.outputs, self.inputs):
+            labels = [port.label for port in ports]
+            if len(set(labels)) != len(labels):
+                raise DataError(f"two rows or columns of '{self.name}' have one label: {', '.join(labels)}")
+        object.__setattr__(self, "frequency", frequency)
+        object.__setattr__(self, "matrix", frozen_array(self.matrix, np.complex128, "FRF matrix", (n_f, n_o, n_i)))
+        shapes = {
+            "covariance": (np.complex128, (n_f, n, n)),
+            "coherence": (np.float64, (n_f, n_o, n_i)),
+            "multiple_coherence": (np.float64, (n_f, n_o)),
+            "snr": (np.float64, (n_f, len(self.snr_channels))),
+        }
+        for attribute, (dtype, shape) in shapes.items():
+            values = getattr(self, attribute)
+            if values is not None:
+                object.__setattr__(self, attribute, frozen_array(values, dtype, attribute, shape))
+
+    @property
+    def n_frequency(self) -> int:
+        return int(self.frequency.size)
+
+    @property
+    def variance(self) -> NDArray[np.float64] | None:
+        """E|H - E H|^2 per element, (n_frequency, n_output, n_input), or None."""
+        if self.covariance is None:
+            return None
+        diagonal = np.einsum("fii->fi", self.covariance).real
+        return diagonal.reshape(self.matrix.shape)
+
+
+def uncorrelated(variance: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """The covariance (n_frequency, n, n) of elements known by their variance (n_frequency, n_output, n_input) only."""
+    flat = variance.reshape(variance.shape[0], -1)
+    covariance = np.zeros((*flat.shape, flat.shape[1]), np.complex128)
+    np.einsum("fii->fi", covariance)[...] = flat
+    return covariance

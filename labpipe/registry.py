@@ -1,0 +1,43 @@
+"""Choice is a visible table: name -> "module:attribute", extended by entry points, with the nearest known name on a miss."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any
+
+from labpipe.errors import ConfigError
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The hint for a name nobody knows: the nearest known name, or all of them."""
+    names = [str(k) for k in known]
+    near = difflib.get_close_matches(name, names, 1, 0.6) or [k for k in names if k.lower() == name.lower()]
+    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(names) or 'none'}"
+
+
+class Registry:
+    """A table of choices whose targets are imported when they are used.
+
+    Other packages add entries under the entry-point group ``labpipe.<kind>``.
+    """
+
+    def __init__(self, kind: str, table: Mapping[str, str]) -> None:
+        self.kind = kind
+        self._table = dict(table)
+
+    def names(self) -> tuple[str, ...]:
+        """All known names, the built-in ones first."""
+        added = [entry.name for entry in entry_points(group=f"labpipe.{self.kind}") if entry.name not in self._table]
+        return (*self._table, *added)
+
+    def load(self, name: str) -> Any:
+        """The object of that name; ConfigError with the nearest known name if there is none."""
+        if name in self._table:
+            module, _, attribute = self._table[name].partition(":")
+            return getattr(import_module(module), attribute)
+        for entry in entry_points(group=f"labpipe.{self.kind}", name=name):
+            return entry.load()
+        raise ConfigError(f"unknown {self.kind} '{name}'", hint=nearest(name, self.names()))

@@ -1,0 +1,59 @@
+"""A report as a document: sections of paragraphs, tables and figures, with no format inside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """Plain text; *kind* is '' or the tone of a box: 'passed', 'failed', 'warning', 'note'."""
+
+    text: str
+    kind: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under a header; *caption* says what they are, *numeric* which columns are aligned as numbers."""
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    caption: str = ""
+    numeric: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A drawing as SVG text, its caption, and what it shows for those who cannot see it."""
+
+    svg: str
+    caption: str
+    alternative: str
+
+
+@dataclass(frozen=True)
+class Code:
+    """Text that keeps its line breaks: settings, commands."""
+
+    text: str
+
+
+Block = Paragraph | Table | Figure | Code
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading and what stands below it."""
+
+    heading: str
+    blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True)
+class Document:
+    """The whole report."""
+
+    title: str
+    subtitle: str
+    sections: tuple[Section, ...]

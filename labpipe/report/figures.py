@@ -1,0 +1,210 @@
+"""The figures of a report, drawn by matplotlib as SVG text that is the same for the same result."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from numpy.typing import NDArray
+
+from labpipe.quantities import display_unit, to_display
+from labpipe.records.identification import Fit, FittedCurve
+from labpipe.records.response import FORMS, FrequencyResponse
+from labpipe.report.document import Figure
+from labpipe.report.wording import fit_title, unit_text
+
+# Okabe and Ito's colours: told apart by colour-blind readers and in grey print.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+STYLE = {
+    "svg.hashsalt": "labpipe",
+    "svg.fonttype": "none",
+    "text.parse_math": False,
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "axes.grid": True,
+    "grid.alpha": 0.35,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.prop_cycle": mpl.cycler(color=COLOURS),
+    "legend.frameon": False,
+}
+WIDTH = 7.2
+
+
+def _svg(canvas: Canvas) -> str:
+    """The drawing as SVG without its XML prologue, so that it can stand inside HTML."""
+    stream = io.StringIO()
+    canvas.savefig(stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = stream.getvalue()
+    return text[text.index("<svg") :]
+
+
+def _canvas(rows: int, height: float, **kwargs: Any) -> tuple[Canvas, list[Axes]]:
+    canvas = Canvas(figsize=(WIDTH, height), layout="constrained")
+    axes = canvas.subplots(rows, 1, squeeze=False, **kwargs)[:, 0]
+    return canvas, list(axes)
+
+
+def fitted_curve_figure(fit: Fit, curve: FittedCurve) -> Figure:
+    """Amplitude, phase and residual of measured against fitted FRF; the residual with its 95 % band where the doubt is known."""
+    pairs = [(o, i) for o in range(len(curve.outputs)) for i in range(len(curve.inputs))]
+    with mpl.rc_context(STYLE):
+        canvas, (amplitude, phase, residual) = _canvas(3, 6.2, sharex=True, height_ratios=(3, 2, 2))
+        for number, (o, i) in enumerate(pairs):
+            colour = COLOURS[number % len(COLOURS)]
+            label = f"{curve.outputs[o]}/{curve.inputs[i]}"
+            measured, fitted = curve.measured[:, o, i], curve.fitted[:, o, i]
+            amplitude.semilogy(curve.frequency, np.abs(measured), ".", color=colour, label=f"{label} measured")
+            amplitude.semilogy(curve.frequency, np.abs(fitted), "-", color=colour, label=f"{label} fitted")
+            phase.plot(curve.frequency, np.degrees(np.angle(measured)), ".", color=colour)
+            phase.plot(curve.frequency, np.degrees(np.angle(fitted)), "-", color=colour)
+            _residual(residual, curve, o, i, colour)
+        amplitude.set_ylabel(f"{curve.form} [{FORMS[curve.form]}]")
+        amplitude.legend(ncols=2, fontsize=8)
+        phase.set_ylabel("phase [deg]")
+        residual.set_ylabel("|residual| / |H| [%]")
+        residual.set_xlabel("frequency [Hz]")
+        svg = _svg(canvas)
+    band = "; shaded: 95 % of residuals lie below when only the measured noise is left" if curve.variance is not None else ""
+    caption = f"{fit_title(fit)}: measured (dots) and fitted (lines) {curve.form}, and the residual{band}."
+    return Figure(svg, caption, f"Amplitude, phase and residual of fit {fit_title(fit)} over frequency")
+
+
+def _residual(axes: Axes, curve: FittedCurve, o: int, i: int, colour: str) -> None:
+    """Residual magnitude relative to the fitted FRF; |e|^2 / var is exponential, so 95 % lie below sqrt(ln 20 var)."""
+    size = np.abs(curve.fitted[:, o, i])
+    axes.plot(curve.frequency, 100 * np.abs(curve.measured[:, o, i] - curve.fitted[:, o, i]) / size, ".", color=colour)
+    if curve.variance is not None:
+        limit = 100 * np.sqrt(np.log(20.0) * curve.variance[:, o, i]) / size
+        axes.fill_between(curve.frequency, 0, limit, color=colour, alpha=0.15, linewidth=0)
+
+
+def correlation_figure(fit: Fit) -> Figure:
+    """Heat map of the correlation between the estimated parameters."""
+    names = [parameter.name for parameter in fit.parameters if not parameter.derived][: len(fit.correlation)]
+    with mpl.rc_context({**STYLE, "axes.grid": False}):
+        side = max(2.2, 0.42 * len(names) + 1.2)
+        canvas = Canvas(figsize=(side + 0.9, side), layout="constrained")
+        axes = canvas.subplots()
+        image = axes.imshow(fit.correlation, vmin=-1, vmax=1, cmap="PuOr")
+        axes.set_xticks(range(len(names)), names, rotation=90)
+        axes.set_yticks(range(len(names)), names)
+        for (row, column), value in np.ndenumerate(fit.correlation):
+            tone = "white" if abs(value) > 0.6 else "black"
+            axes.text(column, row, f"{value:.2f}", ha="center", va="center", fontsize=7, color=tone)
+        canvas.colorbar(image, ax=axes, shrink=0.8)
+        svg = _svg(canvas)
+    caption = f"{fit_title(fit)}: correlation between the estimates. Near +1 or -1 two parameters cannot be told apart."
+    return Figure(svg, caption, f"Correlation matrix of fit {fit_title(fit)}")
+
+
+def sliding_figures(fits: Sequence[Fit]) -> list[Figure]:
+    """Every coefficient over the centre of its band with its 95 % interval, then G.o.F over frequency."""
+    centres = np.array([fit.centre_hz for fit in fits])
+    names = [parameter.name for parameter in fits[0].parameters if parameter.unit in ("N/m", "N.s/m")]
+    groups = [[name for name in names if name.startswith(kind)] for kind in ("k", "c")]
+    figures = [_coefficient_figure(fits, centres, group) for group in groups if group]
+    return [*figures, _goodness_figure(fits, centres)]
+
+
+def _coefficient_figure(fits: Sequence[Fit], centres: NDArray[np.float64], names: list[str]) -> Figure:
+    unit = display_unit(fits[0].parameter(names[0]).unit)
+    with mpl.rc_context(STYLE):
+        canvas, (axes,) = _canvas(1, 3.2)
+        for number, name in enumerate(names):
+            colour = COLOURS[number % len(COLOURS)]
+            value = np.array([to_display(fit.parameter(name).value, unit) for fit in fits])
+            bounds = np.array([fit.parameter(name).ci95 or (np.nan, np.nan) for fit in fits]) / _factor(unit)
+            axes.plot(centres, value, ".-", color=colour, label=name, linewidth=1)
+            axes.fill_between(centres, bounds[:, 0], bounds[:, 1], color=colour, alpha=0.2, linewidth=0)
+        axes.set_xlabel("centre of the band [Hz]")
+        axes.set_ylabel(f"{names[0][0]} [{unit_text(fits[0].parameter(names[0]).unit)}]")
+        axes.legend(ncols=4, fontsize=8)
+        svg = _svg(canvas)
+    what = "stiffness" if names[0].startswith("k") else "damping"
+    caption = f"{fit_title(fits[0])}: {what} over frequency, {len(fits)} bands; shaded: 95 % interval."
+    return Figure(svg, caption, f"{what} of {fit_title(fits[0])} over frequency with 95 % interval")
+
+
+def _factor(unit: str) -> float:
+    """SI value of one display unit without offset."""
+    return 1.0 / to_display(1.0, unit)
+
+
+def _goodness_figure(fits: Sequence[Fit], centres: NDArray[np.float64]) -> Figure:
+    with mpl.rc_context(STYLE):
+        canvas, axes = _canvas(2, 3.6, sharex=True)
+        axes[0].plot(centres, [fit.gof.r2_adjusted for fit in fits], ".-", linewidth=1)
+        axes[0].set_ylabel("G.o.F (adj. R²)")
+        chi2 = [np.nan if fit.gof.chi2_reduced is None else fit.gof.chi2_reduced for fit in fits]
+        axes[1].plot(centres, chi2, ".-", color=COLOURS[1], linewidth=1)
+        axes[1].axhline(1.0, color="0.5", linewidth=0.8)
+        axes[1].set_ylabel("chi² per datum")
+        axes[1].set_xlabel("centre of the band [Hz]")
+        svg = _svg(canvas)
+    caption = (
+        f"{fit_title(fits[0])}: goodness of fit per band. A high G.o.F does not prove the coefficients; "
+        "chi² per datum near 1 says that the model leaves nothing but the measured noise."
+    )
+    return Figure(svg, caption, f"Goodness of fit of {fit_title(fits[0])} over frequency")
+
+
+def response_figure(response: FrequencyResponse) -> Figure:
+    """The measured FRF with its quality: coherence (random data) or signal-to-noise ratio per channel (periodic data)."""
+    name = response.name or "the measurement"
+    with mpl.rc_context(STYLE):
+        canvas, (amplitude, quality) = _canvas(2, 4.4, sharex=True, height_ratios=(3, 2))
+        for o, output in enumerate(response.outputs):
+            for i, port in enumerate(response.inputs):
+                amplitude.semilogy(response.frequency, np.abs(response.matrix[:, o, i]), linewidth=1, label=f"{output.label}/{port.label}")
+        amplitude.set_ylabel(f"{response.form} [{FORMS[response.form]}]")
+        amplitude.legend(ncols=4, fontsize=8)
+        what = _quality(quality, response)
+        quality.set_xlabel("frequency [Hz]")
+        svg = _svg(canvas)
+    return Figure(svg, f"Measured {response.form} of {name}, and {what}.", f"Measured {response.form} of {name} and {what}")
+
+
+def _quality(axes: Axes, response: FrequencyResponse) -> str:
+    if response.coherence is not None:
+        for o, output in enumerate(response.outputs):
+            for i, port in enumerate(response.inputs):
+                axes.plot(response.frequency, response.coherence[:, o, i], linewidth=1, label=f"{output.label}/{port.label}")
+        axes.set_ylim(0, 1.02)
+        axes.set_ylabel("coherence")
+        return "its coherence"
+    if response.snr is not None:
+        for number, channel in enumerate(response.snr_channels):
+            axes.semilogy(response.frequency, np.maximum(response.snr[:, number], 1e-3), linewidth=1, label=channel)
+        axes.set_ylabel("signal / noise")
+        axes.legend(ncols=4, fontsize=8)
+        return "the signal-to-noise ratio of its channels"
+    variance = response.variance
+    if variance is not None:
+        relative = np.sqrt(variance) / np.abs(response.matrix)
+        axes.semilogy(response.frequency, relative.reshape(response.n_frequency, -1), linewidth=1)
+        axes.set_ylabel("std / |H|")
+        return "its relative standard deviation"
+    axes.text(0.5, 0.5, "the doubt of this FRF is not known", transform=axes.transAxes, ha="center")
+    return "no statement of its doubt"
+
+
+def line_figure(fits: Sequence[Fit]) -> Figure:
+    """Slopes of a calibration over its groups with their 95 % intervals."""
+    slopes = [fit.parameter("slope") for fit in fits]
+    with mpl.rc_context(STYLE):
+        canvas, (axes,) = _canvas(1, 3.0)
+        position = np.arange(len(fits))
+        low = [s.value - s.ci95[0] if s.ci95 else 0.0 for s in slopes]
+        high = [s.ci95[1] - s.value if s.ci95 else 0.0 for s in slopes]
+        axes.errorbar(position, [s.value for s in slopes], yerr=(low, high), fmt="o", capsize=3)
+        axes.set_xticks(position, [fit.test or fit.name for fit in fits])
+        axes.set_ylabel(f"slope [{slopes[0].unit}]")
+        axes.set_ylim(bottom=0 if min(s.value for s in slopes) > 0 else None)
+        svg = _svg(canvas)
+    return Figure(svg, f"{fits[0].name}: slope of each line with its 95 % interval.", f"Slopes of calibration {fits[0].name}")

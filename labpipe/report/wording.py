@@ -1,0 +1,78 @@
+"""Numbers and units as a test engineer writes them."""
+
+from __future__ import annotations
+
+import math
+
+from labpipe.quantities import display_unit, to_display
+from labpipe.records.identification import Fit, Parameter
+
+STARS = ((0.001, "***"), (0.01, "**"), (0.05, "*"))
+STARS_EXPLAINED = (
+    "Significance of the difference from zero: *** p < 0.001, ** p < 0.01, * p < 0.05, n.s. not significant "
+    "(the value cannot be told from zero). Derived values are computed from the estimated ones."
+)
+LEGIBLE = {"1": "", "N.s/m": "N s/m"}
+
+
+def unit_text(si_unit: str) -> str:
+    """The unit shown for values given in *si_unit*."""
+    unit = display_unit(si_unit)
+    return LEGIBLE.get(unit, unit)
+
+
+def rounded(value: float, std_error: float | None) -> str:
+    """A value to the digit that its standard error supports (two digits of the error), or to five digits without one."""
+    if not math.isfinite(value):
+        return "not determined"
+    if not std_error or not math.isfinite(std_error):
+        return f"{value:.5g}"
+    decimals = 1 - math.floor(math.log10(abs(std_error)))
+    if decimals < 0 or decimals > 6 or abs(value) >= 1e7:
+        digits = max(2, 1 + decimals + (math.floor(math.log10(abs(value))) if value else 0))
+        return f"{value:.{min(digits, 12)}g}"
+    return f"{value:.{decimals}f}"
+
+
+def parameter_row(parameter: Parameter, dof: int) -> tuple[str, ...]:
+    """Name, value, unit, standard error, 95 % interval, t-ratio, significance."""
+    unit = display_unit(parameter.unit)
+    error = None if parameter.std_error is None else abs(to_display(parameter.std_error, unit) - to_display(0.0, unit))
+    value = to_display(parameter.value, unit)
+    interval = "none"
+    if parameter.ci95 is not None:
+        low, high = (to_display(end, unit) for end in parameter.ci95)
+        interval = f"{rounded(low, error)} to {rounded(high, error)}"
+    return (
+        parameter.name,
+        rounded(value, error),
+        unit_text(parameter.unit),
+        "none" if error is None else f"{error:.2g}",
+        interval,
+        "" if parameter.t_ratio is None or parameter.derived else f"{parameter.t_ratio:.4g}",
+        significance(parameter, dof),
+    )
+
+
+def significance(parameter: Parameter, dof: int) -> str:
+    """Stars by the two-sided p-value of the t-ratio; 'derived' for derived values."""
+    from scipy import stats
+
+    if parameter.derived:
+        return "derived"
+    if parameter.at_bound:
+        return "at bound"
+    if parameter.t_ratio is None:
+        return ""
+    p_value = 2 * float(stats.t.sf(abs(parameter.t_ratio), max(dof, 1)))
+    return next((stars for limit, stars in STARS if p_value < limit), "n.s.")
+
+
+def fit_title(fit: Fit) -> str:
+    """The fit's name with its test."""
+    return f"{fit.name}, test {fit.test}" if fit.test else fit.name
+
+
+def band_text(fit: Fit) -> str:
+    """The band as a range."""
+    return f"{fit.band_hz[0]:g}–{fit.band_hz[1]:g} Hz"

@@ -1,0 +1,194 @@
+"""What is wrong with the samples: clipping, missing numbers, channels that stand still, uneven time steps; block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import DataError
+from labpipe.records.finding import Finding
+
+# A converter that saturates repeats its end value; fewer repeats happen by chance at a coarse resolution.
+CLIPPED_RUN = 3
+# A time step may differ from the mean by this share, beside the rounding of printed times.
+JITTER = 1e-3
+
+
+class ChannelScreen:
+    """Running levels and faults of the channels of a recording, fed with blocks (n, n_channel) that may hold NaN."""
+
+    def __init__(self, names: Sequence[str], limits: Sequence[tuple[float, float] | None] | None = None) -> None:
+        n = len(names)
+        self._names = list(names)
+        self._limits = list(limits) if limits is not None else [None] * n
+        self.minimum, self.maximum = np.full(n, np.inf), np.full(n, -np.inf)
+        self._sum, self._squares = np.zeros(n), np.zeros(n)
+        self._origin: NDArray[np.float64] | None = None
+        self.n_sample = 0
+        self._n_missing = np.zeros(n, int)
+        self._first_missing = np.full(n, -1)
+        self._ends = [_EndRuns(-1.0) for _ in names], [_EndRuns(1.0) for _ in names]
+
+    def add(self, block: NDArray[np.float64]) -> None:
+        """Take the next block."""
+        missing = ~np.isfinite(block)
+        self._note_missing(missing)
+        if self._origin is None:
+            # Sums around a first value keep the variance of a small signal on a large offset.
+            self._origin = np.where(missing[0], 0.0, block[0])
+        beside = np.where(missing, 0.0, block - self._origin)
+        self._sum += beside.sum(axis=0)
+        self._squares += (beside**2).sum(axis=0)
+        self.minimum = np.minimum(self.minimum, np.min(np.where(missing, np.inf, block), axis=0))
+        self.maximum = np.maximum(self.maximum, np.max(np.where(missing, -np.inf, block), axis=0))
+        for low, high, column in zip(*self._ends, block.T, strict=True):
+            low.add(column, self.n_sample)
+            high.add(column, self.n_sample)
+        self.n_sample += block.shape[0]
+
+    def _note_missing(self, missing: NDArray[np.bool_]) -> None:
+        self._n_missing += missing.sum(axis=0)
+        fresh = (self._first_missing < 0) & missing.any(axis=0)
+        self._first_missing[fresh] = self.n_sample + np.argmax(missing[:, fresh], axis=0)
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """Mean per channel over the samples that are numbers."""
+        origin = self._origin if self._origin is not None else 0.0
+        return self._sum / np.maximum(self.n_sample - self._n_missing, 1) + origin  # type: ignore[no-any-return]
+
+    @property
+    def rms(self) -> NDArray[np.float64]:
+        """Root mean square around the mean per channel."""
+        n = np.maximum(self.n_sample - self._n_missing, 1)
+        return np.sqrt(np.maximum(self._squares / n - (self._sum / n) ** 2, 0.0))  # type: ignore[no-any-return]
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Everything found, in words, with the channel and its first sample."""
+        found: list[Finding] = []
+        for number, name in enumerate(self._names):
+            if self._n_missing[number]:
+                count, first = self._n_missing[number], self._first_missing[number]
+                found.append(
+                    Finding("gap", f"channel {name}: {count} of {self.n_sample} samples are no numbers, the first is sample {first}")
+                )
+            if not self.maximum[number] > self.minimum[number]:
+                found.append(Finding("constant", f"channel {name} does not vary at all"))
+                continue
+            found.extend(self._clipping(number, name))
+        return tuple(found)
+
+    def _clipping(self, number: int, name: str) -> list[Finding]:
+        limits = self._limits[number]
+        runs = [ends[number].clipped(None if limits is None else limits[side]) for side, ends in enumerate(self._ends)]
+        count = sum(n for n, _ in runs)
+        if not count:
+            return []
+        first = min(start for n, start in runs if n)
+        share = 100 * count / self.n_sample
+        message = (
+            f"channel {name}: {count} samples ({share:.2g} %) stand at the end of the range, the first is sample {first}; "
+            "the peaks are cut off and amplitudes come out too small"
+        )
+        return [Finding("clipped", message)]
+
+
+class _EndRuns:
+    """Samples in runs of at least CLIPPED_RUN equal values at the extreme of a channel, over block borders.
+
+    *sign* +1 follows the maximum, -1 the minimum. Only runs at the extreme so far are kept: a higher value starts afresh.
+    """
+
+    def __init__(self, sign: float) -> None:
+        self._sign = sign
+        self._extreme = -np.inf
+        self._count = 0
+        self._first = -1
+        self._open = 0
+
+    def add(self, column: NDArray[np.float64], start: int) -> None:
+        values = self._sign * column
+        peak = np.max(values, initial=-np.inf, where=np.isfinite(values))
+        if peak > self._extreme:
+            self._extreme, self._count, self._first, self._open = float(peak), 0, -1, 0
+        at_end = values == self._extreme
+        if not at_end.any():
+            self._open = 0
+            return
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], at_end, [False]]).astype(np.int8)))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            carried = self._open if begin == 0 else 0
+            self._count_run(int(begin), int(end), carried, start)
+        self._open = int(edges[-1] - edges[-2]) + (self._open if edges[-2] == 0 else 0) if edges[-1] == values.size else 0
+
+    def _count_run(self, begin: int, end: int, carried: int, start: int) -> None:
+        length = end - begin + carried
+        if length < CLIPPED_RUN:
+            return
+        self._count += length if carried < CLIPPED_RUN else end - begin
+        if self._first < 0:
+            self._first = start + begin - carried
+
+    def clipped(self, limit: float | None) -> tuple[int, int]:
+        """(clipped samples, first of them); with a known *limit* of the range only values at or beyond it count."""
+        if limit is not None and self._extreme < self._sign * limit:
+            return 0, -1
+        return self._count, self._first
+
+
+class TimeAxisScreen:
+    """A time column [s], fed block by block: it must rise in equal steps."""
+
+    def __init__(self, column: str) -> None:
+        self._column = column
+        self._first = self._last = np.nan
+        self._smallest, self._largest = (np.inf, -1), (-np.inf, -1)
+        self._n_sample = 0
+        self._resolution = 0.0
+
+    def add(self, times: NDArray[np.float64]) -> None:
+        """Take the next time stamps; DataError at a missing one or one that does not rise."""
+        if not np.all(np.isfinite(times)):
+            sample = self._n_sample + int(np.argmax(~np.isfinite(times)))
+            raise DataError(f"the time column '{self._column}' has no number at sample {sample}")
+        joined = times if self._n_sample == 0 else np.concatenate([[self._last], times])
+        offset = self._n_sample if self._n_sample == 0 else self._n_sample - 1
+        steps = np.diff(joined)
+        if steps.size:
+            if np.any(steps <= 0):
+                sample = offset + 1 + int(np.argmax(steps <= 0))
+                raise DataError(f"the time column '{self._column}' does not rise at sample {sample} ({joined[sample - offset]:g} s)")
+            self._smallest = min(self._smallest, (float(steps.min()), offset + 1 + int(steps.argmin())))
+            self._largest = max(self._largest, (float(steps.max()), offset + 1 + int(steps.argmax())))
+        self._resolution = max(self._resolution, _printed_resolution(times))
+        if self._n_sample == 0:
+            self._first = float(times[0])
+        self._last = float(times[-1])
+        self._n_sample += times.size
+
+    def sample_rate(self) -> float:
+        """(n - 1) / (t_last - t_first) [Hz]; DataError when the steps are not equal within jitter and the rounding of the times."""
+        if self._n_sample < 2:
+            raise DataError(f"the time column '{self._column}' has fewer than two samples")
+        step = (self._last - self._first) / (self._n_sample - 1)
+        # Two printed times are each off by half a last digit.
+        allowed = JITTER * step + self._resolution
+        for extreme, sample in (self._largest, self._smallest):
+            if abs(extreme - step) > allowed:
+                raise DataError(
+                    f"the time steps of column '{self._column}' are not equal: {extreme:g} s at sample {sample}, {step:g} s on average",
+                    hint="a gap or a wrong clock; labpipe does not resample",
+                )
+        return float(f"{1 / step:.12g}")
+
+
+def _printed_resolution(times: NDArray[np.float64]) -> float:
+    """The last digit to which times are printed: the smallest power of ten of which all are multiples."""
+    largest = float(np.max(np.abs(times)))
+    for digits in range(12):
+        scaled = times * 10.0**digits
+        if np.all(np.abs(scaled - np.round(scaled)) <= 1e-9 * max(largest * 10.0**digits, 1.0)):
+            return 10.0**-digits
+    return 0.0

@@ -1,0 +1,238 @@
+"""Runs on the virtual magnetic-bearing rig: recordings and tables with their truth. RUNS by name."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from labpipe.errors import ConfigError
+from labpipe.records.recording import Channel, Recording
+from labpipe.records.rig import AXIS_ANGLES
+from labpipe.registry import nearest
+from labpipe.signals.excitation import Multisine, design_multisine
+from labpipe.simulate import mechanics
+from labpipe.simulate.settings import VirtualRig
+
+PERIODS = 5
+HOVER_CORNER = 5.0
+# Forces by which the rotor stays within 40 um.
+PEDESTAL_FORCE, RADIAL_FORCE, AXIAL_FORCE = 0.3, 2.0, 0.3
+ECCENTRICITIES = (0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
+GAIN_CORNER = 0.4
+STATIC_BEND = 300e-6
+
+
+@dataclass(frozen=True)
+class SimulatedRun:
+    """A run: its recording, or its calibration table (columns "name [unit]"), and the truth behind it."""
+
+    name: str
+    truth: dict[str, Any]
+    recording: Recording | None = None
+    table: dict[str, NDArray[np.float64]] | None = None
+
+
+def simulate(rig: VirtualRig, seed: int, runs: Iterable[str] | None = None) -> tuple[SimulatedRun, ...]:
+    """The named runs (default: all); the same rig and seed give the same samples, whatever other runs are made."""
+    names = list(RUNS) if runs is None else list(runs)
+    for name in names:
+        if name not in RUNS:
+            raise ConfigError(f"no run '{name}'", hint=nearest(name, RUNS))
+    return tuple(RUNS[name](rig, name, _generator(seed, name)) for name in names)
+
+
+def _generator(seed: int, name: str) -> np.random.Generator:
+    return np.random.default_rng([seed, zlib.crc32(name.encode())])
+
+
+@dataclass(frozen=True)
+class _Timing:
+    """Sampling of a periodic run: transient periods come before the PERIODS that are averaged."""
+
+    sample_rate: float
+    spacing: float
+    transient: int
+
+    @property
+    def n_sample(self) -> int:
+        return round(self.sample_rate / self.spacing)
+
+    @property
+    def periods(self) -> int:
+        return self.transient + PERIODS
+
+
+def _schroeder(band: tuple[float, float], spacing: float, rms: float) -> Multisine:
+    return design_multisine(band, spacing, rms)
+
+
+def _noisy(clean: NDArray[np.float64], std: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    return clean + rng.normal(0.0, std, clean.shape)
+
+
+def _recording(name: str, channels: list[Channel], samples: list[NDArray[np.float64]], sample_rate: float) -> Recording:
+    return Recording(tuple(channels), np.column_stack(samples), sample_rate, name)
+
+
+def _force_channel(dof: str, angle: float | None) -> Channel:
+    return Channel("f", "force", "input", dof, angle)
+
+
+def _displacement_channel(name: str) -> Channel:
+    return Channel(name, "displacement", "output", name, AXIS_ANGLES.get(name))
+
+
+def pedestal(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+    """The pedestal alone: one force, one displacement, 1-100 Hz every 0.5 Hz."""
+    force = _schroeder((1.0, 100.0), 0.5, PEDESTAL_FORCE)
+    omega = mechanics.line_frequencies(force)
+    receptance = 1 / mechanics.one_direction(rig, omega, levitated=False)
+    natural = float(np.sqrt(rig.pedestal_stiffness / rig.pedestal_mass))
+    truth = {
+        "mass": rig.pedestal_mass,
+        "k": rig.pedestal_stiffness,
+        "c": rig.pedestal_damping,
+        "f_n": natural / (2 * np.pi),
+        "zeta": rig.pedestal_damping / (2 * rig.pedestal_mass * natural),
+    }
+    return _single(rig, name, rng, force, receptance, _Timing(1000.0, 0.5, 3), truth, "y")
+
+
+def axial(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+    """The axial direction: 1-50 Hz every 0.5 Hz."""
+    force = _schroeder((1.0, 50.0), 0.5, AXIAL_FORCE)
+    receptance = 1 / mechanics.axial(rig, mechanics.line_frequencies(force))
+    natural = float(np.sqrt(rig.axial_stiffness / rig.axial_mass))
+    truth = {
+        "mass": rig.axial_mass,
+        "k": rig.axial_stiffness,
+        "c": rig.axial_damping,
+        "f_n": natural / (2 * np.pi),
+        "zeta": rig.axial_damping / (2 * rig.axial_mass * natural),
+    }
+    return _single(rig, name, rng, force, receptance, _Timing(500.0, 0.5, 1), truth, "z")
+
+
+def _single(
+    rig: VirtualRig,
+    name: str,
+    rng: np.random.Generator,
+    force: Multisine,
+    receptance: NDArray[np.complex128],
+    timing: _Timing,
+    truth: dict[str, Any],
+    dof: str,
+) -> SimulatedRun:
+    """One force and one displacement that starts at rest."""
+    steady = mechanics.steady_state(force, receptance, timing.n_sample, timing.periods)
+    clean = steady + mechanics.free_decay(steady, timing.sample_rate, truth["f_n"], truth["zeta"])
+    samples = [
+        _noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng),
+        _noisy(clean, rig.noise.displacement, rng),
+    ]
+    channels = [_force_channel(dof, AXIS_ANGLES.get(dof)), _displacement_channel(dof)]
+    return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
+
+
+def radial(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+    """The levitated rotor under one force at 45 deg: x and y move alike, since the rig is symmetric; 1-250 Hz every 1 Hz."""
+    rotating = name.endswith("rpm") and not name.endswith("-0rpm")
+    force = _schroeder((1.0, 250.0), 1.0, RADIAL_FORCE)
+    omega = mechanics.line_frequencies(force)
+    receptance = np.cos(np.pi / 4) / mechanics.one_direction(rig, omega, levitated=True)
+    timing = _Timing(2000.0, 1.0, 1)
+    clean = mechanics.steady_state(force, receptance, timing.n_sample, timing.periods)
+    clean = clean + mechanics.free_decay(clean, timing.sample_rate, 70.0, 0.2)
+    samples = [_noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng)]
+    for quarter in (0.0, np.pi / 2):
+        moved = clean + _hover(rig, timing, rng)
+        if rotating:
+            moved = moved + _rotation(rig, timing, quarter)
+        samples.append(_noisy(moved, rig.noise.displacement, rng))
+    bearing = mechanics.levitation_stiffness(rig.levitation, omega) / rig.levitation.bearings
+    truth = {
+        "mass": rig.rotor_mass,
+        "speed_hz": rig.speed if rotating else 0.0,
+        "forcing_angle": np.pi / 4,
+        "pedestal": {"k": rig.pedestal_stiffness, "c": rig.pedestal_damping},
+        "frequency_hz": (omega / (2 * np.pi)).tolist(),
+        "k_per_bearing": bearing.real.tolist(),
+        "c_per_bearing": (bearing.imag / omega).tolist(),
+    }
+    channels = [_force_channel("45 deg", np.pi / 4), _displacement_channel("x"), _displacement_channel("y")]
+    return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
+
+
+def _hover(rig: VirtualRig, timing: _Timing, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Slow random wander of the levitated rotor: white noise through a first-order low pass, with the stated rms."""
+    n = timing.n_sample * timing.periods
+    b, a = signal.butter(1, HOVER_CORNER, fs=timing.sample_rate)
+    wander = signal.lfilter(b, a, rng.normal(0.0, 1.0, n + timing.n_sample))[timing.n_sample :]
+    return rig.noise.hover * wander / np.sqrt(np.mean(wander**2))  # type: ignore[no-any-return]
+
+
+def _rotation(rig: VirtualRig, timing: _Timing, quarter: float) -> NDArray[np.float64]:
+    """1x of the unbalance and cogging lines at 2x and 4x of speed; speed is no multiple of the spacing."""
+    t = np.arange(timing.n_sample * timing.periods) / timing.sample_rate
+    angle = 2 * np.pi * rig.speed * t - quarter
+    motion: NDArray[np.float64] = rig.unbalance * (np.cos(angle) + 0.25 * np.cos(2 * angle) + 0.12 * np.cos(4 * angle))
+    return motion
+
+
+def two_directions(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+    """A cross-coupled support under a force along x (or y): all eight coefficients show in the two runs together."""
+    dof = name[-1]
+    column = "xy".index(dof)
+    force = _schroeder((1.0, 250.0), 1.0, RADIAL_FORCE)
+    omega = mechanics.line_frequencies(force)
+    receptance = np.linalg.inv(mechanics.coupled(rig, omega))[:, :, column]
+    timing = _Timing(2000.0, 1.0, 1)
+    samples = [_noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng)]
+    for row in range(2):
+        clean = mechanics.steady_state(force, receptance[:, row], timing.n_sample, timing.periods)
+        samples.append(_noisy(clean, rig.noise.displacement, rng))
+    matrices = (("k", mechanics.COUPLED_STIFFNESS), ("c", mechanics.COUPLED_DAMPING))
+    truth: dict[str, Any] = {"mass": rig.rotor_mass}
+    for letter, matrix in matrices:
+        truth.update({f"{letter}_{'xy'[r]}{'xy'[c]}": float(matrix[r, c]) for r in range(2) for c in range(2)})
+    channels = [_force_channel(dof, AXIS_ANGLES[dof]), _displacement_channel("x"), _displacement_channel("y")]
+    return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
+
+
+def actuator_gain(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+    """Force over control voltage at seven levels and seven eccentricities; the gain falls as 1 / (1 + (e / 0.4)^4)."""
+    levels = np.linspace(0.08, 0.56, 7)
+    gains = [rig.actuator_gain / (1 + (e / GAIN_CORNER) ** 4) for e in ECCENTRICITIES]
+    eccentricity = np.repeat(ECCENTRICITIES, levels.size)
+    voltage = np.tile(levels, len(ECCENTRICITIES))
+    force = _noisy(np.repeat(gains, levels.size) * voltage, rig.noise.force, rng)
+    table = {"eccentricity [%]": 100 * eccentricity, "voltage [V]": voltage, "force [N]": force}
+    within = [e for e, gain in zip(ECCENTRICITIES, gains, strict=True) if abs(gain / gains[0] - 1) <= 0.2]
+    truth = {"eccentricity": list(ECCENTRICITIES), "gain": gains, "linear_range_20_percent": max(within)}
+    return SimulatedRun(name, truth, table=table)
+
+
+def static(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+    """Static magnet force over displacement: F = k_0 x (1 - (x / 300 um)^2), straight within 2.3 % up to 45 um."""
+    displacement = np.arange(0, 91, 3) * 1e-6
+    k_0 = rig.levitation.static
+    force = _noisy(k_0 * displacement * (1 - (displacement / STATIC_BEND) ** 2), 2e-4, rng)
+    return SimulatedRun(name, {"k_0": k_0}, table={"displacement [um]": displacement * 1e6, "force [N]": force})
+
+
+RUNS: dict[str, Callable[[VirtualRig, str, np.random.Generator], SimulatedRun]] = {
+    "pedestal": pedestal,
+    "radial-0rpm": radial,
+    "radial-8000rpm": radial,
+    "two-directions-x": two_directions,
+    "two-directions-y": two_directions,
+    "axial": axial,
+    "actuator-gain": actuator_gain,
+    "static": static,
+}

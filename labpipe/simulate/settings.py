@@ -1,0 +1,52 @@
+"""The parameters of the virtual magnetic-bearing rig: what it IS; the runs made on it are the table RUNS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from labpipe.records.settings import setting
+
+KIND = "virtual-magnetic-rig"
+
+
+@dataclass(frozen=True)
+class Levitation:
+    """One magnetic bearing: static stiffness k_0 and a relaxation that stiffens it with frequency.
+
+    k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau), tau = 1 / (2 pi f_c): causal and passive, and like the measured bearings
+    soft at 2 Hz and stiffer by far at 250 Hz. It stands for control loop and eddy currents together.
+    """
+
+    static: float = setting("value", "static stiffness k_0 of one bearing", unit="N/m", default=1694.0)
+    dynamic: float = setting("value", "stiffness gained far above the corner, k_1", unit="N/m", default=110e3)
+    corner: float = setting("value", "corner frequency f_c", unit="Hz", default=150.0)
+    bearings: int = setting("integer", "equal bearings in parallel", default=2)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of the measuring noise and of the rotor's wander."""
+
+    displacement: float = setting("value", "displacement sensors", unit="m", default=0.3e-6)
+    force: float = setting("value", "force transducer", unit="N", default=0.02)
+    hover: float = setting("value", "slow wander of the levitated rotor", unit="m", default=1e-6)
+
+
+@dataclass(frozen=True)
+class VirtualRig:
+    """Pedestal, rotor in two magnetic bearings, sensors."""
+
+    kind: str = setting("choice", "which virtual rig", choices=(KIND,))
+    name: str = setting("text", "name of the rig", default="Virtual magnetic-bearing rig")
+    pedestal_mass: float = setting("value", "mass of the pedestal alone", unit="kg", default=0.79)
+    rotor_mass: float = setting("value", "mass of pedestal and rotor, moving radially", unit="kg", default=0.92)
+    axial_mass: float = setting("value", "mass moving axially", unit="kg", default=0.13)
+    pedestal_stiffness: float = setting("value", "springs of the pedestal", unit="N/m", default=134.5e3)
+    pedestal_damping: float = setting("value", "guides of the pedestal", unit="N.s/m", default=3.682)
+    axial_stiffness: float = setting("value", "passive axial stiffness", unit="N/m", default=2471.0)
+    axial_damping: float = setting("value", "axial damping", unit="N.s/m", default=3.108)
+    actuator_gain: float = setting("value", "force per control voltage at the centre", unit="N/V", default=5.8)
+    speed: float = setting("value", "shaft speed of the rotating run", unit="Hz", default=8000 / 60)
+    unbalance: float = setting("value", "1x amplitude of the rotating run", unit="m", default=4e-6)
+    levitation: Levitation = setting("section", "the magnetic bearings", section=Levitation, default=Levitation())
+    noise: Noise = setting("section", "measuring noise", section=Noise, default=Noise())

@@ -1,0 +1,58 @@
+"""From the cross-spectral matrix to the frequency response: H1, H2, Hv. ESTIMATORS by name.
+
+Frequency is axis 0. S_uu (n_frequency, n_input, n_input), S_yu = E[Y U*] (n_frequency, n_output, n_input),
+S_yy (n_frequency, n_output, n_output); the result is (n_frequency, n_output, n_input).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import ConfigError
+
+Matrix = NDArray[np.complex128]
+
+
+def _hermitian(matrix: Matrix) -> Matrix:
+    return matrix.conj().swapaxes(-1, -2)
+
+
+def h1(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:  # noqa: ARG001 (one signature for the whole table)
+    """H1 = S_yu S_uu^-1: noise on the responses averages out."""
+    return _hermitian(np.linalg.solve(_hermitian(s_uu), _hermitian(s_yu)))
+
+
+def h2(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:  # noqa: ARG001
+    """H2 = S_yy S_uy^-1: noise on the forces averages out; needs as many responses as forces. The inverse is a general one."""
+    if s_yu.shape[1] != s_yu.shape[2]:
+        raise ConfigError("H2 needs as many responses as forces", hint="use H1 or Hv")
+    return s_yy @ np.linalg.inv(_hermitian(s_yu))
+
+
+def hv(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:
+    """Hv: total least squares per response, noise shared between force and response.
+
+    Each channel is scaled by its own power at the line first, so that the result does not depend on units: in metres the plain
+    form would collapse to H1.
+    """
+    n_input = s_uu.shape[1]
+    force_scale = np.sqrt(np.einsum("fii->fi", s_uu).real)
+    columns = []
+    for output in range(s_yu.shape[1]):
+        response_scale = np.sqrt(s_yy[:, output, output].real)[:, None]
+        scale = np.concatenate([force_scale, response_scale], axis=1)
+        joint = np.empty((s_uu.shape[0], n_input + 1, n_input + 1), np.complex128)
+        joint[:, :n_input, :n_input] = s_uu
+        joint[:, n_input:, :n_input] = s_yu[:, output : output + 1]
+        joint[:, :n_input, n_input:] = _hermitian(joint[:, n_input:, :n_input])
+        joint[:, n_input, n_input] = s_yy[:, output, output]
+        _, vectors = np.linalg.eigh(joint / (scale[:, :, None] * scale[:, None, :]))
+        smallest = vectors[:, :, 0] / scale
+        columns.append(-smallest[:, :n_input].conj() / smallest[:, n_input:].conj())
+    return np.stack(columns, axis=1)
+
+
+ESTIMATORS: dict[str, Callable[[Matrix, Matrix, Matrix], Matrix]] = {"H1": h1, "H2": h2, "Hv": hv}

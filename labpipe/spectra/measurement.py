@@ -1,0 +1,261 @@
+"""measure: recordings -> one frequency response matrix with its covariance, coherence and findings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import DataError
+from labpipe.records.finding import Finding
+from labpipe.records.recording import SampleSource
+from labpipe.records.response import FrequencyResponse
+from labpipe.spectra.bands import lines_in
+from labpipe.spectra.coherence import multiple_coherence, ordinary_coherence
+from labpipe.spectra.estimators import ESTIMATORS
+from labpipe.spectra.periodic import LineSpectrum, PeriodAverage, excited_lines, samples_per_period, smoothed_noise
+from labpipe.spectra.ports import Layout, find_layout
+from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.uncertainty import covariance_of_periodic, covariance_of_random
+from labpipe.spectra.welch import CrossSpectra, WelchAverage, window_values
+
+READ_SAMPLES = 1 << 16
+LOW_COHERENCE = 0.9
+LOW_SNR = 10.0
+# Share of the lines that may be poor before it is worth a warning.
+POOR_SHARE = 0.1
+# Forces whose matrix is worse conditioned than this do not act in independent directions.
+WORST_FORCE_CONDITION = 1e3
+
+
+def measure(
+    sources: Sequence[SampleSource], settings: FrfSettings, *, name: str = "", conditions: dict[str, Any] | None = None
+) -> FrequencyResponse:
+    """The FRF matrix H = Y/U (time factor e^{+jwt}) of recordings that together excite every input.
+
+    Several recordings, one per force direction say, give one matrix; a force that a recording does not have is zero in it. Memory
+    does not grow with the recordings' length. Raises DataError for recordings that do not fit together, are too short, hold NaN,
+    or whose forces do not excite independent directions.
+    """
+    _check_rates(sources)
+    layout = find_layout(sources)
+    parts = (_measure_periodic if settings.excitation == "periodic" else _measure_random)(sources, settings, layout)
+    findings = (*_source_findings(sources), *parts.findings)
+    return FrequencyResponse(
+        frequency=parts.frequency,
+        matrix=parts.matrix,
+        outputs=layout.outputs,
+        inputs=layout.inputs,
+        form=layout.form,
+        covariance=parts.covariance,
+        coherence=parts.coherence,
+        multiple_coherence=parts.multiple_coherence,
+        snr=parts.snr,
+        snr_channels=tuple(port.label for port in (*layout.inputs, *layout.outputs)) if parts.snr is not None else (),
+        averages=parts.averages,
+        covariance_dof=parts.dof,
+        name=name,
+        findings=findings,
+        conditions=dict(conditions or {}),
+    )
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """What either kind of excitation contributes to a FrequencyResponse."""
+
+    frequency: NDArray[np.float64]
+    matrix: NDArray[np.complex128]
+    covariance: NDArray[np.complex128] | None
+    averages: float
+    dof: float
+    findings: tuple[Finding, ...] = ()
+    coherence: NDArray[np.float64] | None = None
+    multiple_coherence: NDArray[np.float64] | None = None
+    snr: NDArray[np.float64] | None = None
+
+
+def _check_rates(sources: Sequence[SampleSource]) -> None:
+    rates = [source.sample_rate for source in sources]
+    if not rates:
+        raise DataError("no recordings", hint="name at least one")
+    if max(rates) - min(rates) > 1e-9 * max(rates):
+        named = ", ".join(f"{source.name} {source.sample_rate:g} Hz" for source in sources)
+        raise DataError(f"the recordings have different sampling rates: {named}")
+
+
+def _source_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
+    several = len(sources) > 1
+    return tuple(
+        Finding(finding.code, f"{source.name}: {finding.message}" if several else finding.message)
+        for source in sources
+        for finding in source.findings
+    )
+
+
+def _checked_blocks(source: SampleSource) -> Iterator[NDArray[np.float64]]:
+    """The recording's blocks; DataError at the first sample that is no number."""
+    start = 0
+    for block in source.blocks(READ_SAMPLES):
+        if not np.all(np.isfinite(block)):
+            sample, column = (int(n) for n in np.argwhere(~np.isfinite(block))[0])
+            where = f"sample {start + sample} ({(start + sample) / source.sample_rate:g} s)"
+            channel = source.channels[column].name
+            hint = "labpipe fills no gaps; cut the recording there or record it again"
+            raise DataError(f"channel '{channel}' of '{source.name}' has no number at {where}", hint=hint)
+        start += block.shape[0]
+        yield block
+
+
+def _check_forces(source: SampleSource, power: NDArray[np.float64]) -> None:
+    """DataError when a force of this recording does not vary; *power* (n_channel,) beside its mean."""
+    for number, channel in enumerate(source.channels):
+        if channel.role == "input" and not power[number] > 0:
+            raise DataError(f"the force channel '{channel.name}' of '{source.name}' does not vary", hint="is the sensor connected?")
+
+
+def _measure_periodic(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> _Parts:
+    assert settings.period is not None
+    spectra = [_period_average(source, settings) for source in sources]
+    lines = np.zeros(spectra[0].frequency.shape, bool)
+    for source, spectrum in zip(sources, spectra, strict=True):
+        lines |= excited_lines(spectrum, [n for n, channel in enumerate(source.channels) if channel.role == "input"])
+    if not np.any(lines):
+        raise DataError("no line of the force stands out of its noise", hint="check `period` and `band`, or raise the level")
+    spectra = [spectrum.select(lines) for spectrum in spectra]
+    n_input = len(layout.inputs)
+    mean = np.stack([layout.padded(e, spectrum.mean, 1) for e, spectrum in enumerate(spectra)], axis=2)
+    forces, responses = mean[:, :n_input], mean[:, n_input:]
+    inverse = _force_inverse(forces, layout)
+    matrix = responses @ inverse
+    noises = [layout.padded(e, s.noise, 2) for e, s in enumerate(spectra) if s.noise is not None]
+    covariance = covariance_of_periodic(matrix, inverse, np.stack(noises)) if len(noises) == len(spectra) else None
+    snr = None if covariance is None else _signal_to_noise(mean, np.stack(noises))
+    findings = _no_covariance_finding(spectra[0].n_period) if covariance is None else _snr_findings(snr, layout)
+    averages = float(min(spectrum.n_period for spectrum in spectra))
+    dof = min(spectrum.dof for spectrum in spectra) if covariance is not None else np.inf
+    return _Parts(spectra[0].frequency, matrix, covariance, averages, dof, findings, snr=snr)
+
+
+def _period_average(source: SampleSource, settings: FrfSettings) -> LineSpectrum:
+    """The averaged and smoothed lines of one recording in the band."""
+    assert settings.period is not None
+    n_sample = samples_per_period(settings.period, source.sample_rate)
+    average = PeriodAverage(n_sample, len(source.channels), settings.skip)
+    for block in _checked_blocks(source):
+        average.add(block)
+    spectrum = average.spectrum(source.sample_rate)
+    _check_forces(source, np.max(np.abs(spectrum.mean), axis=0))
+    chosen = lines_in(spectrum.frequency, settings.band, settings.exclude)
+    if not np.any(chosen):
+        raise DataError(f"no line of '{source.name}' lies in the band", hint=f"it has lines up to {spectrum.frequency[-1]:g} Hz")
+    return smoothed_noise(spectrum.select(chosen), settings.smooth)
+
+
+def _force_inverse(forces: NDArray[np.complex128], layout: Layout) -> NDArray[np.complex128]:
+    """pinv of the forces (n_line, n_input, n_experiment); DataError when they do not span every input at every line."""
+    n_input, n_experiment = forces.shape[1:]
+    names = ", ".join(port.label for port in layout.inputs)
+    if n_experiment < n_input:
+        hint = f"{n_input} forces ({names}) need {n_input} recordings with independent forces"
+        raise DataError(f"{n_experiment} recording(s) cannot separate {n_input} forces", hint=hint)
+    size = np.max(np.abs(forces), axis=(0, 2))
+    singular = np.linalg.svd(forces / size[:, None], compute_uv=False)
+    if np.any(singular[:, -1] * WORST_FORCE_CONDITION < singular[:, 0]):
+        raise DataError(f"the forces {names} do not act in independent directions", hint="excite each direction in its own recording")
+    return np.linalg.pinv(forces / size[:, None]) / size[None, None, :]
+
+
+def _signal_to_noise(mean: NDArray[np.complex128], noise: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """|mean| / std of the mean per line and channel, the largest over the recordings, (n_line, n_channel)."""
+    std = np.sqrt(np.einsum("eljj->lje", noise).real)
+    ratio = np.divide(np.abs(mean), std, out=np.full(std.shape, np.inf), where=std > 0)
+    ratio[np.abs(mean) == 0] = 0.0
+    return np.minimum(np.max(ratio, axis=2), 1e12)
+
+
+def _no_covariance_finding(n_period: int) -> tuple[Finding, ...]:
+    message = f"{n_period} period is left, so the noise of the FRF is not known; record at least 2 periods after the transient ones"
+    return (Finding("no-covariance", message),)
+
+
+def _snr_findings(snr: NDArray[np.float64] | None, layout: Layout) -> tuple[Finding, ...]:
+    assert snr is not None
+    poor = np.mean(snr < LOW_SNR, axis=0)
+    labels = [port.label for port in (*layout.inputs, *layout.outputs)]
+    return tuple(
+        Finding("low-snr", f"channel {label}: the signal is less than {LOW_SNR:g} times its noise at {100 * share:.0f} % of the lines")
+        for label, share in zip(labels, poor, strict=True)
+        if share > POOR_SHARE
+    )
+
+
+def _measure_random(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> _Parts:
+    spectra = [_welch_average(source, settings) for source in sources]
+    n_blocks = np.array([spectrum.n_block for spectrum in spectra], float)
+    padded = np.stack([layout.padded(e, spectrum.matrix, 2) for e, spectrum in enumerate(spectra)])
+    matrix = np.einsum("e,efab->fab", n_blocks / n_blocks.sum(), padded)
+    chosen = lines_in(spectra[0].frequency, settings.band, settings.exclude)
+    if not np.any(chosen):
+        raise DataError("no line lies in the band", hint=f"the recordings have lines up to {spectra[0].frequency[-1]:g} Hz")
+    n_input = len(layout.inputs)
+    s_uu, s_yu, s_yy = matrix[chosen, :n_input, :n_input], matrix[chosen, n_input:, :n_input], matrix[chosen, n_input:, n_input:]
+    _check_independent(s_uu, layout)
+    response = ESTIMATORS[settings.estimator](s_uu, s_yu, s_yy)
+    averages = sum(spectrum.averages for spectrum in spectra)
+    multiple = multiple_coherence(s_uu, s_yu, s_yy)
+    enough = averages > n_input + 1
+    return _Parts(
+        frequency=spectra[0].frequency[chosen],
+        matrix=response,
+        covariance=covariance_of_random(s_uu, s_yu, s_yy, response, averages) if enough else None,
+        averages=averages,
+        dof=averages - n_input if enough else np.inf,
+        findings=_coherence_findings(multiple, layout) if enough else _no_average_finding(averages),
+        coherence=ordinary_coherence(s_uu, s_yu, s_yy),
+        multiple_coherence=multiple,
+    )
+
+
+def _welch_average(source: SampleSource, settings: FrfSettings) -> CrossSpectra:
+    assert settings.block is not None
+    n_sample = round(settings.block * source.sample_rate)
+    if n_sample < 4:
+        raise DataError(f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'", hint="lengthen `block`")
+    step = max(1, round(n_sample * (1 - settings.overlap)))
+    average = WelchAverage(window_values(settings.window, n_sample), step, len(source.channels))
+    for block in _checked_blocks(source):
+        average.add(block)
+    spectra = average.spectra(source.sample_rate)
+    _check_forces(source, np.max(np.einsum("faa->fa", spectra.matrix).real, axis=0))
+    return spectra
+
+
+def _check_independent(s_uu: NDArray[np.complex128], layout: Layout) -> None:
+    """DataError when the forces are so correlated that their responses cannot be told apart."""
+    scale = np.sqrt(np.einsum("fii->fi", s_uu).real)
+    if np.any(scale == 0):
+        raise DataError("a force has no power at a line of the band", hint="narrow `band` to what is excited")
+    values = np.linalg.eigvalsh(s_uu / (scale[:, :, None] * scale[:, None, :]))
+    if np.any(values[:, 0] * WORST_FORCE_CONDITION**2 < values[:, -1]):
+        names = ", ".join(port.label for port in layout.inputs)
+        raise DataError(f"the forces {names} do not act independently", hint="excite each direction in its own recording")
+
+
+def _coherence_findings(multiple: NDArray[np.float64], layout: Layout) -> tuple[Finding, ...]:
+    return tuple(
+        Finding(
+            "low-coherence",
+            f"response {port.label}: the coherence is below {LOW_COHERENCE:g} at {100 * share:.0f} % of the lines",
+        )
+        for port, share in zip(layout.outputs, np.mean(multiple < LOW_COHERENCE, axis=0), strict=True)
+        if share > POOR_SHARE
+    )
+
+
+def _no_average_finding(averages: float) -> tuple[Finding, ...]:
+    message = f"{averages:.2g} effective averages are too few to know the noise of the FRF; record longer or shorten `block`"
+    return (Finding("no-covariance", message),)

@@ -1,0 +1,66 @@
+"""frf: recordings -> one frequency response matrix per test, with covariance and coherence."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from labpipe.artefacts.header import Header, source_ref
+from labpipe.artefacts.parquet import read_header
+from labpipe.artefacts.recording_file import StoredRecording
+from labpipe.artefacts.response_file import SUFFIX, read_response, write_response
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.errors import DataError, LabpipeError
+from labpipe.formats.frf_csv import read_frf_csv
+from labpipe.records.response import FrequencyResponse
+from labpipe.spectra.measurement import measure
+from labpipe.spectra.settings import FrfSettings
+
+
+def frf_file_name(test: str) -> str:
+    """The file name of a test's response."""
+    return (re.sub(r"[^\w.+-]+", "-", test).strip("-") or "frf") + SUFFIX
+
+
+def frf(
+    recordings: Sequence[StoredRecording],
+    settings: FrfSettings,
+    output: OutputFolder,
+    test: str = "",
+    conditions: dict[str, str] | None = None,
+) -> FrequencyResponse:
+    """The response of one test, made unless the one on disk is fresh; LabpipeError names the recording."""
+    inputs = tuple(source_ref(recording.path, recording.path.parent) for recording in recordings)
+    parameters = {"frf": dataclasses.asdict(settings), "test": test, "conditions": conditions or {}}
+    header = Header("frf", parameters, inputs)
+    name = frf_file_name(test)
+    existing = output.read_path(name)
+    if existing.exists() and read_header(existing, "frf").same_work(header):
+        return read_response(existing)
+    try:
+        response = measure(recordings, settings, name=test, conditions=conditions or {})
+    except LabpipeError as error:
+        error.where = error.where or _where(recordings)
+        raise
+    write_response(output.write_path(name), response, header)
+    return response
+
+
+def _where(recordings: Sequence[StoredRecording]) -> str:
+    return ", ".join(recording.header.inputs[0].path if recording.header.inputs else recording.path.name for recording in recordings)
+
+
+def load_response(path: Path, name: str = "") -> FrequencyResponse:
+    """A ready response: labpipe's own file, or an FRF table as CSV."""
+    if path.is_dir():
+        raise DataError("is a folder, a file is needed", where=str(path))
+    if not path.exists():
+        raise DataError("no such file", where=str(path))
+    try:
+        response = read_response(path) if path.suffix == ".parquet" else read_frf_csv(path)
+    except DataError as error:
+        error.where = error.where or str(path)
+        raise
+    return dataclasses.replace(response, name=name or response.name)

@@ -1,0 +1,115 @@
+"""ingest: raw files -> calibrated recordings in SI units, chunk by chunk, with what was found in them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.artefacts.header import Header, SourceRef, source_ref
+from labpipe.artefacts.parquet import has_header, read_header
+from labpipe.artefacts.recording_file import SUFFIX, RecordingWriter, StoredRecording, open_recording, recording_contents
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.errors import DataError
+from labpipe.formats.table import Table, check_columns, open_table
+from labpipe.quantities import UnitError, parse_unit
+from labpipe.records.rig import Rig, RigChannel
+from labpipe.signals.screening import ChannelScreen, TimeAxisScreen
+
+
+def is_recording(path: Path) -> bool:
+    """Whether the file is already a calibrated recording of labpipe's own."""
+    return path.name.endswith(SUFFIX) or (path.suffix == ".parquet" and path.is_file() and has_header(path))
+
+
+def ingest(source: Path, rig: Rig, output: OutputFolder, name: str, base: Path) -> StoredRecording:
+    """The calibrated recording of a raw file, made unless the one on disk is fresh.
+
+    *name* is the recording's file name in the output folder without its ending; *base* is the folder to which paths in the
+    header are relative. Raises DataError with file and line for what cannot be used.
+    """
+    if is_recording(source):
+        return open_recording(source)
+    table = open_table(source)
+    header = Header("recording", dataclasses.asdict(rig), (source_ref(source, base),))
+    fresh = output.read_path(name + SUFFIX)
+    if fresh.exists() and read_header(fresh, "recording").same_work(header):
+        return open_recording(fresh)
+    target = output.write_path(name + SUFFIX)
+    _write(table, rig, target, header, source.stem)
+    return open_recording(target)
+
+
+def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> None:
+    columns = [channel.column for channel in rig.channels]
+    timed = [*([rig.time] if rig.time else []), *columns]
+    check_columns(table, timed)
+    for channel in rig.channels:
+        _check_unit(table, channel)
+    channels = tuple(channel.channel for channel in rig.channels)
+    time = TimeAxisScreen(rig.time) if rig.time else None
+    screen = ChannelScreen([channel.name for channel in channels], [_si_limits(channel) for channel in rig.channels])
+    scale = np.array([channel.scale for channel in rig.channels])
+    offset = np.array([channel.offset for channel in rig.channels])
+    try:
+        with RecordingWriter(target, channels) as writer:
+            for chunk in table.chunks(timed):
+                if time is not None:
+                    time.add(chunk[:, 0] * rig.time_scale)
+                block = chunk[:, len(timed) - len(columns) :] * scale + offset
+                screen.add(block)
+                writer.write(block)
+            sample_rate = time.sample_rate() if time is not None else float(rig.sample_rate or 0.0)
+            contents = recording_contents(channels, sample_rate, name)
+            writer.finish(dataclasses.replace(header, findings=screen.findings(), contents=contents))
+    except DataError as error:
+        error.where = error.where or str(table.path)
+        raise
+
+
+def _check_unit(table: Table, channel: RigChannel) -> None:
+    """DataError when the file states another unit for the column than the rig file does."""
+    stated = table.units.get(channel.column)
+    if stated is None:
+        return
+    try:
+        theirs, ours = parse_unit(stated), parse_unit(channel.unit)
+    except UnitError:
+        return
+    if theirs != ours:
+        what = f"column '{channel.column}' is in {stated} by the file's own header, in {channel.unit} by the rig file"
+        raise DataError(what, where=str(table.path), hint=f"correct the unit of channel '{channel.channel.name}'")
+
+
+def _si_limits(channel: RigChannel) -> tuple[float, float] | None:
+    """The recorded values at which the logger clips, in SI units of the channel, in increasing order."""
+    if channel.limits is None:
+        return None
+    low, high = sorted(limit * channel.scale + channel.offset for limit in channel.limits)
+    return low, high
+
+
+def unique_names(paths: Sequence[Path]) -> list[str]:
+    """A name for each file from its stem, numbered where a stem comes again."""
+    names: list[str] = []
+    for path in paths:
+        stem = path.name.removesuffix(SUFFIX) if path.name.endswith(SUFFIX) else path.stem
+        name, number = stem, 1
+        while name in names:
+            number += 1
+            name = f"{stem}-{number}"
+        names.append(name)
+    return names
+
+
+def ingest_all(sources: Iterable[Path], rig: Rig, output: OutputFolder, base: Path) -> list[StoredRecording]:
+    """`ingest` for many files of one rig."""
+    paths = list(sources)
+    return [ingest(path, rig, output, name, base) for path, name in zip(paths, unique_names(paths), strict=True)]
+
+
+def recording_ref(recording: StoredRecording, base: Path) -> SourceRef:
+    """The reference by which a result names the raw file behind a recording."""
+    return recording.header.inputs[0] if recording.header.inputs else source_ref(recording.path, base)

@@ -1,0 +1,101 @@
+"""Holding a result against the pipeline's accept and expect rules."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Iterable, Sequence
+
+from labpipe.config.rules import Rule
+from labpipe.config.values import parse_uncertain
+from labpipe.errors import ConfigError
+from labpipe.quantities import UnitError, parse_value
+from labpipe.records.identification import Fit, RuleOutcome
+from labpipe.registry import nearest
+
+_COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
+_FIT_VALUES = {
+    "gof": lambda fit: fit.gof.r2_adjusted,
+    "r2": lambda fit: fit.gof.r2,
+    "chi2_reduced": lambda fit: fit.gof.chi2_reduced,
+    "chi2_p": lambda fit: fit.gof.chi2_p,
+    "condition_number": lambda fit: fit.condition_number,
+    "lines": lambda fit: float(fit.lines),
+}
+
+
+def judge(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, ...]:
+    """The outcome of every rule; ConfigError at the rule's place when it addresses what the result does not have."""
+    return tuple(_outcome(rule, _addressed(rule, fits)) for rule in rules)
+
+
+def _addressed(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
+    """All fits of the rule's name, or the one that stands in brackets: a test's name or the centre of a band."""
+    found = [fit for fit in fits if fit.name == rule.fit]
+    if rule.which:
+        found = [fit for fit in found if rule.which == fit.test or _is_centre(rule.which, fit.centre_hz)]
+    if not found:
+        raise ConfigError(f"{rule.section}.{rule.address}: no such fit in the result", where=rule.place)
+    return found
+
+
+def _is_centre(text: str, centre: float) -> bool:
+    try:
+        return abs(parse_value(text, "Hz") - centre) < 1e-6 * max(abs(centre), 1.0)
+    except UnitError:
+        return False
+
+
+def _outcome(rule: Rule, fits: list[Fit]) -> RuleOutcome:
+    """A rule on several fits (bands, tests) must hold for each; the value shown is the first that fails, or the first."""
+    if rule.item == "count":
+        held = [_held(rule, float(len(fits)), "1")]
+    elif rule.item == "warnings":
+        held = [_warnings_held(rule, fit) for fit in fits]
+    else:
+        held = [_item_held(rule, fit) for fit in fits]
+    value, passed = next((pair for pair in held if not pair[1]), held[0])
+    return RuleOutcome(rule.section, rule.text, value, passed)
+
+
+def _warnings_held(rule: Rule, fit: Fit) -> tuple[str, bool]:
+    """ "collinear" must be among the warnings, "not collinear" must not; "none" means no warning at all."""
+    codes = [finding.code for finding in fit.findings]
+    word = rule.bound
+    if word == "none":
+        passed = not codes
+    elif word.startswith("not "):
+        passed = word.removeprefix("not ").strip() not in codes
+    else:
+        passed = word in codes
+    return ", ".join(codes) or "none", passed
+
+
+def _item_held(rule: Rule, fit: Fit) -> tuple[float | str | None, bool]:
+    if rule.item in _FIT_VALUES:
+        return _held(rule, _FIT_VALUES[rule.item](fit), "1")
+    name, _, attribute = rule.item.partition(".")
+    names = [parameter.name for parameter in fit.parameters]
+    if name not in names:
+        hint = nearest(name, [*names, *_FIT_VALUES, "warnings", "count"])
+        raise ConfigError(f"{rule.section}.{rule.address}: the fit has no '{name}'", where=rule.place, hint=hint)
+    parameter = fit.parameter(name)
+    if attribute == "significant":
+        word = str(bool(parameter.significant)).lower()
+        return word, word == rule.bound
+    if attribute == "std_error":
+        return _held(rule, parameter.std_error, parameter.unit)
+    return _held(rule, parameter.value, parameter.unit)
+
+
+def _held(rule: Rule, value: float | None, unit: str) -> tuple[float | None, bool]:
+    """Whether a number meets the rule; a number that could not be given meets none."""
+    try:
+        if rule.kind == "+-":
+            wanted = parse_uncertain(rule.bound, unit)
+            return value, value is not None and abs(value - wanted.value) <= wanted.std_error
+        bound = parse_value(rule.bound, unit)
+        if rule.kind == "=":
+            return value, value is not None and value == bound
+    except UnitError as error:
+        raise ConfigError(f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint) from None
+    return value, value is not None and bool(_COMPARE[rule.kind](value, bound))
