@@ -13,7 +13,7 @@ from labpipe.identify.statistics import derived
 from labpipe.records.identification import Parameter
 from labpipe.records.settings import Uncertain
 
-Vector = NDArray[np.float64]
+Vector = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Estimated:
     names: tuple[str, ...]
     units: tuple[str, ...]
     values: Vector
-    covariance: NDArray[np.float64]
+    covariance: NDArray[np.floating]
 
     def index(self, name: str) -> int:
         return self.names.index(name)

@@ -38,7 +38,7 @@ def estimate_findings(estimate: Estimate, names: Sequence[str], n_equation: int,
     return found
 
 
-def _collinear(scaled_design: NDArray[np.float64], names: Sequence[str]) -> list[Finding]:
+def _collinear(scaled_design: NDArray[np.floating], names: Sequence[str]) -> list[Finding]:
     """Which parameters cannot be told apart, by Belsley's variance proportions of the weak directions."""
     condition = condition_number(scaled_design)
     if condition < COLLINEAR_CONDITION:
@@ -53,7 +53,7 @@ def _collinear(scaled_design: NDArray[np.float64], names: Sequence[str]) -> list
     return [Finding("collinear", message)]
 
 
-def collinear_groups(scaled_design: NDArray[np.float64], names: Sequence[str]) -> list[list[str]]:
+def collinear_groups(scaled_design: NDArray[np.floating], names: Sequence[str]) -> list[list[str]]:
     """Parameters with most of their variance in weak directions; directions that share a parameter form one group.
 
     Variance proportion of direction j in parameter i: (v_ij^2 / s_j^2) / sum_j (v_ij^2 / s_j^2).

@@ -22,6 +22,8 @@ from labpipe.records.identification import Goodness
 MAX_ITERATIONS = 100
 MAX_DAMPING_STEPS = 20
 STEP_TOLERANCE = 1e-10
+# Cosine between the residual and the columns of the Jacobian below which no step can lower chi-square any more.
+GRADIENT_TOLERANCE = 1e-5
 REWEIGHTINGS = 12
 UNWEIGHTED_NOTE = (
     "ml: the FRF came without its covariance, so all lines weigh alike, the standard errors come from the residual, and the "
@@ -35,18 +37,18 @@ class _Problem:
 
     measured: Measured
     model: DynamicModel
-    whitener: NDArray[np.complex128]
+    whitener: NDArray[np.complexfloating]
 
-    def whitened(self, values: NDArray[np.complex128]) -> NDArray[np.float64]:
+    def whitened(self, values: NDArray[np.complexfloating]) -> NDArray[np.floating]:
         """(..., n_line, n_output, n_input) -> (..., n_equation): uncorrelated, each real part of variance 1."""
         flat = values.reshape(*values.shape[:-2], -1)
         white = np.einsum("lab,...lb->...la", self.whitener, flat)
         return np.sqrt(2.0) * stacked(white.reshape(*white.shape[:-2], -1))
 
-    def residual(self, parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residual(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
         return self.whitened(self.measured.matrix - self.model.receptance(parameters, self.measured.omega))
 
-    def jacobian(self, parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+    def jacobian(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
         """d residual / d p, (n_equation, n_parameter)."""
         return -self.whitened(self.model.jacobian(parameters, self.measured.omega)).T
 
@@ -90,10 +92,10 @@ def _estimated_weight_factor(measured: Measured) -> float:
             f"the covariance of {n} FRFs was estimated from {measured.noise_dof:.3g} degrees of freedom only",
             hint="average more periods or blocks, or raise `smooth`",
         )
-    return measured.noise_dof / (measured.noise_dof - n)
+    return float(measured.noise_dof / (measured.noise_dof - n))
 
 
-def _whitener(measured: Measured) -> NDArray[np.complex128]:
+def _whitener(measured: Measured) -> NDArray[np.complexfloating]:
     """L^-1 of C = L L^H per line, (n_line, n, n); the same number for all lines where the covariance is unknown."""
     n = measured.matrix.shape[1] * measured.matrix.shape[2]
     if measured.covariance is None:
@@ -110,11 +112,11 @@ def _whitener(measured: Measured) -> NDArray[np.complex128]:
         lower = np.linalg.cholesky(scaled)
     except np.linalg.LinAlgError:
         raise FitError("the covariance of the FRF is singular", hint="average more periods or blocks") from None
-    whitener: NDArray[np.complex128] = np.linalg.inv(lower) / std[:, None, :]
+    whitener: NDArray[np.complexfloating] = np.linalg.inv(lower) / std[:, None, :]
     return whitener
 
 
-def _start(problem: _Problem) -> NDArray[np.float64]:
+def _start(problem: _Problem) -> NDArray[np.floating]:
     """The better of plain least squares and of its reweighted form, by their chi-square.
 
     Plain least squares is biased by noise; reweighting the equation error by Z^-1 of the last iterate (Sanathanan and Koerner 1963)
@@ -130,7 +132,7 @@ def _start(problem: _Problem) -> NDArray[np.float64]:
     return candidates[int(np.nanargmin(chi2))]
 
 
-def _reweighted(problem: _Problem, last: NDArray[np.float64]) -> NDArray[np.float64]:
+def _reweighted(problem: _Problem, last: NDArray[np.floating]) -> NDArray[np.floating]:
     """Least squares of Z_last^-1 times the equation error, whitened."""
     measured, model = problem.measured, problem.model
     z = model.dynamic_stiffness(last, measured.omega)
@@ -139,7 +141,7 @@ def _reweighted(problem: _Problem, last: NDArray[np.float64]) -> NDArray[np.floa
     return solve_scaled(problem.whitened(terms).T, problem.whitened(known))[0]
 
 
-def _minimise(problem: _Problem, start: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool, int]:
+def _minimise(problem: _Problem, start: NDArray[np.floating]) -> tuple[NDArray[np.floating], bool, int]:
     """Levenberg-Marquardt from *start*: (parameters, converged, iterations)."""
     values, residual = start, problem.residual(start)
     damping = 1e-3
@@ -148,26 +150,26 @@ def _minimise(problem: _Problem, start: NDArray[np.float64]) -> tuple[NDArray[np
         scale = np.linalg.norm(jacobian, axis=0)
         step, residual_new, damping = _damped_step(problem, values, residual, jacobian / scale, scale, damping)
         if step is None:
-            return values, True, iteration
+            slope = float(np.linalg.norm((jacobian / scale).T @ residual))
+            return values, slope <= GRADIENT_TOLERANCE * float(np.linalg.norm(residual)), iteration
         values = values + step
-        gain = residual @ residual - residual_new @ residual_new
+        before, after = float(residual @ residual), float(residual_new @ residual_new)
         residual = residual_new
         # In units of the standard errors, which do not depend on the units of the parameters.
-        if np.linalg.norm(step * scale) <= STEP_TOLERANCE * max(np.linalg.norm(values * scale), 1.0) or gain < 1e-13 * (
-            residual @ residual
-        ):
+        small = float(np.linalg.norm(step * scale)) <= STEP_TOLERANCE * max(float(np.linalg.norm(values * scale)), 1.0)
+        if small or before - after < 1e-13 * before:
             return values, True, iteration
     return values, False, MAX_ITERATIONS
 
 
 def _damped_step(
     problem: _Problem,
-    values: NDArray[np.float64],
-    residual: NDArray[np.float64],
-    jacobian: NDArray[np.float64],
-    scale: NDArray[np.float64],
+    values: NDArray[np.floating],
+    residual: NDArray[np.floating],
+    jacobian: NDArray[np.floating],
+    scale: NDArray[np.floating],
     damping: float,
-) -> tuple[NDArray[np.float64] | None, NDArray[np.float64], float]:
+) -> tuple[NDArray[np.floating] | None, NDArray[np.floating], float]:
     """A step that lowers chi-square and the damping for the next one; no step when none lowers it any more."""
     n = values.size
     for _ in range(MAX_DAMPING_STEPS):

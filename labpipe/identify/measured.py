@@ -22,9 +22,9 @@ class Measured:
     whole band.
     """
 
-    omega: NDArray[np.float64]
-    matrix: NDArray[np.complex128]
-    covariance: NDArray[np.complex128] | None
+    omega: NDArray[np.floating]
+    matrix: NDArray[np.complexfloating]
+    covariance: NDArray[np.complexfloating] | None
     noise_dof: float
     band_dof: float
     outputs: tuple[Port, ...]

@@ -19,10 +19,10 @@ class Term:
 
     name: str
     unit: str
-    stiffness: NDArray[np.float64]
-    damping: NDArray[np.float64]
-    mass: NDArray[np.float64]
-    force: NDArray[np.float64]
+    stiffness: NDArray[np.floating]
+    damping: NDArray[np.floating]
+    mass: NDArray[np.floating]
+    force: NDArray[np.floating]
     droppable: bool = True
 
 
@@ -32,8 +32,8 @@ class DynamicModel:
 
     name: str
     terms: tuple[Term, ...]
-    known_mass: NDArray[np.float64]
-    known_force: NDArray[np.float64]
+    known_mass: NDArray[np.floating]
+    known_force: NDArray[np.floating]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -47,53 +47,51 @@ class DynamicModel:
         """The model with one parameter fixed at zero."""
         return replace(self, terms=tuple(term for term in self.terms if term.name != name))
 
-    def stiffness_terms(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def stiffness_terms(self, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
         """Z_j(w) of every parameter, (n_parameter, n_line, n_dof, n_dof); *omega* (n_line,) [rad/s]."""
         w = omega[None, :, None, None]
         k, c, m = (np.stack([getattr(term, kind) for term in self.terms])[:, None] for kind in ("stiffness", "damping", "mass"))
-        terms: NDArray[np.complex128] = k + 1j * w * c - w**2 * m
+        terms: NDArray[np.complexfloating] = k + 1j * w * c - w**2 * m
         return terms
 
-    def force_terms(self) -> NDArray[np.float64]:
+    def force_terms(self) -> NDArray[np.floating]:
         """B_j of every parameter, (n_parameter, 1, n_dof, n_input)."""
         return np.stack([term.force for term in self.terms])[:, None]
 
-    def inertia(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def inertia(self, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
         """Z_0(w) = -w^2 M_0, (n_line, n_dof, n_dof)."""
         return (-(omega**2)[:, None, None] * self.known_mass).astype(np.complex128)
 
-    def dynamic_stiffness(self, parameters: NDArray[np.float64], omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def dynamic_stiffness(self, parameters: NDArray[np.floating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
         """Z(w) [N/m], (n_line, n_dof, n_dof)."""
-        z: NDArray[np.complex128] = np.einsum("p,plab->lab", parameters, self.stiffness_terms(omega)) + self.inertia(omega)
+        z: NDArray[np.complexfloating] = np.einsum("p,plab->lab", parameters, self.stiffness_terms(omega)) + self.inertia(omega)
         return z
 
-    def forces(self, parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+    def forces(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
         """B, (n_dof, n_input)."""
-        b: NDArray[np.float64] = np.einsum("p,plab->ab", parameters, self.force_terms()) + self.known_force
+        b: NDArray[np.floating] = np.einsum("p,plab->ab", parameters, self.force_terms()) + self.known_force
         return b
 
-    def receptance(self, parameters: NDArray[np.float64], omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def receptance(self, parameters: NDArray[np.floating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
         """H(w) = Z^-1 B [m/N], (n_line, n_dof, n_input); FitError where Z is singular."""
         b = np.broadcast_to(self.forces(parameters).astype(np.complex128), (omega.size, *self.known_force.shape))
         try:
-            h: NDArray[np.complex128] = np.linalg.solve(self.dynamic_stiffness(parameters, omega), b)
+            h: NDArray[np.complexfloating] = np.linalg.solve(self.dynamic_stiffness(parameters, omega), b)
         except np.linalg.LinAlgError:
             raise FitError("the dynamic stiffness of the model is singular at a line", hint="check the band and the mass") from None
         return h
 
-    def jacobian(self, parameters: NDArray[np.float64], omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def jacobian(self, parameters: NDArray[np.floating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
         """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input)."""
         z = self.dynamic_stiffness(parameters, omega)
         h = self.receptance(parameters, omega)
-        jacobian: NDArray[np.complex128] = -np.linalg.solve(z[None], self.equation_terms(h, omega))
+        jacobian: NDArray[np.complexfloating] = -np.linalg.solve(z[None], self.equation_terms(h, omega))
         return jacobian
 
-    def equation_terms(self, h: NDArray[np.complex128], omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def equation_terms(self, h: NDArray[np.complexfloating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
         """Z_j H - B_j: the regressors of the equation of motion, (n_parameter, n_line, n_dof, n_input)."""
-        terms: NDArray[np.complex128] = self.stiffness_terms(omega) @ h[None] - self.force_terms()
-        return terms
+        return self.stiffness_terms(omega) @ h[None] - self.force_terms()
 
-    def equation_known(self, h: NDArray[np.complex128], omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def equation_known(self, h: NDArray[np.complexfloating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
         """B_0 - Z_0 H: the known side of the equation of motion, (n_line, n_dof, n_input)."""
-        known: NDArray[np.complex128] = self.known_force - self.inertia(omega) @ h
-        return known
+        return self.known_force.astype(np.complex128) - self.inertia(omega) @ h

@@ -74,7 +74,7 @@ def rotor_2dof(setup: Setup) -> DynamicModel:
         for r, row in enumerate("xy")
         for c, column in enumerate("xy")
     ]
-    force = np.zeros(shape)
+    force: NDArray[np.floating] = np.zeros(shape)
     angles = [_angle(port) for port in setup.inputs]
     if len(angles) > 1 and None not in angles:
         force = _directions([angle for angle in angles if angle is not None])
@@ -137,7 +137,7 @@ def _axis(port: Port, row: int, n_output: int) -> int:
     raise ConfigError(f"response '{port.label}' is neither x nor y", hint="give its dof in the rig file")
 
 
-def _directions(angles: list[float]) -> NDArray[np.float64]:
+def _directions(angles: list[float]) -> NDArray[np.floating]:
     """(cos, sin) of every force, (2, n_input); what is zero but for rounding is zero."""
     force = np.array([np.cos(angles), np.sin(angles)])
     return np.where(np.abs(force) < 1e-15, 0.0, force)

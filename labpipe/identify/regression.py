@@ -9,7 +9,7 @@ from scipy import linalg
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
-from labpipe.identify.statistics import Estimate, determination, stacked
+from labpipe.identify.statistics import Estimate, condition_number, determination, stacked
 from labpipe.records.identification import Goodness
 
 BIAS_NOTE = (
@@ -35,18 +35,33 @@ def least_squares(measured: Measured, model: DynamicModel) -> Estimate:
         values[own], covariance[block] = _solve(terms[own][:, :, rows], known[:, rows])
     residual = known - np.einsum("p,plab->lab", values, terms)
     r2, adjusted = determination(known, residual, n_parameter)
-    return Estimate(values, covariance, scaled_design(terms), Goodness(r2, adjusted), measured.n_equation - n_parameter, notes=(BIAS_NOTE,))
+    design = _plain_design(measured, model, values, scaled_design(terms))
+    return Estimate(values, covariance, design, Goodness(r2, adjusted), measured.n_equation - n_parameter, notes=(BIAS_NOTE,))
 
 
-def scaled_design(terms: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _plain_design(
+    measured: Measured, model: DynamicModel, values: NDArray[np.floating], noisy: NDArray[np.floating]
+) -> NDArray[np.floating]:
+    """The design by which collinearity is judged: the measured one, or the fitted model's where that is worse conditioned.
+
+    Noise in the measured FRF makes collinear columns look different; the model's own FRF has none.
+    """
+    try:
+        fitted = scaled_design(model.equation_terms(model.receptance(values, measured.omega), measured.omega))
+    except FitError:
+        return noisy
+    return max(noisy, fitted, key=condition_number)
+
+
+def scaled_design(terms: NDArray[np.complexfloating]) -> NDArray[np.floating]:
     """Regressors (n_parameter, n_line, ...) as a real matrix (n_equation, n_parameter) with columns of length 1."""
     columns = stacked(terms.reshape(terms.shape[0], -1)).T
     scale = np.linalg.norm(columns, axis=0)
-    scaled: NDArray[np.float64] = columns / np.where(scale > 0, scale, 1.0)
+    scaled: NDArray[np.floating] = columns / np.where(scale > 0, scale, 1.0)
     return scaled
 
 
-def solve_scaled(columns: NDArray[np.float64], known: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def solve_scaled(columns: NDArray[np.floating], known: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Least-squares solution and (W^T W)^-1, columns scaled to length 1 in between so that units do not matter."""
     scale = np.linalg.norm(columns, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
@@ -61,7 +76,7 @@ def solve_scaled(columns: NDArray[np.float64], known: NDArray[np.float64]) -> tu
     return values, inverse
 
 
-def _solve(terms: NDArray[np.complex128], known: NDArray[np.complex128]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _solve(terms: NDArray[np.complexfloating], known: NDArray[np.complexfloating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """One regression: estimates and their covariance from its own residual variance."""
     columns = stacked(terms.reshape(terms.shape[0], -1)).T
     side = stacked(known.reshape(-1))
@@ -71,7 +86,7 @@ def _solve(terms: NDArray[np.complex128], known: NDArray[np.complex128]) -> tupl
     return values, variance * inverse
 
 
-def _separate_regressions(terms: NDArray[np.complex128]) -> list[tuple[list[int], list[int]]]:
+def _separate_regressions(terms: NDArray[np.complexfloating]) -> list[tuple[list[int], list[int]]]:
     """(rows of the equation of motion, parameters) of every group of rows that shares parameters."""
     acts = np.any(terms != 0, axis=(1, 3))
     groups: list[tuple[list[int], list[int]]] = []

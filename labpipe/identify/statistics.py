@@ -19,9 +19,9 @@ class Estimate:
     with columns of length 1; residual and total: sums of squares for R^2; chi2: weighted residual against its expectation.
     """
 
-    values: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    scaled_design: NDArray[np.float64]
+    values: NDArray[np.floating]
+    covariance: NDArray[np.floating]
+    scaled_design: NDArray[np.floating]
     gof: Goodness
     dof: int
     converged: bool = True
@@ -29,10 +29,14 @@ class Estimate:
     notes: tuple[str, ...] = ()
 
 
-def determination(known: NDArray[np.complex128], residual: NDArray[np.complex128], n_parameter: int) -> tuple[float, float]:
-    """R^2 = 1 - SS_residual / SS_total about the mean, and its adjusted form 1 - (1 - R^2)(n - 1)/(n - k), n real equations."""
-    n = 2 * known.size
-    total = float(np.sum(np.abs(known - known.mean()) ** 2))
+def determination(known: NDArray[np.complexfloating], residual: NDArray[np.complexfloating], n_parameter: int) -> tuple[float, float]:
+    """R^2 = 1 - SS_residual / SS_total, and its adjusted form 1 - (1 - R^2)(n - 1)/(n - k), n real equations.
+
+    SS_total is about the mean of the real and imaginary parts in one column, as the regression stacks them (Lim et al. 2009, eq. 23).
+    """
+    side = stacked(known.reshape(-1))
+    n = side.size
+    total = float(np.sum((side - side.mean()) ** 2))
     r2 = 1 - float(np.sum(np.abs(residual) ** 2)) / total if total > 0 else 0.0
     return r2, 1 - (1 - r2) * (n - 1) / max(n - n_parameter, 1)
 
@@ -60,29 +64,29 @@ def derived(name: str, unit: str, value: float, std_error: float, dof: int) -> P
     return Parameter(name, value, unit, std_error, None, interval, derived=True)
 
 
-def inflation_factors(scaled_design: NDArray[np.float64]) -> NDArray[np.float64]:
+def inflation_factors(scaled_design: NDArray[np.floating]) -> NDArray[np.floating]:
     """Variance inflation of each parameter: diag((W^T W)^-1) of columns of length 1; 1 when no other column resembles it."""
     _, singular, vectors = np.linalg.svd(scaled_design, full_matrices=False)
     with np.errstate(divide="ignore"):
-        factors: NDArray[np.float64] = np.sum((vectors / singular[:, None]) ** 2, axis=0)
+        factors: NDArray[np.floating] = np.sum((vectors / singular[:, None]) ** 2, axis=0)
     return factors
 
 
-def condition_number(scaled_design: NDArray[np.float64]) -> float:
+def condition_number(scaled_design: NDArray[np.floating]) -> float:
     """Largest over smallest singular value of the design with columns of length 1 (Belsley, Kuh and Welsch 1980)."""
     singular = np.linalg.svd(scaled_design, compute_uv=False)
     return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
 
 
-def correlation(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def correlation(covariance: NDArray[np.floating]) -> NDArray[np.floating]:
     """The correlation matrix of a covariance."""
     std = np.sqrt(np.diag(covariance))
     scale = np.where(std > 0, std, 1.0)
-    matrix: NDArray[np.float64] = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
+    matrix: NDArray[np.floating] = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
     np.fill_diagonal(matrix, 1.0)
     return matrix
 
 
-def stacked(values: NDArray[np.complex128]) -> NDArray[np.float64]:
+def stacked(values: NDArray[np.complexfloating]) -> NDArray[np.floating]:
     """Real and imaginary parts one below the other along the last axis."""
     return np.concatenate([values.real, values.imag], axis=-1)

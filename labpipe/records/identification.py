@@ -46,10 +46,10 @@ class Goodness:
 class FittedCurve:
     """Measured and fitted FRF on the fit's lines: (n_line,) [Hz] and (n_line, n_output, n_input) in the measured form."""
 
-    frequency: NDArray[np.float64]
-    measured: NDArray[np.complex128]
-    fitted: NDArray[np.complex128]
-    variance: NDArray[np.float64] | None
+    frequency: NDArray[np.floating]
+    measured: NDArray[np.complexfloating]
+    fitted: NDArray[np.complexfloating]
+    variance: NDArray[np.floating] | None
     outputs: tuple[str, ...]
     inputs: tuple[str, ...]
     form: str
@@ -73,7 +73,7 @@ class Fit:
     gof: Goodness
     parameters: tuple[Parameter, ...]
     condition_number: float
-    correlation: NDArray[np.float64]
+    correlation: NDArray[np.floating]
     converged: bool = True
     iterations: int = 0
     findings: tuple[Finding, ...] = ()

@@ -56,7 +56,7 @@ class SampleSource(Protocol):
     def findings(self) -> tuple[Finding, ...]: ...
     @property
     def name(self) -> str: ...
-    def blocks(self, n_sample: int) -> Iterator[NDArray[np.float64]]:
+    def blocks(self, n_sample: int) -> Iterator[NDArray[np.floating]]:
         """Consecutive blocks of at most *n_sample* samples, each (n, n_channel) [SI]."""
 
 
@@ -65,7 +65,7 @@ class Recording:
     """A run in memory: *samples* (n_sample, n_channel) [SI] at *sample_rate* [Hz]. Satisfies SampleSource."""
 
     channels: tuple[Channel, ...]
-    samples: NDArray[np.float64]
+    samples: NDArray[np.floating]
     sample_rate: float
     name: str = ""
     findings: tuple[Finding, ...] = ()
@@ -84,7 +84,7 @@ class Recording:
     def n_sample(self) -> int:
         return int(self.samples.shape[0])
 
-    def blocks(self, n_sample: int) -> Iterator[NDArray[np.float64]]:
+    def blocks(self, n_sample: int) -> Iterator[NDArray[np.floating]]:
         """Consecutive blocks of at most *n_sample* samples."""
         for start in range(0, self.n_sample, n_sample):
             yield self.samples[start : start + n_sample]

@@ -49,15 +49,15 @@ class FrequencyResponse:
     covariance_dof   effective number of complex degrees of freedom behind the covariance estimate (inf: known)
     """
 
-    frequency: NDArray[np.float64]
-    matrix: NDArray[np.complex128]
+    frequency: NDArray[np.floating]
+    matrix: NDArray[np.complexfloating]
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
     form: str = "receptance"
-    covariance: NDArray[np.complex128] | None = None
-    coherence: NDArray[np.float64] | None = None
-    multiple_coherence: NDArray[np.float64] | None = None
-    snr: NDArray[np.float64] | None = None
+    covariance: NDArray[np.complexfloating] | None = None
+    coherence: NDArray[np.floating] | None = None
+    multiple_coherence: NDArray[np.floating] | None = None
+    snr: NDArray[np.floating] | None = None
     snr_channels: tuple[str, ...] = ()
     averages: float = 1.0
     covariance_dof: float = float("inf")
@@ -95,7 +95,7 @@ class FrequencyResponse:
         return int(self.frequency.size)
 
     @property
-    def variance(self) -> NDArray[np.float64] | None:
+    def variance(self) -> NDArray[np.floating] | None:
         """E|H - E H|^2 per element, (n_frequency, n_output, n_input), or None."""
         if self.covariance is None:
             return None
@@ -103,7 +103,7 @@ class FrequencyResponse:
         return diagonal.reshape(self.matrix.shape)
 
 
-def uncorrelated(variance: NDArray[np.float64]) -> NDArray[np.complex128]:
+def uncorrelated(variance: NDArray[np.floating]) -> NDArray[np.complexfloating]:
     """The covariance (n_frequency, n, n) of elements known by their variance (n_frequency, n_output, n_input) only."""
     flat = variance.reshape(variance.shape[0], -1)
     covariance = np.zeros((*flat.shape, flat.shape[1]), np.complex128)

@@ -109,7 +109,9 @@ def _described(fit: Fit) -> str:
     if fit.gof.chi2_reduced is not None:
         p_value = "" if fit.gof.chi2_p is None else f" (p = {fit.gof.chi2_p:.3g})"
         chi2 = f" The weighted residual has chi² per degree of freedom {fit.gof.chi2_reduced:.3f}{p_value}; 1 is expected."
-    end = f"converged after {fit.iterations} iterations" if fit.converged else "NOT converged"
+    end = f"converged after {fit.iterations} iterations" if fit.iterations else "solved directly"
+    if not fit.converged:
+        end = "NOT converged"
     return (
         f"Model {fit.model}, estimator {fit.estimator}, band {band_text(fit)}: {fit.lines} frequency lines, {fit.equations} real "
         f"equations, {fit.dof} degrees of freedom, {end}. G.o.F (adjusted R²) {fit.gof.r2_adjusted:.5f}.{chi2} "
@@ -160,7 +162,7 @@ def _calibration(fits: list[Fit]) -> tuple[Block, ...]:
 def _measurement(identification: Identification) -> tuple[Block, ...]:
     blocks: list[Block] = []
     for response in identification.responses:
-        size = f"{len(response.outputs)} outputs x {len(response.inputs)} inputs, {response.n_frequency} lines"
+        size = f"{len(response.outputs)} x {len(response.inputs)} (responses x forces), {response.n_frequency} lines"
         averages = f"{response.averages:.4g} effective averages"
         blocks.append(Paragraph(f"{response.name or 'Measurement'}: {response.form}, {size}, {averages}."))
         blocks.append(figures.response_figure(response))

@@ -10,11 +10,12 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import LogFormatter, NullFormatter
 from numpy.typing import NDArray
 
-from labpipe.quantities import display_unit, to_display
+from labpipe.quantities import QUANTITIES, display_unit, to_display
 from labpipe.records.identification import Fit, FittedCurve
-from labpipe.records.response import FORMS, FrequencyResponse
+from labpipe.records.response import FrequencyResponse
 from labpipe.report.document import Figure
 from labpipe.report.wording import fit_title, unit_text
 
@@ -50,21 +51,46 @@ def _canvas(rows: int, height: float, **kwargs: Any) -> tuple[Canvas, list[Axes]
     return canvas, list(axes)
 
 
+def _logarithmic(axes: Axes) -> None:
+    """Plain numbers on a logarithmic axis: mathematical markup is off, so that names from files cannot become markup."""
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    narrow = high < 20 * low
+    axes.yaxis.set_major_formatter(PlainLog())
+    axes.yaxis.set_minor_formatter(PlainLog(minor_thresholds=(1.5, 0.4)) if narrow else NullFormatter())
+
+
+class PlainLog(LogFormatter):
+    """Labels such as 0.01, 20 or 3e-05."""
+
+    def _num_to_string(self, x: float, vmin: float, vmax: float) -> str:  # noqa: ARG002 (matplotlib's signature)
+        return f"{x:g}"
+
+
+def _form_unit(form: str) -> tuple[str, float]:
+    """(axis label, factor from SI) of an FRF form in the unit people read."""
+    quantity = QUANTITIES.get(form)
+    unit = quantity.display_unit if quantity else "SI"
+    return f"{form} [{unit}]", to_display(1.0, unit) if quantity else 1.0
+
+
 def fitted_curve_figure(fit: Fit, curve: FittedCurve) -> Figure:
     """Amplitude, phase and residual of measured against fitted FRF; the residual with its 95 % band where the doubt is known."""
     pairs = [(o, i) for o in range(len(curve.outputs)) for i in range(len(curve.inputs))]
+    label_of_form, factor = _form_unit(curve.form)
     with mpl.rc_context(STYLE):
         canvas, (amplitude, phase, residual) = _canvas(3, 6.2, sharex=True, height_ratios=(3, 2, 2))
         for number, (o, i) in enumerate(pairs):
             colour = COLOURS[number % len(COLOURS)]
             label = f"{curve.outputs[o]}/{curve.inputs[i]}"
             measured, fitted = curve.measured[:, o, i], curve.fitted[:, o, i]
-            amplitude.semilogy(curve.frequency, np.abs(measured), ".", color=colour, label=f"{label} measured")
-            amplitude.semilogy(curve.frequency, np.abs(fitted), "-", color=colour, label=f"{label} fitted")
+            amplitude.plot(curve.frequency, factor * np.abs(measured), ".", color=colour, label=f"{label} measured")
+            amplitude.plot(curve.frequency, factor * np.abs(fitted), "-", color=colour, label=f"{label} fitted")
             phase.plot(curve.frequency, np.degrees(np.angle(measured)), ".", color=colour)
             phase.plot(curve.frequency, np.degrees(np.angle(fitted)), "-", color=colour)
             _residual(residual, curve, o, i, colour)
-        amplitude.set_ylabel(f"{curve.form} [{FORMS[curve.form]}]")
+        _logarithmic(amplitude)
+        amplitude.set_ylabel(label_of_form)
         amplitude.legend(ncols=2, fontsize=8)
         phase.set_ylabel("phase [deg]")
         residual.set_ylabel("|residual| / |H| [%]")
@@ -157,12 +183,15 @@ def _goodness_figure(fits: Sequence[Fit], centres: NDArray[np.float64]) -> Figur
 def response_figure(response: FrequencyResponse) -> Figure:
     """The measured FRF with its quality: coherence (random data) or signal-to-noise ratio per channel (periodic data)."""
     name = response.name or "the measurement"
+    label_of_form, factor = _form_unit(response.form)
     with mpl.rc_context(STYLE):
         canvas, (amplitude, quality) = _canvas(2, 4.4, sharex=True, height_ratios=(3, 2))
         for o, output in enumerate(response.outputs):
             for i, port in enumerate(response.inputs):
-                amplitude.semilogy(response.frequency, np.abs(response.matrix[:, o, i]), linewidth=1, label=f"{output.label}/{port.label}")
-        amplitude.set_ylabel(f"{response.form} [{FORMS[response.form]}]")
+                size = factor * np.abs(response.matrix[:, o, i])
+                amplitude.plot(response.frequency, size, linewidth=1, label=f"{output.label}/{port.label}")
+        _logarithmic(amplitude)
+        amplitude.set_ylabel(label_of_form)
         amplitude.legend(ncols=4, fontsize=8)
         what = _quality(quality, response)
         quality.set_xlabel("frequency [Hz]")
@@ -180,14 +209,16 @@ def _quality(axes: Axes, response: FrequencyResponse) -> str:
         return "its coherence"
     if response.snr is not None:
         for number, channel in enumerate(response.snr_channels):
-            axes.semilogy(response.frequency, np.maximum(response.snr[:, number], 1e-3), linewidth=1, label=channel)
+            axes.plot(response.frequency, np.maximum(response.snr[:, number], 1e-3), linewidth=1, label=channel)
+        _logarithmic(axes)
         axes.set_ylabel("signal / noise")
         axes.legend(ncols=4, fontsize=8)
         return "the signal-to-noise ratio of its channels"
     variance = response.variance
     if variance is not None:
         relative = np.sqrt(variance) / np.abs(response.matrix)
-        axes.semilogy(response.frequency, relative.reshape(response.n_frequency, -1), linewidth=1)
+        axes.plot(response.frequency, relative.reshape(response.n_frequency, -1), linewidth=1)
+        _logarithmic(axes)
         axes.set_ylabel("std / |H|")
         return "its relative standard deviation"
     axes.text(0.5, 0.5, "the doubt of this FRF is not known", transform=axes.transAxes, ha="center")

@@ -24,7 +24,7 @@ class Multisine:
     """A designed test signal: *lines* [multiples of spacing], *phases* [rad] (n_line,), spacing [Hz], rms amplitude."""
 
     lines: NDArray[np.int64]
-    phases: NDArray[np.float64]
+    phases: NDArray[np.floating]
     spacing: float
     rms: float
 
@@ -33,7 +33,7 @@ class Multisine:
         """Peak over rms of one period on an oversampled grid."""
         return crest_factor(_period(self.lines, self.phases, OVERSAMPLING * int(self.lines[-1]) * 2))
 
-    def samples(self, sample_rate: float, periods: int) -> NDArray[np.float64]:
+    def samples(self, sample_rate: float, periods: int) -> NDArray[np.floating]:
         """*periods* periods sampled at *sample_rate* [Hz]; ConfigError when a period holds no whole number of samples."""
         exact = sample_rate / self.spacing
         n_sample = round(exact)
@@ -68,23 +68,23 @@ def design_multisine(
     return Multisine(lines, PHASES[phases](lines, seed), spacing, rms)
 
 
-def crest_factor(signal: NDArray[np.float64]) -> float:
+def crest_factor(signal: NDArray[np.floating]) -> float:
     """max |x| / rms of a signal (n_sample,)."""
     return float(np.max(np.abs(signal)) / np.sqrt(np.mean(signal**2)))
 
 
-def schroeder_phases(lines: NDArray[np.int64], seed: int = 0) -> NDArray[np.float64]:  # noqa: ARG001 (one signature for the table)
+def schroeder_phases(lines: NDArray[np.int64], seed: int = 0) -> NDArray[np.floating]:  # noqa: ARG001 (one signature for the table)
     """phi_n = -pi n (n - 1) / N for the n-th of N lines of a flat spectrum (Schroeder 1970)."""
     n = np.arange(1, lines.size + 1)
     return -np.pi * n * (n - 1) / lines.size
 
 
-def random_phases(lines: NDArray[np.int64], seed: int = 0) -> NDArray[np.float64]:
+def random_phases(lines: NDArray[np.int64], seed: int = 0) -> NDArray[np.floating]:
     """Phases drawn evenly from the circle."""
     return np.random.default_rng(seed).uniform(0, 2 * np.pi, lines.size)
 
 
-def optimised_phases(lines: NDArray[np.int64], seed: int = 0) -> NDArray[np.float64]:  # noqa: ARG001
+def optimised_phases(lines: NDArray[np.int64], seed: int = 0) -> NDArray[np.floating]:  # noqa: ARG001
     """Phases of low crest factor by clipping in turn in time and frequency (Van der Ouderaa, Schoukens and Renneboog 1988).
 
     From Schroeder's start each step cuts the peaks off, keeps the phases of what is left and restores the amplitudes; the cut is
@@ -103,15 +103,15 @@ def optimised_phases(lines: NDArray[np.int64], seed: int = 0) -> NDArray[np.floa
     return best
 
 
-PHASES: dict[str, Callable[[NDArray[np.int64], int], NDArray[np.float64]]] = {
+PHASES: dict[str, Callable[[NDArray[np.int64], int], NDArray[np.floating]]] = {
     "schroeder": schroeder_phases,
     "random": random_phases,
     "optimised": optimised_phases,
 }
 
 
-def _period(lines: NDArray[np.int64], phases: NDArray[np.float64], n_sample: int) -> NDArray[np.float64]:
+def _period(lines: NDArray[np.int64], phases: NDArray[np.floating], n_sample: int) -> NDArray[np.floating]:
     """One period of sum cos(2 pi k t + phi_k) on n_sample points."""
     spectrum = np.zeros(n_sample // 2 + 1, np.complex128)
     spectrum[lines] = np.exp(1j * phases) * (n_sample / 2)
-    return fft.irfft(spectrum, n_sample)  # type: ignore[no-any-return]
+    return fft.irfft(spectrum, n_sample)

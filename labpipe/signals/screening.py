@@ -25,13 +25,13 @@ class ChannelScreen:
         self._limits = list(limits) if limits is not None else [None] * n
         self.minimum, self.maximum = np.full(n, np.inf), np.full(n, -np.inf)
         self._sum, self._squares = np.zeros(n), np.zeros(n)
-        self._origin: NDArray[np.float64] | None = None
+        self._origin: NDArray[np.floating] | None = None
         self.n_sample = 0
         self._n_missing = np.zeros(n, int)
         self._first_missing = np.full(n, -1)
         self._ends = [_EndRuns(-1.0) for _ in names], [_EndRuns(1.0) for _ in names]
 
-    def add(self, block: NDArray[np.float64]) -> None:
+    def add(self, block: NDArray[np.floating]) -> None:
         """Take the next block."""
         missing = ~np.isfinite(block)
         self._note_missing(missing)
@@ -54,16 +54,16 @@ class ChannelScreen:
         self._first_missing[fresh] = self.n_sample + np.argmax(missing[:, fresh], axis=0)
 
     @property
-    def mean(self) -> NDArray[np.float64]:
+    def mean(self) -> NDArray[np.floating]:
         """Mean per channel over the samples that are numbers."""
         origin = self._origin if self._origin is not None else 0.0
-        return self._sum / np.maximum(self.n_sample - self._n_missing, 1) + origin  # type: ignore[no-any-return]
+        return self._sum / np.maximum(self.n_sample - self._n_missing, 1) + origin
 
     @property
-    def rms(self) -> NDArray[np.float64]:
+    def rms(self) -> NDArray[np.floating]:
         """Root mean square around the mean per channel."""
         n = np.maximum(self.n_sample - self._n_missing, 1)
-        return np.sqrt(np.maximum(self._squares / n - (self._sum / n) ** 2, 0.0))  # type: ignore[no-any-return]
+        return np.sqrt(np.maximum(self._squares / n - (self._sum / n) ** 2, 0.0))
 
     def findings(self) -> tuple[Finding, ...]:
         """Everything found, in words, with the channel and its first sample."""
@@ -108,7 +108,7 @@ class _EndRuns:
         self._first = -1
         self._open = 0
 
-    def add(self, column: NDArray[np.float64], start: int) -> None:
+    def add(self, column: NDArray[np.floating], start: int) -> None:
         values = self._sign * column
         peak = np.max(values, initial=-np.inf, where=np.isfinite(values))
         if peak > self._extreme:
@@ -148,7 +148,7 @@ class TimeAxisScreen:
         self._n_sample = 0
         self._resolution = 0.0
 
-    def add(self, times: NDArray[np.float64]) -> None:
+    def add(self, times: NDArray[np.floating]) -> None:
         """Take the next time stamps; DataError at a missing one or one that does not rise."""
         if not np.all(np.isfinite(times)):
             sample = self._n_sample + int(np.argmax(~np.isfinite(times)))
@@ -184,7 +184,7 @@ class TimeAxisScreen:
         return float(f"{1 / step:.12g}")
 
 
-def _printed_resolution(times: NDArray[np.float64]) -> float:
+def _printed_resolution(times: NDArray[np.floating]) -> float:
     """The last digit to which times are printed: the smallest power of ten of which all are multiples."""
     largest = float(np.max(np.abs(times)))
     for digits in range(12):

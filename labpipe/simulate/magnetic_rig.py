@@ -35,7 +35,7 @@ class SimulatedRun:
     name: str
     truth: dict[str, Any]
     recording: Recording | None = None
-    table: dict[str, NDArray[np.float64]] | None = None
+    table: dict[str, NDArray[np.floating]] | None = None
 
 
 def simulate(rig: VirtualRig, seed: int, runs: Iterable[str] | None = None) -> tuple[SimulatedRun, ...]:
@@ -72,11 +72,11 @@ def _schroeder(band: tuple[float, float], spacing: float, rms: float) -> Multisi
     return design_multisine(band, spacing, rms)
 
 
-def _noisy(clean: NDArray[np.float64], std: float, rng: np.random.Generator) -> NDArray[np.float64]:
+def _noisy(clean: NDArray[np.floating], std: float, rng: np.random.Generator) -> NDArray[np.floating]:
     return clean + rng.normal(0.0, std, clean.shape)
 
 
-def _recording(name: str, channels: list[Channel], samples: list[NDArray[np.float64]], sample_rate: float) -> Recording:
+def _recording(name: str, channels: list[Channel], samples: list[NDArray[np.floating]], sample_rate: float) -> Recording:
     return Recording(tuple(channels), np.column_stack(samples), sample_rate, name)
 
 
@@ -124,7 +124,7 @@ def _single(
     name: str,
     rng: np.random.Generator,
     force: Multisine,
-    receptance: NDArray[np.complex128],
+    receptance: NDArray[np.complexfloating],
     timing: _Timing,
     truth: dict[str, Any],
     dof: str,
@@ -169,19 +169,19 @@ def radial(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun
     return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
 
 
-def _hover(rig: VirtualRig, timing: _Timing, rng: np.random.Generator) -> NDArray[np.float64]:
+def _hover(rig: VirtualRig, timing: _Timing, rng: np.random.Generator) -> NDArray[np.floating]:
     """Slow random wander of the levitated rotor: white noise through a first-order low pass, with the stated rms."""
     n = timing.n_sample * timing.periods
     b, a = signal.butter(1, HOVER_CORNER, fs=timing.sample_rate)
     wander = signal.lfilter(b, a, rng.normal(0.0, 1.0, n + timing.n_sample))[timing.n_sample :]
-    return rig.noise.hover * wander / np.sqrt(np.mean(wander**2))  # type: ignore[no-any-return]
+    return rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
 
 
-def _rotation(rig: VirtualRig, timing: _Timing, quarter: float) -> NDArray[np.float64]:
+def _rotation(rig: VirtualRig, timing: _Timing, quarter: float) -> NDArray[np.floating]:
     """1x of the unbalance and cogging lines at 2x and 4x of speed; speed is no multiple of the spacing."""
     t = np.arange(timing.n_sample * timing.periods) / timing.sample_rate
     angle = 2 * np.pi * rig.speed * t - quarter
-    motion: NDArray[np.float64] = rig.unbalance * (np.cos(angle) + 0.25 * np.cos(2 * angle) + 0.12 * np.cos(4 * angle))
+    motion: NDArray[np.floating] = rig.unbalance * (np.cos(angle) + 0.25 * np.cos(2 * angle) + 0.12 * np.cos(4 * angle))
     return motion
 
 

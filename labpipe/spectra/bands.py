@@ -10,7 +10,7 @@ EDGE = 1e-9
 
 
 def lines_in(
-    frequency: NDArray[np.float64],
+    frequency: NDArray[np.floating],
     band: tuple[float, float] | None,
     exclude: tuple[tuple[float, float], ...] = (),
 ) -> NDArray[np.bool_]:
@@ -23,6 +23,6 @@ def lines_in(
     return chosen
 
 
-def _within(frequency: NDArray[np.float64], band: tuple[float, float]) -> NDArray[np.bool_]:
+def _within(frequency: NDArray[np.floating], band: tuple[float, float]) -> NDArray[np.bool_]:
     low, high = band
     return (frequency >= low * (1 - EDGE)) & (frequency <= high * (1 + EDGE))

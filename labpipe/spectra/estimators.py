@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError
 
-Matrix = NDArray[np.complex128]
+Matrix = NDArray[np.complexfloating]
 
 
 def _hermitian(matrix: Matrix) -> Matrix:

@@ -67,15 +67,15 @@ def measure(
 class _Parts:
     """What either kind of excitation contributes to a FrequencyResponse."""
 
-    frequency: NDArray[np.float64]
-    matrix: NDArray[np.complex128]
-    covariance: NDArray[np.complex128] | None
+    frequency: NDArray[np.floating]
+    matrix: NDArray[np.complexfloating]
+    covariance: NDArray[np.complexfloating] | None
     averages: float
     dof: float
     findings: tuple[Finding, ...] = ()
-    coherence: NDArray[np.float64] | None = None
-    multiple_coherence: NDArray[np.float64] | None = None
-    snr: NDArray[np.float64] | None = None
+    coherence: NDArray[np.floating] | None = None
+    multiple_coherence: NDArray[np.floating] | None = None
+    snr: NDArray[np.floating] | None = None
 
 
 def _check_rates(sources: Sequence[SampleSource]) -> None:
@@ -96,7 +96,7 @@ def _source_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
     )
 
 
-def _checked_blocks(source: SampleSource) -> Iterator[NDArray[np.float64]]:
+def _checked_blocks(source: SampleSource) -> Iterator[NDArray[np.floating]]:
     """The recording's blocks; DataError at the first sample that is no number."""
     start = 0
     for block in source.blocks(READ_SAMPLES):
@@ -110,7 +110,7 @@ def _checked_blocks(source: SampleSource) -> Iterator[NDArray[np.float64]]:
         yield block
 
 
-def _check_forces(source: SampleSource, power: NDArray[np.float64]) -> None:
+def _check_forces(source: SampleSource, power: NDArray[np.floating]) -> None:
     """DataError when a force of this recording does not vary; *power* (n_channel,) beside its mean."""
     for number, channel in enumerate(source.channels):
         if channel.role == "input" and not power[number] > 0:
@@ -155,7 +155,7 @@ def _period_average(source: SampleSource, settings: FrfSettings) -> LineSpectrum
     return smoothed_noise(spectrum.select(chosen), settings.smooth)
 
 
-def _force_inverse(forces: NDArray[np.complex128], layout: Layout) -> NDArray[np.complex128]:
+def _force_inverse(forces: NDArray[np.complexfloating], layout: Layout) -> NDArray[np.complexfloating]:
     """pinv of the forces (n_line, n_input, n_experiment); DataError when they do not span every input at every line."""
     n_input, n_experiment = forces.shape[1:]
     names = ", ".join(port.label for port in layout.inputs)
@@ -169,7 +169,7 @@ def _force_inverse(forces: NDArray[np.complex128], layout: Layout) -> NDArray[np
     return np.linalg.pinv(forces / size[:, None]) / size[None, None, :]
 
 
-def _signal_to_noise(mean: NDArray[np.complex128], noise: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _signal_to_noise(mean: NDArray[np.complexfloating], noise: NDArray[np.complexfloating]) -> NDArray[np.floating]:
     """|mean| / std of the mean per line and channel, the largest over the recordings, (n_line, n_channel)."""
     std = np.sqrt(np.einsum("eljj->lje", noise).real)
     ratio = np.divide(np.abs(mean), std, out=np.full(std.shape, np.inf), where=std > 0)
@@ -182,7 +182,7 @@ def _no_covariance_finding(n_period: int) -> tuple[Finding, ...]:
     return (Finding("no-covariance", message),)
 
 
-def _snr_findings(snr: NDArray[np.float64] | None, layout: Layout) -> tuple[Finding, ...]:
+def _snr_findings(snr: NDArray[np.floating] | None, layout: Layout) -> tuple[Finding, ...]:
     assert snr is not None
     poor = np.mean(snr < LOW_SNR, axis=0)
     labels = [port.label for port in (*layout.inputs, *layout.outputs)]
@@ -234,7 +234,7 @@ def _welch_average(source: SampleSource, settings: FrfSettings) -> CrossSpectra:
     return spectra
 
 
-def _check_independent(s_uu: NDArray[np.complex128], layout: Layout) -> None:
+def _check_independent(s_uu: NDArray[np.complexfloating], layout: Layout) -> None:
     """DataError when the forces are so correlated that their responses cannot be told apart."""
     scale = np.sqrt(np.einsum("fii->fi", s_uu).real)
     if np.any(scale == 0):
@@ -245,7 +245,7 @@ def _check_independent(s_uu: NDArray[np.complex128], layout: Layout) -> None:
         raise DataError(f"the forces {names} do not act independently", hint="excite each direction in its own recording")
 
 
-def _coherence_findings(multiple: NDArray[np.float64], layout: Layout) -> tuple[Finding, ...]:
+def _coherence_findings(multiple: NDArray[np.floating], layout: Layout) -> tuple[Finding, ...]:
     return tuple(
         Finding(
             "low-coherence",

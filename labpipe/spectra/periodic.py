@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +25,9 @@ class LineSpectrum:
     dof        complex degrees of freedom behind each line of the noise
     """
 
-    frequency: NDArray[np.float64]
-    mean: NDArray[np.complex128]
-    noise: NDArray[np.complex128] | None
+    frequency: NDArray[np.floating]
+    mean: NDArray[np.complexfloating]
+    noise: NDArray[np.complexfloating] | None
     n_period: int
     dof: float
 
@@ -55,13 +56,13 @@ class PeriodAverage:
     def __init__(self, n_sample: int, n_channel: int, skip: int) -> None:
         self._n_sample = n_sample
         self._skip = skip
-        self._rest = np.empty((0, n_channel))
+        self._rest: NDArray[np.floating] = np.empty((0, n_channel))
         n_line = n_sample // 2 + 1
         self._mean = np.zeros((n_line, n_channel), np.complex128)
         self._scatter = np.zeros((n_line, n_channel, n_channel), np.complex128)
         self.n_period = 0
 
-    def add(self, block: NDArray[np.float64]) -> None:
+    def add(self, block: NDArray[np.floating]) -> None:
         """Take a block (n, n_channel) that follows the one before."""
         samples = np.concatenate([self._rest, block]) if self._rest.size else block
         n_whole = samples.shape[0] // self._n_sample
@@ -69,7 +70,7 @@ class PeriodAverage:
             self._add_period(samples[number * self._n_sample : (number + 1) * self._n_sample])
         self._rest = samples[n_whole * self._n_sample :].copy()
 
-    def _add_period(self, period: NDArray[np.float64]) -> None:
+    def _add_period(self, period: NDArray[np.floating]) -> None:
         if self._skip > 0:
             self._skip -= 1
             return
@@ -114,27 +115,26 @@ def smoothed_noise(spectrum: LineSpectrum, half_width: int) -> LineSpectrum:
     return LineSpectrum(spectrum.frequency, spectrum.mean, noise, spectrum.n_period, dof)
 
 
-def _window_sum(values: NDArray[np.complex128], half_width: int) -> NDArray[np.complex128]:
+def _window_sum(values: NDArray[Any], half_width: int) -> NDArray[Any]:
     """Sum over k-h ... k+h along axis 0, cut at the ends."""
     n = values.shape[0]
     total = np.concatenate([np.zeros((1, *values.shape[1:]), values.dtype), np.cumsum(values, axis=0)])
     index = np.arange(n)
-    return total[np.minimum(index + half_width + 1, n)] - total[np.maximum(index - half_width, 0)]  # type: ignore[no-any-return]
+    return total[np.minimum(index + half_width + 1, n)] - total[np.maximum(index - half_width, 0)]
 
 
-def _neighbourhood_count(chosen: NDArray[np.bool_], half_width: int, own: bool) -> NDArray[np.float64]:
-    count = _window_sum(chosen.astype(np.complex128), half_width).real
+def _neighbourhood_count(chosen: NDArray[np.bool_], half_width: int, own: bool) -> NDArray[np.floating]:
+    count = _window_sum(chosen.astype(np.float64), half_width)
     return np.maximum(count - (0 if own else chosen), 1)
 
 
-def _neighbourhood_mean(values: NDArray[np.complex128], chosen: NDArray[np.bool_], half_width: int, own: bool) -> NDArray[np.complex128]:
+def _neighbourhood_mean(values: NDArray[Any], chosen: NDArray[np.bool_], half_width: int, own: bool) -> NDArray[Any]:
     """Mean over the chosen lines k-h ... k+h, with or without line k itself."""
     shape = (-1,) + (1,) * (values.ndim - 1)
-    scale = np.max(np.abs(values), initial=0.0) or 1.0
-    used = np.where(chosen.reshape(shape), values / scale, 0)
+    used = np.where(chosen.reshape(shape), values, 0)
     total = _window_sum(used, half_width) - (0 if own else used)
-    mean = total / _neighbourhood_count(chosen, half_width, own).reshape(shape)
-    return scale * (mean if np.iscomplexobj(values) else mean.real)  # type: ignore[no-any-return]
+    mean: NDArray[Any] = total / _neighbourhood_count(chosen, half_width, own).reshape(shape)
+    return mean
 
 
 def excited_lines(spectrum: LineSpectrum, inputs: list[int], signal_to_noise: float = 5.0, floor: float = 1e-3) -> NDArray[np.bool_]:

@@ -28,7 +28,7 @@ class Layout:
     output_columns: tuple[tuple[int, ...], ...]
     form: str
 
-    def padded(self, recording: int, values: NDArray[np.complex128], axes: int) -> NDArray[np.complex128]:
+    def padded(self, recording: int, values: NDArray[np.complexfloating], axes: int) -> NDArray[np.complexfloating]:
         """The last *axes* axes of *values* reordered to inputs then outputs; zero for a force that does not act."""
         columns = np.array([*self.input_columns[recording], *self.output_columns[recording]])
         known = columns >= 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Matrix = NDArray[np.complex128]
+Matrix = NDArray[np.complexfloating]
 
 
 def covariance_of_random(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix, response: Matrix, averages: float) -> Matrix:

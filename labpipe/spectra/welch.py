@@ -22,22 +22,22 @@ class CrossSpectra:
     n_block: blocks averaged; averages: the number of independent blocks that would average as well (window, overlap).
     """
 
-    frequency: NDArray[np.float64]
-    matrix: NDArray[np.complex128]
+    frequency: NDArray[np.floating]
+    matrix: NDArray[np.complexfloating]
     n_block: int
     averages: float
 
 
-def window_values(name: str, n_sample: int) -> NDArray[np.float64]:
+def window_values(name: str, n_sample: int) -> NDArray[np.floating]:
     """The periodic (DFT-even) window of that name; ConfigError when scipy does not know it."""
     try:
-        values: NDArray[np.float64] = signal.get_window(name, n_sample, fftbins=True)
+        values: NDArray[np.floating] = signal.get_window(name, n_sample, fftbins=True)
     except ValueError:
         raise ConfigError(f"unknown window '{name}'", hint="for example hann, hamming, blackman, flattop, boxcar") from None
     return values
 
 
-def effective_averages(window: NDArray[np.float64], step: int, n_block: int) -> float:
+def effective_averages(window: NDArray[np.floating], step: int, n_block: int) -> float:
     """n_e = K / (1 + 2 sum_k (1 - k/K) rho_k), rho_k = (sum w(n) w(n + k step) / sum w^2)^2 (Welch 1967).
 
     Overlapping blocks are correlated and average less than their number.
@@ -52,7 +52,7 @@ def effective_averages(window: NDArray[np.float64], step: int, n_block: int) -> 
 class WelchAverage:
     """Running sum of the cross-spectral matrix, fed block by block in any size; one FFT per channel and segment."""
 
-    def __init__(self, window: NDArray[np.float64], step: int, n_channel: int) -> None:
+    def __init__(self, window: NDArray[np.floating], step: int, n_channel: int) -> None:
         self._window = window
         self._step = step
         self._rest = np.empty((n_channel, 0))
@@ -60,7 +60,7 @@ class WelchAverage:
         self._sum = np.zeros((n_channel, n_channel, n_line), np.complex128)
         self.n_block = 0
 
-    def add(self, block: NDArray[np.float64]) -> None:
+    def add(self, block: NDArray[np.floating]) -> None:
         """Take samples (n, n_channel) that follow the ones before."""
         samples = np.concatenate([self._rest, block.T], axis=1)
         n_segment = max(0, (samples.shape[1] - self._window.size) // self._step + 1)
@@ -70,7 +70,7 @@ class WelchAverage:
                 self._add_segments(segments[:, start : start + SEGMENTS_AT_ONCE])
         self._rest = samples[:, n_segment * self._step :].copy()
 
-    def _add_segments(self, segments: NDArray[np.float64]) -> None:
+    def _add_segments(self, segments: NDArray[np.floating]) -> None:
         """Segments (n_channel, n_segment, n_sample), each freed of its mean and windowed."""
         tapered = (segments - segments.mean(axis=2, keepdims=True)) * self._window
         spectra = fft.rfft(tapered, axis=2)

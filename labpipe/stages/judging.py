@@ -52,7 +52,7 @@ def _outcome(rule: Rule, fits: list[Fit]) -> RuleOutcome:
     elif rule.item == "warnings":
         held = [_warnings_held(rule, fit) for fit in fits]
     else:
-        held = [_item_held(rule, fit) for fit in fits]
+        held = [_item_held(rule, fit) for fit in _having(rule, fits)]
     value, passed = next((pair for pair in held if not pair[1]), held[0])
     return RuleOutcome(rule.section, rule.text, value, passed)
 
@@ -70,14 +70,23 @@ def _warnings_held(rule: Rule, fit: Fit) -> tuple[str, bool]:
     return ", ".join(codes) or "none", passed
 
 
+def _having(rule: Rule, fits: list[Fit]) -> list[Fit]:
+    """The fits that have what the rule names; a calibration's linear range stands with its first line only."""
+    name = rule.item.partition(".")[0]
+    if rule.item in _FIT_VALUES:
+        return fits
+    found = [fit for fit in fits if name in [parameter.name for parameter in fit.parameters]]
+    if not found:
+        names = dict.fromkeys(parameter.name for fit in fits for parameter in fit.parameters)
+        hint = nearest(name, [*names, *_FIT_VALUES, "warnings", "count"])
+        raise ConfigError(f"{rule.section}.{rule.address}: the fit has no '{name}'", where=rule.place, hint=hint)
+    return found
+
+
 def _item_held(rule: Rule, fit: Fit) -> tuple[float | str | None, bool]:
     if rule.item in _FIT_VALUES:
         return _held(rule, _FIT_VALUES[rule.item](fit), "1")
     name, _, attribute = rule.item.partition(".")
-    names = [parameter.name for parameter in fit.parameters]
-    if name not in names:
-        hint = nearest(name, [*names, *_FIT_VALUES, "warnings", "count"])
-        raise ConfigError(f"{rule.section}.{rule.address}: the fit has no '{name}'", where=rule.place, hint=hint)
     parameter = fit.parameter(name)
     if attribute == "significant":
         word = str(bool(parameter.significant)).lower()

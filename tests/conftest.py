@@ -1,0 +1,47 @@
+"""What the tests share: the repository's folders, and the command line run in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.cli.main import run_command
+
+ROOT = Path(__file__).parent.parent
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def labpipe(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
+    """Run a labpipe command in this process; an unexpected exception fails the test with its traceback."""
+
+    def run(*arguments: object) -> Ended:
+        capsys.readouterr()
+        code = run_command([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return Ended(code, captured.out, captured.err)
+
+    return run
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Random numbers with a pinned seed."""
+    return np.random.default_rng(20240917)
+
+
+@pytest.fixture
+def root() -> Path:
+    return ROOT
