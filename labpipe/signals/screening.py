@@ -14,6 +14,8 @@ from labpipe.records.finding import Finding
 CLIPPED_RUN = 3
 # A time step may differ from the mean by this share, beside the rounding of printed times.
 JITTER = 1e-3
+# Share of the last printed digit by which mean and typical step differ when the digits are too few for the step.
+COARSE = 0.1
 
 
 class ChannelScreen:
@@ -147,6 +149,7 @@ class TimeAxisScreen:
         self._smallest, self._largest = (np.inf, -1), (-np.inf, -1)
         self._n_sample = 0
         self._resolution = 0.0
+        self._typical = np.nan
 
     def add(self, times: NDArray[np.floating]) -> None:
         """Take the next time stamps; DataError at a missing one or one that does not rise."""
@@ -160,6 +163,8 @@ class TimeAxisScreen:
             if np.any(steps <= 0):
                 sample = offset + 1 + int(np.argmax(steps <= 0))
                 raise DataError(f"the time column '{self._column}' does not rise at sample {sample} ({joined[sample - offset]:g} s)")
+            if np.isnan(self._typical):
+                self._typical = float(np.median(steps))
             self._smallest = min(self._smallest, (float(steps.min()), offset + 1 + int(steps.argmin())))
             self._largest = max(self._largest, (float(steps.max()), offset + 1 + int(steps.argmax())))
         self._resolution = max(self._resolution, _printed_resolution(times))
@@ -173,13 +178,15 @@ class TimeAxisScreen:
         if self._n_sample < 2:
             raise DataError(f"the time column '{self._column}' has fewer than two samples")
         step = (self._last - self._first) / (self._n_sample - 1)
-        # Two printed times are each off by half a last digit.
-        allowed = JITTER * step + self._resolution
+        # Times printed coarsely make unequal steps of equal ones, by one last digit. Where the typical printed step is the mean step
+        # that is no excuse: there an unequal step is a lost sample.
+        coarse = abs(step - self._typical) > COARSE * self._resolution
+        allowed = JITTER * step + (self._resolution if coarse else 0.0)
         for extreme, sample in (self._largest, self._smallest):
             if abs(extreme - step) > allowed:
                 raise DataError(
                     f"the time steps of column '{self._column}' are not equal: {extreme:g} s at sample {sample}, {step:g} s on average",
-                    hint="a gap or a wrong clock; labpipe does not resample",
+                    hint="a lost sample or coarse times; if the logger runs evenly, give sample_rate in the rig file instead of time",
                 )
         return float(f"{1 / step:.12g}")
 

@@ -34,7 +34,13 @@ def test_every_duplicate_key_is_named() -> None:
 
 @pytest.mark.parametrize(
     ("text", "place"),
-    [("a: [1, 2\n", "p.yaml:2:1"), ("a: 1\n\tb: 2\n", "p.yaml:2:1"), ("a: b: c\n", "p.yaml:1:5"), ("", "p.yaml"), ("a: &x [*x]\n", "p.yaml:1:")],
+    [
+        ("a: [1, 2\n", "p.yaml:2:1"),
+        ("a: 1\n\tb: 2\n", "p.yaml:2:1"),
+        ("a: b: c\n", "p.yaml:1:5"),
+        ("", "p.yaml"),
+        ("a: &x [*x]\n", "p.yaml:1:"),
+    ],
 )
 def test_what_is_no_yaml_is_refused_with_its_place(text: str, place: str) -> None:
     with pytest.raises(ConfigError) as caught:

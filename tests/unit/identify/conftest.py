@@ -1,0 +1,74 @@
+"""Responses of known systems, with noise of known covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+
+PEDESTAL = {"k": 134.5e3, "c": 3.682, "m": 0.79}
+COUPLED_K = np.array([[180e3, 25e3], [-18e3, 210e3]])
+COUPLED_C = np.array([[120.0, 15.0], [-10.0, 150.0]])
+X, Y = Port("x", "x", "x", 0.0), Port("y", "y", "y", np.pi / 2)
+FX, FY = Port("fx", "fx", "x", 0.0), Port("fy", "fy", "y", np.pi / 2)
+F45 = Port("f", "f", "45 deg", np.pi / 4)
+
+Responder = Callable[..., FrequencyResponse]
+
+
+def with_noise(
+    frequency: np.ndarray,
+    matrix: np.ndarray,
+    outputs: tuple[Port, ...],
+    inputs: tuple[Port, ...],
+    std: float,
+    rng: np.random.Generator | None,
+) -> FrequencyResponse:
+    """Independent circular noise of standard deviation *std* on every element; its variance is known."""
+    variance = np.full(matrix.shape, std**2)
+    if rng is not None:
+        matrix = matrix + std * (rng.normal(size=matrix.shape) + 1j * rng.normal(size=matrix.shape)) / np.sqrt(2)
+    return FrequencyResponse(frequency, matrix, outputs, inputs, covariance=uncorrelated(variance) if std else None)
+
+
+@pytest.fixture
+def sdof_response() -> Responder:
+    """Receptance 1 / (k - m w^2 + j c w) of the pedestal, 60-70 Hz every 0.5 Hz, times *scale*."""
+
+    def respond(std: float = 0.0, rng: np.random.Generator | None = None, scale: float = 1.0, **other: float) -> FrequencyResponse:
+        k, c, m = ({**PEDESTAL, **other}[name] for name in ("k", "c", "m"))
+        frequency = np.arange(60, 70.25, 0.5)
+        w = 2 * np.pi * frequency
+        matrix = (scale / (k - m * w**2 + 1j * c * w))[:, None, None]
+        return with_noise(frequency, matrix, (Y,), (Port("f", "f", "y"),), std * scale, rng)
+
+    return respond
+
+
+@pytest.fixture
+def coupled_response() -> Responder:
+    """The cross-coupled support under two force directions, 40-120 Hz every 1 Hz, m = 0.92 kg."""
+
+    def respond(std: float = 0.0, rng: np.random.Generator | None = None) -> FrequencyResponse:
+        frequency = np.arange(40.0, 121.0)
+        w = 2 * np.pi * frequency[:, None, None]
+        matrix = np.linalg.inv(COUPLED_K + 1j * w * COUPLED_C - w**2 * 0.92 * np.eye(2))
+        return with_noise(frequency, matrix, (X, Y), (FX, FY), std, rng)
+
+    return respond
+
+
+@pytest.fixture
+def symmetric_response() -> Responder:
+    """A symmetric rotor under one force at 45 deg: x and y move alike. 1-250 Hz, k = 180 kN/m, c = 190 N s/m, m = 0.92 kg."""
+
+    def respond(std: float = 0.0, rng: np.random.Generator | None = None) -> FrequencyResponse:
+        frequency = np.arange(1.0, 251.0)
+        w = 2 * np.pi * frequency
+        one = np.cos(np.pi / 4) / (180e3 + 190j * w - 0.92 * w**2)
+        return with_noise(frequency, np.stack([one, one], 1)[:, :, None], (X, Y), (F45,), std, rng)
+
+    return respond

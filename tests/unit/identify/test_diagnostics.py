@@ -1,0 +1,84 @@
+"""What a fit says about itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.identify.diagnostics import collinear_groups
+from labpipe.identify.fitting import identify
+from labpipe.identify.settings import FitSettings
+from labpipe.identify.statistics import condition_number, inflation_factors
+
+EIGHT = FitSettings("rotor-2dof", mass=0.92, name="eight")
+
+
+def codes(response, settings: FitSettings) -> list[str]:
+    (fit,) = identify(response, settings)
+    return [finding.code for finding in fit.findings]
+
+
+@pytest.mark.parametrize("estimator", ["ls", "ml"])
+@pytest.mark.parametrize("noise", [3e-9, 3e-8, 2e-7])
+def test_one_direction_on_a_symmetric_rig_is_collinear_however_good_the_fit(symmetric_response, estimator: str, noise: float) -> None:
+    """|H| is near 8e-6 m/N: the noise is 0.04 %, 0.4 % and 2.5 %."""
+    response = symmetric_response(noise, np.random.default_rng(1))
+    (fit,) = identify(response, replace(EIGHT, estimator=estimator, band=(65.0, 80.0)))
+    assert fit.gof.r2_adjusted > 0.99
+    (message,) = [finding.message for finding in fit.findings if finding.code == "collinear"]
+    assert all(name in message for name in ("k_xx", "k_xy", "k_yx", "k_yy", "second, independent force direction"))
+
+
+@pytest.mark.parametrize("estimator", ["ls", "ml"])
+@pytest.mark.parametrize("noise", [3e-9, 2e-7])
+def test_two_directions_are_not(coupled_response, estimator: str, noise: float) -> None:
+    assert "collinear" not in codes(coupled_response(noise, np.random.default_rng(1)), replace(EIGHT, estimator=estimator))
+
+
+def test_intervals_of_all_eight_coefficients_hold_the_truth(coupled_response) -> None:
+    """60 repeats x 8 coefficients: a 95 % interval holds the truth in 95 % +- 2 % of 480 cases (two sigma, binomial)."""
+    rng = np.random.default_rng(2)
+    truth = {"k_xx": 180e3, "k_xy": 25e3, "k_yx": -18e3, "k_yy": 210e3, "c_xx": 120, "c_xy": 15, "c_yx": -10, "c_yy": 150}
+    fits = [identify(coupled_response(2e-8, rng), EIGHT)[0] for _ in range(60)]
+    inside = [f.parameter(n).ci95[0] <= v <= f.parameter(n).ci95[1] for f in fits for n, v in truth.items()]
+    assert 0.93 <= np.mean(inside) <= 0.97
+    assert sum(finding.code == "collinear" for fit in fits for finding in fit.findings) == 0
+
+
+def test_a_model_that_lacks_something_is_said(coupled_response) -> None:
+    # The cross-coupled support fitted with direct coefficients only.
+    response = coupled_response(2e-8, np.random.default_rng(2))
+    assert "model-mismatch" in codes(response, FitSettings("rotor-2dof-direct", mass=0.92))
+
+
+def test_few_lines_and_low_coherence(sdof_response) -> None:
+    response = sdof_response(1e-6, np.random.default_rng(2))
+    settings = FitSettings("sdof", mass=0.79)
+    assert "few-lines" in codes(response, replace(settings, band=(65.0, 65.6)))
+    poor = replace(response, coherence=np.full(response.matrix.shape, 0.5))
+    assert "low-coherence" in codes(poor, settings)
+    assert "low-coherence" in codes(sdof_response(1e-4, np.random.default_rng(2)), settings)
+
+
+def test_a_negative_stiffness_is_called_unphysical(sdof_response) -> None:
+    response = sdof_response(1e-9, np.random.default_rng(2))
+    assert "unphysical" in codes(replace(response, matrix=-response.matrix), FitSettings("sdof", mass="estimate"))
+
+
+def test_an_overdamped_fit_is_called_unphysical(sdof_response) -> None:
+    assert "unphysical" in codes(sdof_response(1e-10, np.random.default_rng(2), c=2000.0), FitSettings("sdof", mass=0.79))
+
+
+def test_condition_and_inflation_closed_forms() -> None:
+    # Two columns of length 1 at an angle with cosine r: singular values sqrt(1 +- r), inflation 1 / (1 - r^2).
+    r = 0.8
+    design = np.array([[1.0, r], [0.0, np.sqrt(1 - r**2)]])
+    assert condition_number(design) == pytest.approx(np.sqrt((1 + r) / (1 - r)))
+    np.testing.assert_allclose(inflation_factors(design), 1 / (1 - r**2))
+
+
+def test_only_the_entangled_parameters_are_named() -> None:
+    design = np.array([[1.0, 1.0, 0.0], [0.0, 1e-4, 0.0], [0.0, 0.0, 1.0]])
+    assert collinear_groups(design / np.linalg.norm(design, axis=0), ["a", "b", "c"]) == [["a", "b"]]

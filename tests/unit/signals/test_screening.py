@@ -1,0 +1,99 @@
+"""Clipping, gaps, levels and time axes, block by block."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from labpipe.errors import DataError
+from labpipe.signals.screening import ChannelScreen, TimeAxisScreen
+
+
+def screened(samples: np.ndarray, block: int, limits: list[tuple[float, float] | None] | None = None) -> ChannelScreen:
+    screen = ChannelScreen([f"ch{n}" for n in range(samples.shape[1])], limits)
+    for start in range(0, samples.shape[0], block):
+        screen.add(samples[start : start + block])
+    return screen
+
+
+def faulty(seed: int) -> np.ndarray:
+    """A clipped channel, one with gaps, one that stands still, one clean on a large offset."""
+    rng = np.random.default_rng(seed)
+    samples = rng.normal(size=(300, 4))
+    samples[:, 0] = np.clip(np.sin(np.arange(300) / 9 + seed), -0.8, 0.8)
+    samples[rng.integers(0, 300, 5), 1] = np.nan
+    samples[:, 2] = 3.0
+    samples[:, 3] = 1e9 + 1e-3 * samples[:, 3]
+    return samples
+
+
+@settings(derandomize=True, max_examples=40, deadline=None)
+@given(block=st.integers(1, 300), seed=st.integers(0, 5))
+def test_block_size_changes_nothing(block: int, seed: int) -> None:
+    samples = faulty(seed)
+    whole, parts = screened(samples, 300), screened(samples, block)
+    assert parts.findings() == whole.findings()
+    np.testing.assert_array_equal(parts.minimum, whole.minimum)
+    np.testing.assert_allclose(parts.rms, whole.rms, rtol=1e-9)
+    np.testing.assert_allclose(parts.mean, whole.mean, rtol=1e-12)
+
+
+def test_levels_equal_numpy() -> None:
+    samples = faulty(1)
+    screen = screened(samples, 64)
+    np.testing.assert_allclose(screen.rms, np.nanstd(samples, axis=0), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(screen.mean, np.nanmean(samples, axis=0), rtol=1e-12)
+
+
+def test_findings_name_channel_and_first_sample() -> None:
+    samples = np.random.default_rng(3).normal(size=(50, 3))
+    samples[10:14, 0] = 5.0
+    samples[[20, 30], 1] = np.nan
+    samples[:, 2] = 0.0
+    clipped, gap, constant = screened(samples, 12).findings()
+    assert clipped.code == "clipped" and "channel ch0: 4 samples" in clipped.message and "first is sample 10" in clipped.message
+    assert gap.code == "gap" and gap.message == "channel ch1: 2 of 50 samples are no numbers, the first is sample 20"
+    assert constant.message == "channel ch2 does not vary at all"
+
+
+def test_a_known_range_excuses_equal_peaks_inside_it() -> None:
+    samples = np.clip(np.sin(np.arange(300) / 9), -0.8, 0.8)[:, None]
+    assert [f.code for f in screened(samples, 50).findings()] == ["clipped"]
+    assert screened(samples, 50, [(-10.0, 10.0)]).findings() == ()
+    assert [f.code for f in screened(samples, 50, [(-0.8, 0.8)]).findings()] == ["clipped"]
+
+
+def test_two_equal_peaks_are_chance() -> None:
+    samples = np.array([0.0, 1.0, 1.0, 0.5, 0.2, -1.0, 0.3])[:, None]
+    assert screened(samples, 3).findings() == ()
+
+
+def axis(times: np.ndarray, block: int = 7) -> TimeAxisScreen:
+    screen = TimeAxisScreen("t [s]")
+    for start in range(0, times.size, block):
+        screen.add(times[start : start + block])
+    return screen
+
+
+@pytest.mark.parametrize("rate", [1000.0, 20e3, 44100.0, 12800.0, 3.3])
+@pytest.mark.parametrize("digits", [5, 6, 9])
+def test_rounded_times_give_the_rate(rate: float, digits: int) -> None:
+    times = np.round(np.arange(5000) / rate, digits)
+    assert axis(times, 999).sample_rate() == pytest.approx(rate, rel=2 * 10.0**-digits * rate / 5000 + 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: np.delete(t, 40), "steps of column 't .s.' are not equal: 0.002 s at sample 40"),
+        (lambda t: np.where(np.arange(t.size) == 33, t[32], t), "does not rise at sample 33"),
+        (lambda t: np.where(np.arange(t.size) == 33, np.nan, t), "no number at sample 33"),
+        (lambda t: t + 2e-4 * (np.arange(t.size) % 2), "not equal"),
+        (lambda t: t[:1], "fewer than two samples"),
+    ],
+)
+def test_uneven_times_are_refused(change, message: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(DataError, match=message):
+        axis(change(np.arange(100) / 1000.0)).sample_rate()

@@ -1,0 +1,156 @@
+"""measure: recordings of a known system -> its FRF, with the doubt it has."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from labpipe.errors import ConfigError, DataError
+from labpipe.records.finding import Finding
+from labpipe.records.recording import Channel, Recording
+from labpipe.signals.excitation import design_multisine
+from labpipe.spectra.measurement import measure
+from labpipe.spectra.settings import FrfSettings
+
+RATE = 256.0
+FORCE = Channel("f", "force", "input", "x", 0.0)
+X, Y = Channel("x", "displacement", "output", "x", 0.0), Channel("y", "displacement", "output", "y", np.pi / 2)
+PERIODIC = FrfSettings("periodic", period=1.0, skip=0)
+
+
+def periodic_recording(rng: np.random.Generator, gains: tuple[float, ...], noise: float, periods: int = 6, dof: str = "x") -> Recording:
+    """Responses are the force times a gain, delayed by one sample: H = g e^{-j w / rate}."""
+    force = design_multisine((1.0, 60.0), 1.0, 1.0).samples(RATE, periods)
+    samples = [force, *(gain * np.roll(force, 1) for gain in gains)]
+    noisy = np.column_stack(samples) + noise * rng.normal(size=(force.size, len(samples)))
+    channel = Channel("f", "force", "input", dof, {"x": 0.0, "y": np.pi / 2}[dof])
+    return Recording((channel, X, Y)[: len(samples)], noisy, RATE, f"run {dof}")
+
+
+def test_periodic_data_give_gain_and_the_sign_of_the_phase(rng: np.random.Generator) -> None:
+    response = measure([periodic_recording(rng, (2.0,), 1e-9)], PERIODIC)
+    expected = 2 * np.exp(-2j * np.pi * response.frequency / RATE)
+    assert response.frequency.tolist() == list(range(1, 61))
+    np.testing.assert_allclose(response.matrix[:, 0, 0], expected, rtol=1e-7)
+    assert (response.form, response.outputs[0].label, response.inputs[0].label) == ("receptance", "x", "f")
+
+
+def test_periodic_variance_is_what_the_scatter_of_repeats_shows(rng: np.random.Generator) -> None:
+    repeats = [measure([periodic_recording(rng, (2.0,), 0.05)], PERIODIC) for _ in range(150)]
+    matrices = np.array([response.matrix[:, 0, 0] for response in repeats])
+    observed = np.mean(np.abs(matrices - matrices.mean(axis=0)) ** 2, axis=0) * 150 / 149
+    predicted = np.mean([response.variance[:, 0, 0] for response in repeats], axis=0)
+    assert np.mean(predicted / observed) == pytest.approx(1.0, abs=0.1)
+
+
+def test_two_force_directions_give_one_matrix(rng: np.random.Generator) -> None:
+    runs = [periodic_recording(rng, (2.0, 0.5), 1e-6, dof="x"), periodic_recording(rng, (0.3, 1.0), 1e-6, dof="y")]
+    response = measure(runs, PERIODIC)
+    gains = np.abs(response.matrix).mean(axis=0)
+    np.testing.assert_allclose(gains, [[2.0, 0.3], [0.5, 1.0]], rtol=1e-4)
+    assert [port.label for port in response.inputs] == ["x", "y"]
+    assert response.covariance.shape == (60, 4, 4)
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1.0, 1e6])
+def test_no_scale_of_the_numbers_changes_the_result(scale: float) -> None:
+    recording = periodic_recording(np.random.default_rng(4), (2.0,), 0.01)
+    scaled = Recording(recording.channels, recording.samples * scale, RATE, "run x")
+    plain, other = measure([recording], PERIODIC), measure([scaled], PERIODIC)
+    np.testing.assert_allclose(other.matrix, plain.matrix, rtol=1e-10)
+    np.testing.assert_allclose(other.covariance, plain.covariance, rtol=1e-8)
+
+
+def random_recording(rng: np.random.Generator, noise: float, n: int = 20_000) -> Recording:
+    force = rng.normal(size=n)
+    b, a = signal.iirpeak(30.0, 8.0, fs=RATE)
+    response = signal.lfilter(b, a, force) + noise * rng.normal(size=n)
+    return Recording((FORCE, X), np.column_stack([force, response]), RATE, "noise")
+
+
+@pytest.mark.parametrize(("window", "overlap"), [("hann", 0.5), ("hann", 0.0), ("hann", 0.67), ("hamming", 0.5), ("blackman", 0.5)])
+def test_random_variance_is_what_the_scatter_of_repeats_shows(window: str, overlap: float) -> None:
+    rng = np.random.default_rng(6)
+    settings = FrfSettings("random", block=1.0, window=window, overlap=overlap, band=(10.0, 100.0))
+    repeats = [measure([random_recording(rng, 0.5, 8000)], settings) for _ in range(120)]
+    matrices = np.array([response.matrix[:, 0, 0] for response in repeats])
+    observed = np.mean(np.abs(matrices - matrices.mean(axis=0)) ** 2, axis=0) * 120 / 119
+    predicted = np.mean([response.variance[:, 0, 0] for response in repeats], axis=0)
+    assert np.mean(predicted / observed) == pytest.approx(1.0, abs=0.1)
+
+
+def test_random_data_near_the_filter_s_own_response(rng: np.random.Generator) -> None:
+    response = measure([random_recording(rng, 0.01, 200_000)], FrfSettings("random", block=4.0, band=(20.0, 60.0)))
+    _, expected = signal.freqz(*signal.iirpeak(30.0, 8.0, fs=RATE), worN=response.frequency, fs=RATE)
+    np.testing.assert_allclose(response.matrix[:, 0, 0], expected, atol=0.03)
+    assert response.coherence.max() <= 1 and response.coherence.min() > 0.8
+
+
+def test_poor_coherence_is_said(rng: np.random.Generator) -> None:
+    response = measure([random_recording(rng, 3.0)], FrfSettings("random", block=1.0))
+    assert [finding.code for finding in response.findings] == ["low-coherence"]
+
+
+def test_one_period_has_no_covariance_and_says_so(rng: np.random.Generator) -> None:
+    response = measure([periodic_recording(rng, (2.0,), 0.01, periods=1)], PERIODIC)
+    assert response.covariance is None and [f.code for f in response.findings] == ["no-covariance"]
+
+
+def test_excluded_bands_are_left_out_and_edges_belong(rng: np.random.Generator) -> None:
+    settings = FrfSettings("periodic", period=1.0, skip=0, band=(10.0, 20.0), exclude=((12.0, 13.0),))
+    response = measure([periodic_recording(rng, (2.0,), 0.01)], settings)
+    assert response.frequency.tolist() == [10, 11, 14, 15, 16, 17, 18, 19, 20]
+
+
+def test_findings_of_the_recordings_travel(rng: np.random.Generator) -> None:
+    plain = periodic_recording(rng, (2.0,), 0.01)
+    clipped = Recording(plain.channels, plain.samples, RATE, "run x", (Finding("clipped", "channel x"),))
+    assert measure([clipped], PERIODIC).findings == (Finding("clipped", "channel x"),)
+
+
+def broken(rng: np.random.Generator, column: int, value: float) -> Recording:
+    """A recording with a NaN would be refused at birth; a stored one can hold it, so the blocks are made here."""
+    plain = periodic_recording(rng, (2.0,), 0.01)
+
+    class Stored(Recording):
+        def blocks(self, n_sample: int):  # type: ignore[no-untyped-def]
+            for block in super().blocks(n_sample):
+                changed = block.copy()
+                changed[777, column] = value
+                yield changed
+
+    return Stored(plain.channels, plain.samples, RATE, "run x")
+
+
+def test_a_missing_number_is_named_with_channel_and_sample(rng: np.random.Generator) -> None:
+    with pytest.raises(DataError, match=r"channel 'x' of 'run x' has no number at sample 777 \(3\.0\d+ s\)"):
+        measure([broken(rng, 1, np.nan)], PERIODIC)
+
+
+def test_what_does_not_fit_together_is_refused(rng: np.random.Generator) -> None:
+    one = periodic_recording(rng, (2.0, 1.0), 0.01)
+    with pytest.raises(DataError, match="lacks the response y"):
+        measure([one, periodic_recording(rng, (2.0,), 0.01, dof="y")], PERIODIC)
+    other_rate = Recording(one.channels, one.samples, 2 * RATE, "fast")
+    with pytest.raises(DataError, match="different sampling rates"):
+        measure([one, other_rate], PERIODIC)
+    both = Recording((FORCE, Channel("g", "force", "input", "y"), X), one.samples, RATE, "both")
+    with pytest.raises(DataError, match="cannot separate 2 forces"):
+        measure([both], FrfSettings("periodic", period=1.0, skip=0))
+    still = Recording(one.channels, one.samples * [0, 1, 1], RATE, "still")
+    with pytest.raises(DataError, match="force channel 'f' of 'still' does not vary"):
+        measure([still], PERIODIC)
+    with pytest.raises(DataError, match="no line of 'run x' lies in the band"):
+        measure([one], FrfSettings("periodic", period=1.0, band=(500.0, 600.0)))
+    with pytest.raises(DataError, match="too short for one block"):
+        measure([one], FrfSettings("random", block=60.0))
+
+
+def test_settings_must_fit_the_excitation() -> None:
+    with pytest.raises(ConfigError, match="'period' is missing"):
+        FrfSettings("periodic")
+    with pytest.raises(ConfigError, match="'block' is missing"):
+        FrfSettings("random", period=1.0)
+    with pytest.raises(ConfigError, match="below 100 %"):
+        FrfSettings("random", block=1.0, overlap=1.0)
