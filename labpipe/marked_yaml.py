@@ -137,9 +137,8 @@ def set_entry(root: Marked, assignment: str) -> None:
     where = f"--set {assignment}"
     if not equals or not path.strip():
         raise ConfigError("not an assignment", where=where, hint="write --set key.sub=value")
-    value = parse_marked(text or "''", where)
-    value.where = value.key_where = where
-    keys = path.strip().split(".")
+    value = _plain_or_yaml(text, where)
+    keys = _keys(path.strip())
     owner = root
     for key in keys[:-1]:
         owner = _descend(owner, key, where)
@@ -149,6 +148,21 @@ def set_entry(root: Marked, assignment: str) -> None:
         owner.content[keys[-1]] = value
     else:
         raise ConfigError(f"'{'.'.join(keys[:-1])}' has no entries", where=where)
+
+
+def _plain_or_yaml(text: str, where: str) -> Marked:
+    """The value as YAML, or as plain text where it begins with a sign such as '>=' that YAML keeps for itself."""
+    if not text.strip() or text.lstrip()[0] in "><%@`&*!|":
+        return Marked(text.strip(), where, where, text.strip())
+    value = parse_marked(text, where)
+    value.where = value.key_where = where
+    return value
+
+
+def _keys(path: str) -> list[str]:
+    """The keys of a dotted path; the rules below accept and expect are keys with dots in them themselves."""
+    section, _, rest = path.partition(".")
+    return [section, rest] if section in ("accept", "expect") and rest else path.split(".")
 
 
 def _descend(owner: Marked, key: str, where: str) -> Marked:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pyarrow as pa
@@ -16,7 +17,7 @@ HEADER_KEY = b"labpipe"
 def open_parquet(path: Path) -> pq.ParquetFile:
     """A Parquet file opened for reading; DataError in plain words when it is none."""
     try:
-        return pq.ParquetFile(path)
+        return pq.ParquetFile(path, pre_buffer=False)
     except FileNotFoundError:
         raise DataError("no such file", where=str(path)) from None
     except IsADirectoryError:
@@ -24,6 +25,13 @@ def open_parquet(path: Path) -> pq.ParquetFile:
     except (pa.ArrowInvalid, OSError) as error:
         reason = "is a folder" if path.is_dir() else f"is not a readable Parquet file ({str(error).splitlines()[0].rstrip('.')})"
         raise DataError(reason, where=str(path)) from None
+
+
+def batches(path: Path, columns: Sequence[str], n_row: int) -> Iterator[pa.RecordBatch]:
+    """The columns in batches of at most *n_row* rows, one row group after the other: pyarrow would read the next ones ahead."""
+    file = open_parquet(path)
+    for group in range(file.num_row_groups):
+        yield from file.iter_batches(batch_size=n_row, row_groups=[group], columns=list(columns))
 
 
 def has_header(path: Path) -> bool:

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from labpipe.artefacts.header import Header
-from labpipe.artefacts.parquet import HEADER_KEY, open_parquet, read_header
+from labpipe.artefacts.parquet import HEADER_KEY, batches, open_parquet, read_header
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, Recording
@@ -65,7 +65,7 @@ class StoredRecording:
     def blocks(self, n_sample: int) -> Iterator[NDArray[np.float64]]:
         """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]."""
         names = [channel.name for channel in self.channels]
-        for batch in open_parquet(self.path).iter_batches(batch_size=n_sample, columns=names):
+        for batch in batches(self.path, names, n_sample):
             yield np.column_stack([batch.column(name).to_numpy(zero_copy_only=False) for name in names])
 
     def in_memory(self) -> Recording:

@@ -97,7 +97,7 @@ def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
     calibrations = _calibrations(entries.get("calibrate"), path.parent, faults)
     report = read_settings(ReportSettings, entries["report"], "report", faults) if "report" in entries else ReportSettings()
     _check_formats(entries.get("report"), report, faults)
-    names = (*(fit.name for fit in fits), *(calibration.name for calibration in calibrations))
+    names = tuple(name for section in ("identify", "calibrate") if section in entries for name in faults.mapping(entries[section], section))
     rules = tuple(rule for section in ("accept", "expect") for rule in read_rules(section, entries.get(section), faults, names))
     _check_whole(tree, entries, tests, frf, faults)
     faults.raise_any()

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from labpipe.artefacts.parquet import open_parquet
+from labpipe.artefacts.parquet import batches, open_parquet
 from labpipe.errors import DataError
 from labpipe.formats.csv_layout import bracketed_unit
 
@@ -33,6 +33,6 @@ class ParquetTable:
             kind = self._schema.field(name).type
             if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
                 raise DataError(f"column '{name}' holds {kind}, numbers are needed", where=str(self.path))
-        for batch in open_parquet(self.path).iter_batches(batch_size=CHUNK_ROWS, columns=list(dict.fromkeys(columns))):
+        for batch in batches(self.path, list(dict.fromkeys(columns)), CHUNK_ROWS):
             table = [batch.column(name).cast(pa.float64()).to_numpy(zero_copy_only=False) for name in columns]
             yield np.column_stack(table)

@@ -28,10 +28,10 @@ def rounded(value: float, std_error: float | None) -> str:
     if not std_error or not math.isfinite(std_error):
         return f"{value:.5g}"
     decimals = 1 - math.floor(math.log10(abs(std_error)))
-    if decimals < 0 or decimals > 6 or abs(value) >= 1e7:
+    if decimals > 8 or abs(value) >= 1e7:
         digits = max(2, 1 + decimals + (math.floor(math.log10(abs(value))) if value else 0))
         return f"{value:.{min(digits, 12)}g}"
-    return f"{value:.{decimals}f}"
+    return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
 def parameter_row(parameter: Parameter, dof: int) -> tuple[str, ...]:

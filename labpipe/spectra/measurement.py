@@ -97,8 +97,9 @@ def _source_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
 
 
 def _checked_blocks(source: SampleSource) -> Iterator[NDArray[np.floating]]:
-    """The recording's blocks; DataError at the first sample that is no number."""
+    """The recording's blocks; DataError at the first sample that is no number, and at the end for a force that never varied."""
     start = 0
+    first, varies = np.empty(0), np.zeros(len(source.channels), bool)
     for block in source.blocks(READ_SAMPLES):
         if not np.all(np.isfinite(block)):
             sample, column = (int(n) for n in np.argwhere(~np.isfinite(block))[0])
@@ -106,15 +107,13 @@ def _checked_blocks(source: SampleSource) -> Iterator[NDArray[np.floating]]:
             channel = source.channels[column].name
             hint = "labpipe fills no gaps; cut the recording there or record it again"
             raise DataError(f"channel '{channel}' of '{source.name}' has no number at {where}", hint=hint)
+        first = block[0] if start == 0 else first
+        varies |= np.any(block != first, axis=0)
         start += block.shape[0]
         yield block
-
-
-def _check_forces(source: SampleSource, power: NDArray[np.floating]) -> None:
-    """DataError when a force of this recording does not vary; *power* (n_channel,) beside its mean."""
-    for number, channel in enumerate(source.channels):
-        if channel.role == "input" and not power[number] > 0:
-            raise DataError(f"the force channel '{channel.name}' of '{source.name}' does not vary", hint="is the sensor connected?")
+    for channel_record, moved in zip(source.channels, varies, strict=True):
+        if channel_record.role == "input" and not moved:
+            raise DataError(f"the force channel '{channel_record.name}' of '{source.name}' does not vary", hint="is the sensor connected?")
 
 
 def _measure_periodic(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> _Parts:
@@ -148,7 +147,6 @@ def _period_average(source: SampleSource, settings: FrfSettings) -> LineSpectrum
     for block in _checked_blocks(source):
         average.add(block)
     spectrum = average.spectrum(source.sample_rate)
-    _check_forces(source, np.max(np.abs(spectrum.mean), axis=0))
     chosen = lines_in(spectrum.frequency, settings.band, settings.exclude)
     if not np.any(chosen):
         raise DataError(f"no line of '{source.name}' lies in the band", hint=f"it has lines up to {spectrum.frequency[-1]:g} Hz")
@@ -229,9 +227,7 @@ def _welch_average(source: SampleSource, settings: FrfSettings) -> CrossSpectra:
     average = WelchAverage(window_values(settings.window, n_sample), step, len(source.channels))
     for block in _checked_blocks(source):
         average.add(block)
-    spectra = average.spectra(source.sample_rate)
-    _check_forces(source, np.max(np.einsum("faa->fa", spectra.matrix).real, axis=0))
-    return spectra
+    return average.spectra(source.sample_rate)
 
 
 def _check_independent(s_uu: NDArray[np.complexfloating], layout: Layout) -> None:

@@ -1,0 +1,133 @@
+"""The report is a pure function of the result: what it says, what it escapes, that it stands alone."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from labpipe.identify.fitting import identify
+from labpipe.identify.settings import FitSettings, Sliding
+from labpipe.records.finding import Finding
+from labpipe.records.identification import Identification, Parameter, RuleOutcome
+from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.report.render import html_report, markdown_report
+from labpipe.report.wording import parameter_row, rounded, significance
+
+HOSTILE = '<script>alert("x")</script> $y_1$ | *bold*'
+
+
+def result(name: str = "pedestal", sliding: Sliding | None = None) -> Identification:
+    rng = np.random.default_rng(1)
+    frequency = np.arange(30.0, 100.0)
+    w = 2 * np.pi * frequency
+    clean = (1 / (134.5e3 - 0.79 * w**2 + 3.7j * w))[:, None, None]
+    noise = 1e-7 * (rng.normal(size=clean.shape) + 1j * rng.normal(size=clean.shape)) / np.sqrt(2)
+    response = FrequencyResponse(
+        frequency,
+        clean + noise,
+        (Port(name, name, "y"),),
+        (Port("f", "f", "y"),),
+        covariance=uncorrelated(np.full(clean.shape, 1e-14)),
+        name="run 1",
+    )
+    fits = identify(response, FitSettings("sdof", mass=0.79, name=name, sliding=sliding))
+    outcome = RuleOutcome("accept", f"{name}.gof >= 0.95", 0.9999, True)
+    sources = ({"path": "run.csv", "sha256": "ab" * 32},)
+    return Identification(fits, f"Report of {name}", "p.yaml", sources, {"frf": {"period": 1.0}}, {}, (response,), (outcome,), "0.1.0")
+
+
+class Tags(HTMLParser):
+    """Every tag with its attributes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+
+def test_the_verdict_comes_first_and_provenance_is_complete() -> None:
+    html = html_report(result())
+    headings = re.findall(r"<h2>(.*?)</h2>", html)
+    assert headings[0] == "Verdict" and headings[-3:] == ["Rig and conditions", "Provenance", "Signature"]
+    assert "ACCEPTED: all 1 rules hold" in html
+    assert "ab" * 32 in html and "labpipe 0.1.0" in html and "&quot;period&quot;: 1.0" in html
+
+
+def test_a_failed_rule_and_missing_rules_are_said() -> None:
+    base = result()
+    failed = replace(base, outcomes=(replace(base.outcomes[0], passed=False),))
+    assert "NOT ACCEPTED: 1 of 1 rules fail" in html_report(failed)
+    assert "nothing is accepted or refused" in html_report(replace(base, outcomes=()))
+
+
+def test_every_warning_stands_in_words() -> None:
+    base = result()
+    fit = replace(base.fits[0], findings=(Finding("collinear", "k and c cannot be told apart"),))
+    for text in (html_report(replace(base, fits=(fit,))), markdown_report(replace(base, fits=(fit,)))):
+        assert "collinear" in text and "k and c cannot be told apart" in text
+
+
+def test_names_from_files_are_escaped_everywhere() -> None:
+    html = html_report(replace(result(), title=HOSTILE, fits=result(HOSTILE).fits, responses=result(HOSTILE).responses))
+    assert "<script" not in html and "&lt;script&gt;" in html
+    markdown = markdown_report(replace(result(), title=HOSTILE))
+    assert "<script>" not in markdown.replace("\\<", "") and "\\*bold\\*" in markdown
+
+
+def test_the_page_asks_for_nothing_from_elsewhere() -> None:
+    html = html_report(result())
+    tags = Tags()
+    tags.feed(html)
+    assert not [tag for tag, _ in tags.tags if tag in ("script", "link", "img", "iframe")]
+    links = [value for _, attributes in tags.tags for key, value in attributes.items() if key in ("src", "href", "xlink:href")]
+    assert all(str(link).startswith(("#", "data:image/png;base64,")) for link in links)
+    assert "@import" not in html and "url(http" not in html
+
+
+def test_every_figure_tells_what_it_shows() -> None:
+    tags = Tags()
+    tags.feed(html_report(result()))
+    drawings = [attributes for tag, attributes in tags.tags if tag == "svg"]
+    assert len(drawings) == 3 and all(attributes.get("role") == "img" and attributes.get("aria-label") for attributes in drawings)
+
+
+def test_sliding_fits_are_drawn_over_frequency_and_stay_small() -> None:
+    html = html_report(result(sliding=Sliding(15.0, 1.0)))
+    assert "stiffness over frequency, 55 bands" in html and "damping over frequency" in html
+    assert len(html) < 1e6
+
+
+def test_same_result_same_bytes() -> None:
+    assert html_report(result()) == html_report(result())
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (134.49812, 0.0086, "134.4981"),
+        (3.70808, 0.021, "3.708"),
+        (134498.12, 860.0, "134500"),
+        (5.0, None, "5"),
+        (0.0056878, 3.2e-5, "0.005688"),
+        (float("nan"), 1.0, "not determined"),
+    ],
+)
+def test_values_are_rounded_to_what_their_error_supports(value: float, error: float | None, text: str) -> None:
+    assert rounded(value, error) == text
+
+
+def test_stars_follow_the_t_distribution() -> None:
+    # Student's t with 40 degrees of freedom: two-sided p of 0.05, 0.01, 0.001 at 2.021, 2.704, 3.551 (printed tables).
+    marks = [significance(Parameter("k", t, "N/m", 1.0, t), 40) for t in (2.0, 2.03, 2.71, 3.56)]
+    assert marks == ["n.s.", "*", "**", "***"]
+
+
+def test_a_parameter_without_an_error_shows_none() -> None:
+    row = parameter_row(Parameter("linear_range", 0.2, "1", derived=True), 5)
+    assert row == ("linear_range", "0.2", "", "none", "none", "", "derived")
