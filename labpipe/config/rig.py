@@ -43,6 +43,7 @@ class ChannelSettings:
     dof: str = setting("text", "x, y, z, any name, or an angle from x such as '45 deg'", default="")
     sensitivity: str = setting("text", "of the sensor, for example '8 V/mm'", default="")
     invert: bool = setting("flag", "turn the sign around", default=False)
+    delay: float = setting("value", "delay of the sensor chain, taken out of the FRF", unit="s", default=0.0)
     range: tuple[float, float] | None = setting("text", "recorded values at which the logger clips, e.g. '-10 V .. 10 V'", default=None)
 
 
@@ -135,7 +136,7 @@ def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChann
         return None
     sign = -1.0 if known.invert else 1.0
     role = known.role or DEFAULT_ROLES.get(known.quantity, "reference")
-    channel = Channel(name, known.quantity, role, dof, angle)
+    channel = Channel(name, known.quantity, role, dof, angle, known.delay)
     return RigChannel(channel, known.column or name, known.unit or channel.unit, sign * scale, sign * offset, limits)
 
 

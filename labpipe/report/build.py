@@ -11,8 +11,8 @@ from labpipe.report import figures
 from labpipe.report.document import Block, Code, Document, Paragraph, Section, Table
 from labpipe.report.wording import STARS_EXPLAINED, band_text, fit_title, parameter_row
 
-PARAMETER_HEADER = ("parameter", "value", "unit", "std. error", "95 % interval", "t-ratio", "significance")
-NUMERIC = (1, 3, 4, 5)
+PARAMETER_HEADER = ("parameter", "value", "unit", "std. error", "95 % interval", "t-ratio", "significance", "VIF")
+NUMERIC = (1, 3, 4, 5, 7)
 
 
 def build(identification: Identification) -> Document:
@@ -41,16 +41,29 @@ def _series(fits: Sequence[Fit]) -> list[list[Fit]]:
 def _verdict(identification: Identification) -> tuple[Block, ...]:
     outcomes = identification.outcomes
     codes = _all_findings(identification)
-    doubt = f" {len(codes)} kinds of warning below limit how far the numbers can be trusted." if codes else " No warnings."
+    doubt = f" {len(codes)} kind(s) of warning below limit how far the numbers can be trusted." if codes else " No warnings."
     if not outcomes:
-        return (Paragraph(f"No acceptance rules were given, so nothing is accepted or refused.{doubt}", "note"),)
+        lead = Paragraph(f"No acceptance rules were given, so nothing is accepted or refused.{doubt}", "note")
+        return (lead, *_not_to_be_signed(identification))
     failed = sum(not outcome.passed for outcome in outcomes)
     if failed:
         lead = Paragraph(f"NOT ACCEPTED: {failed} of {len(outcomes)} rules fail.{doubt}", "failed")
     else:
         lead = Paragraph(f"ACCEPTED: all {len(outcomes)} rules hold.{doubt}", "passed")
     rows = tuple((outcome.section, outcome.rule, _found(outcome), "holds" if outcome.passed else "FAILS") for outcome in outcomes)
-    return (lead, Table(("section", "rule", "found (SI)", "outcome"), rows, "Rules of the pipeline"))
+    return (lead, *_not_to_be_signed(identification), Table(("section", "rule", "found (SI)", "outcome"), rows, "Rules of the pipeline"))
+
+
+SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch")
+
+
+def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
+    """Fits whose coefficients must not be used as they stand, named beside the verdict: a rule can hold for the wrong reason."""
+    named = {fit_title(fit): [f.code for f in fit.findings if f.code in SERIOUS] for fit in identification.fits}
+    counted = [f"{title} ({', '.join(dict.fromkeys(codes))})" for title, codes in named.items() if codes]
+    if not counted:
+        return ()
+    return (Paragraph(f"Read the warnings before using: {'; '.join(counted)}.", "warning"),)
 
 
 def _found(outcome: RuleOutcome) -> str:
@@ -121,7 +134,7 @@ def _described(fit: Fit) -> str:
 
 def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
     """Coefficients over frequency as figures, and as a table."""
-    names = [parameter.name for parameter in fits[0].parameters if parameter.unit in ("N/m", "N.s/m")]
+    names = [p.name for p in fits[0].parameters if p.unit in ("N/m", "N.s/m") and not p.derived]
     header = ("band", "centre [Hz]", "G.o.F", *(f"{name} [{_unit(fits[0], name)}]" for name in names), "warnings")
     rows = tuple(
         (
@@ -144,7 +157,7 @@ def _unit(fit: Fit, name: str) -> str:
 
 
 def _with_error(fit: Fit, name: str) -> str:
-    _, value, _, error, _, _, significance = parameter_row(fit.parameter(name), fit.dof)
+    _, value, _, error, _, _, significance, _ = parameter_row(fit.parameter(name), fit.dof)
     mark = " n.s." if significance == "n.s." else ""
     return f"{value} ± {error}{mark}"
 

@@ -132,7 +132,7 @@ def correlation_figure(fit: Fit) -> Figure:
 def sliding_figures(fits: Sequence[Fit]) -> list[Figure]:
     """Every coefficient over the centre of its band with its 95 % interval, then G.o.F over frequency."""
     centres = np.array([fit.centre_hz for fit in fits])
-    names = [parameter.name for parameter in fits[0].parameters if parameter.unit in ("N/m", "N.s/m")]
+    names = [p.name for p in fits[0].parameters if p.unit in ("N/m", "N.s/m") and not p.derived]
     groups = [[name for name in names if name.startswith(kind)] for kind in ("k", "c")]
     figures = [_coefficient_figure(fits, centres, group) for group in groups if group]
     return [*figures, _goodness_figure(fits, centres)]

@@ -10,7 +10,8 @@ from labpipe.records.identification import Fit, Parameter
 STARS = ((0.001, "***"), (0.01, "**"), (0.05, "*"))
 STARS_EXPLAINED = (
     "Significance of the difference from zero: *** p < 0.001, ** p < 0.01, * p < 0.05, n.s. not significant "
-    "(the value cannot be told from zero). Derived values are computed from the estimated ones."
+    "(the value cannot be told from zero). Derived values are computed from the estimated ones. "
+    "VIF: variance inflation, 1 when no other parameter resembles this one."
 )
 LEGIBLE = {"1": "", "N.s/m": "N s/m"}
 
@@ -35,7 +36,7 @@ def rounded(value: float, std_error: float | None) -> str:
 
 
 def parameter_row(parameter: Parameter, dof: int) -> tuple[str, ...]:
-    """Name, value, unit, standard error, 95 % interval, t-ratio, significance."""
+    """Name, value, unit, standard error, 95 % interval, t-ratio, significance, variance inflation factor."""
     unit = display_unit(parameter.unit)
     error = None if parameter.std_error is None else abs(to_display(parameter.std_error, unit) - to_display(0.0, unit))
     value = to_display(parameter.value, unit)
@@ -51,6 +52,7 @@ def parameter_row(parameter: Parameter, dof: int) -> tuple[str, ...]:
         interval,
         "" if parameter.t_ratio is None or parameter.derived else f"{parameter.t_ratio:.4g}",
         significance(parameter, dof),
+        "" if parameter.vif is None else f"{parameter.vif:.3g}",
     )
 
 

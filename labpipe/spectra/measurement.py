@@ -44,13 +44,16 @@ def measure(
     layout = find_layout(sources)
     parts = (_measure_periodic if settings.excitation == "periodic" else _measure_random)(sources, settings, layout)
     findings = (*_source_findings(sources), *parts.findings)
+    turn = layout.undelayed(parts.frequency)
+    flat = turn.reshape(turn.shape[0], -1)
+    covariance = None if parts.covariance is None else parts.covariance * (flat[:, :, None] * flat[:, None, :].conj())
     return FrequencyResponse(
         frequency=parts.frequency,
-        matrix=parts.matrix,
+        matrix=parts.matrix * turn,
         outputs=layout.outputs,
         inputs=layout.inputs,
         form=layout.form,
-        covariance=parts.covariance,
+        covariance=covariance,
         coherence=parts.coherence,
         multiple_coherence=parts.multiple_coherence,
         snr=parts.snr,

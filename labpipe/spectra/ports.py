@@ -27,6 +27,13 @@ class Layout:
     input_columns: tuple[tuple[int, ...], ...]
     output_columns: tuple[tuple[int, ...], ...]
     form: str
+    input_delays: tuple[float, ...]
+    output_delays: tuple[float, ...]
+
+    def undelayed(self, frequency: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+        """exp(j w (d_output - d_input)): the factor that takes the sensors' delays [s] out of H, (n_line, n_output, n_input)."""
+        difference = np.subtract.outer(np.array(self.output_delays), np.array(self.input_delays))
+        return np.exp(2j * np.pi * frequency[:, None, None] * difference)
 
     def padded(self, recording: int, values: NDArray[np.complexfloating], axes: int) -> NDArray[np.complexfloating]:
         """The last *axes* axes of *values* reordered to inputs then outputs; zero for a force that does not act."""
@@ -56,14 +63,16 @@ def find_layout(sources: Sequence[SampleSource]) -> Layout:
         input_columns=tuple(_columns(own, inputs) for own in forces),
         output_columns=tuple(_columns(own, outputs) for own in responses),
         form=_form(forces, responses),
+        input_delays=tuple(key[3] for key in inputs),
+        output_delays=tuple(key[3] for key in outputs),
     )
 
 
-Key = tuple[str, str, float | None]
+Key = tuple[str, str, float | None, float]
 
 
 def _key(channel: Channel) -> Key:
-    return (channel.name, channel.dof, channel.angle)
+    return (channel.name, channel.dof, channel.angle, channel.delay)
 
 
 def _of_role(source: SampleSource, role: str) -> list[tuple[int, Channel]]:
@@ -85,10 +94,10 @@ def _columns(own: list[tuple[int, Channel]], keys: list[Key]) -> tuple[int, ...]
 
 def _ports(keys: list[Key]) -> tuple[Port, ...]:
     """Ports labelled by channel where that is unique, else by dof, else by both."""
-    names = [name for name, _, _ in keys]
-    dofs = [dof for _, dof, _ in keys]
+    names = [key[0] for key in keys]
+    dofs = [key[1] for key in keys]
     ports = []
-    for name, dof, angle in keys:
+    for name, dof, angle, _ in keys:
         unique = name if names.count(name) == 1 else dof if dofs.count(dof) == 1 else f"{name}@{dof}"
         ports.append(Port(unique, name, dof, angle))
     return tuple(ports)

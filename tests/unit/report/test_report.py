@@ -130,4 +130,4 @@ def test_stars_follow_the_t_distribution() -> None:
 
 def test_a_parameter_without_an_error_shows_none() -> None:
     row = parameter_row(Parameter("linear_range", 0.2, "1", derived=True), 5)
-    assert row == ("linear_range", "0.2", "", "none", "none", "", "derived")
+    assert row == ("linear_range", "0.2", "", "none", "none", "", "derived", "")

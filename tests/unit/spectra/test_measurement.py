@@ -44,6 +44,14 @@ def test_periodic_variance_is_what_the_scatter_of_repeats_shows(rng: np.random.G
     assert np.mean(predicted / observed) == pytest.approx(1.0, abs=0.1)
 
 
+def test_a_sensor_s_delay_is_taken_out(rng: np.random.Generator) -> None:
+    # The recorded response comes one sample late; a delay of one sample in the rig file makes H real again.
+    plain = periodic_recording(rng, (2.0,), 1e-9)
+    late = Channel("x", "displacement", "output", "x", 0.0, delay=1 / RATE)
+    response = measure([Recording((plain.channels[0], late), plain.samples, RATE, "late")], PERIODIC)
+    np.testing.assert_allclose(response.matrix[:, 0, 0], 2.0, atol=1e-7)
+
+
 def test_two_force_directions_give_one_matrix(rng: np.random.Generator) -> None:
     runs = [periodic_recording(rng, (2.0, 0.5), 1e-6, dof="x"), periodic_recording(rng, (0.3, 1.0), 1e-6, dof="y")]
     response = measure(runs, PERIODIC)
