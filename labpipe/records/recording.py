@@ -22,7 +22,8 @@ class Channel:
     """One measured channel in SI units.
 
     *dof* is a label (``x``, ``y``, ``bearing2.y``); *angle* [rad] from x towards y is set when the direction is known as an angle
-    (``dof: 45 deg``; x is 0, y is 90 deg). *delay* [s] of the sensor chain, taken out of the FRF. *role*: input (force), output (response) or reference (tacho, temperature, ...).
+    (``dof: 45 deg``; x is 0, y is 90 deg). *role*: input (force), output (response) or reference (tacho, temperature, ...).
+    *delay* [s] of the sensor chain, taken out of the FRF.
     """
 
     name: str
