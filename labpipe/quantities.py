@@ -144,7 +144,8 @@ def nearest_unit(symbol: str) -> str:
     known = [*_BASE, *_FIXED, *(p + b for p in _PREFIX for b in ("m", "N", "g", "s", "A", "V", "Hz", "Pa"))]
     same_case = [k for k in known if k.lower() == symbol.lower()]
     one_letter = [k for k in known if len(k) == len(symbol) > 1 and sum(a != b for a, b in zip(k, symbol, strict=True)) == 1]
-    near = same_case or [k for k in one_letter if k[0] == symbol[0]] or difflib.get_close_matches(symbol, known, 1, 0.5)
+    same_start = [k for k in one_letter if k[0] == symbol[0]]
+    near = same_case or difflib.get_close_matches(symbol, known, 1, 0.75) or same_start or difflib.get_close_matches(symbol, known, 1, 0.5)
     return f"did you mean '{near[0]}'?" if near else ""
 
 

@@ -19,7 +19,7 @@ from labpipe.stages.report import write_report
     required=True,
     type=options.PATH,
     metavar="FILE",
-    help="Report file; its ending (.html, .md) chooses the format.",
+    help="Report file; its ending (.html, .pdf, .md) chooses the format.",
 )
 @options.quiet
 def report(result: Path, output: Path, quiet: bool) -> None:

@@ -34,7 +34,7 @@ SECTIONS = (
     "accept",
     "expect",
 )
-REPORT_FORMATS = ("html", "md")
+REPORT_FORMATS = ("html", "md", "pdf")
 
 
 @dataclass(frozen=True)

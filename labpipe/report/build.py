@@ -25,7 +25,7 @@ def build(identification: Identification) -> Document:
         *([Section("Measurement", _measurement(identification))] if identification.responses else []),
         Section("Rig and conditions", _rig(identification)),
         Section("Provenance", _provenance(identification)),
-        Section("Signature", (Table(("tested by", "date", "signature"), ((" ", " ", " "),)),)),
+        Section("Signature", (Table(("tested by", "date", "signature"), (("\n\n", "\n\n", "\n\n"),)),)),
     )
     return Document(identification.title, f"Identification report, labpipe {identification.version}", sections)
 

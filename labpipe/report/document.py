@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from matplotlib.figure import Figure as Canvas
+
 
 @dataclass(frozen=True)
 class Paragraph:
@@ -25,9 +27,9 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A drawing as SVG text, its caption, and what it shows for those who cannot see it."""
+    """A drawing, its caption, and what it shows for those who cannot see it; each renderer saves the drawing in its own format."""
 
-    svg: str
+    drawing: Canvas
     caption: str
     alternative: str
 

@@ -1,8 +1,7 @@
-"""The figures of a report, drawn by matplotlib as SVG text that is the same for the same result."""
+"""The figures of a report, drawn by matplotlib, the same for the same result."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,32 +16,10 @@ from labpipe.quantities import QUANTITIES, display_unit, to_display
 from labpipe.records.identification import Fit, FittedCurve
 from labpipe.records.response import FrequencyResponse
 from labpipe.report.document import Figure
+from labpipe.report.drawing import COLOURS, STYLE
 from labpipe.report.wording import fit_title, unit_text
 
-# Okabe and Ito's colours: told apart by colour-blind readers and in grey print.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-STYLE = {
-    "svg.hashsalt": "labpipe",
-    "svg.fonttype": "none",
-    "text.parse_math": False,
-    "font.family": "sans-serif",
-    "font.size": 9,
-    "axes.grid": True,
-    "grid.alpha": 0.35,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.prop_cycle": mpl.cycler(color=COLOURS),
-    "legend.frameon": False,
-}
 WIDTH = 7.2
-
-
-def _svg(canvas: Canvas) -> str:
-    """The drawing as SVG without its XML prologue, so that it can stand inside HTML."""
-    stream = io.StringIO()
-    canvas.savefig(stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
-    text = stream.getvalue()
-    return text[text.index("<svg") :]
 
 
 def _canvas(rows: int, height: float, **kwargs: Any) -> tuple[Canvas, list[Axes]]:
@@ -95,10 +72,9 @@ def fitted_curve_figure(fit: Fit, curve: FittedCurve) -> Figure:
         phase.set_ylabel("phase [deg]")
         residual.set_ylabel("|residual| / |H| [%]")
         residual.set_xlabel("frequency [Hz]")
-        svg = _svg(canvas)
     band = "; shaded: 95 % of residuals lie below when only the measured noise is left" if curve.variance is not None else ""
     caption = f"{fit_title(fit)}: measured (dots) and fitted (lines) {curve.form}, and the residual{band}."
-    return Figure(svg, caption, f"Amplitude, phase and residual of fit {fit_title(fit)} over frequency")
+    return Figure(canvas, caption, f"Amplitude, phase and residual of fit {fit_title(fit)} over frequency")
 
 
 def _residual(axes: Axes, curve: FittedCurve, o: int, i: int, colour: str) -> None:
@@ -124,9 +100,8 @@ def correlation_figure(fit: Fit) -> Figure:
             tone = "white" if abs(value) > 0.6 else "black"
             axes.text(column, row, f"{value:.2f}", ha="center", va="center", fontsize=7, color=tone)
         canvas.colorbar(image, ax=axes, shrink=0.8)
-        svg = _svg(canvas)
     caption = f"{fit_title(fit)}: correlation between the estimates. Near +1 or -1 two parameters cannot be told apart."
-    return Figure(svg, caption, f"Correlation matrix of fit {fit_title(fit)}")
+    return Figure(canvas, caption, f"Correlation matrix of fit {fit_title(fit)}")
 
 
 def sliding_figures(fits: Sequence[Fit]) -> list[Figure]:
@@ -151,10 +126,9 @@ def _coefficient_figure(fits: Sequence[Fit], centres: NDArray[np.float64], names
         axes.set_xlabel("centre of the band [Hz]")
         axes.set_ylabel(f"{names[0][0]} [{unit_text(fits[0].parameter(names[0]).unit)}]")
         axes.legend(ncols=4, fontsize=8)
-        svg = _svg(canvas)
     what = "stiffness" if names[0].startswith("k") else "damping"
     caption = f"{fit_title(fits[0])}: {what} over frequency, {len(fits)} bands; shaded: 95 % interval."
-    return Figure(svg, caption, f"{what} of {fit_title(fits[0])} over frequency with 95 % interval")
+    return Figure(canvas, caption, f"{what} of {fit_title(fits[0])} over frequency with 95 % interval")
 
 
 def _factor(unit: str) -> float:
@@ -172,12 +146,11 @@ def _goodness_figure(fits: Sequence[Fit], centres: NDArray[np.float64]) -> Figur
         axes[1].axhline(1.0, color="0.5", linewidth=0.8)
         axes[1].set_ylabel("chi² per datum")
         axes[1].set_xlabel("centre of the band [Hz]")
-        svg = _svg(canvas)
     caption = (
         f"{fit_title(fits[0])}: goodness of fit per band. A high G.o.F does not prove the coefficients; "
         "chi² per datum near 1 says that the model leaves nothing but the measured noise."
     )
-    return Figure(svg, caption, f"Goodness of fit of {fit_title(fits[0])} over frequency")
+    return Figure(canvas, caption, f"Goodness of fit of {fit_title(fits[0])} over frequency")
 
 
 def response_figure(response: FrequencyResponse) -> Figure:
@@ -195,8 +168,7 @@ def response_figure(response: FrequencyResponse) -> Figure:
         amplitude.legend(ncols=4, fontsize=8)
         what = _quality(quality, response)
         quality.set_xlabel("frequency [Hz]")
-        svg = _svg(canvas)
-    return Figure(svg, f"Measured {response.form} of {name}, and {what}.", f"Measured {response.form} of {name} and {what}")
+    return Figure(canvas, f"Measured {response.form} of {name}, and {what}.", f"Measured {response.form} of {name} and {what}")
 
 
 def _quality(axes: Axes, response: FrequencyResponse) -> str:
@@ -237,5 +209,4 @@ def line_figure(fits: Sequence[Fit]) -> Figure:
         axes.set_xticks(position, [fit.test or fit.name for fit in fits])
         axes.set_ylabel(f"slope [{slopes[0].unit}]")
         axes.set_ylim(bottom=0 if min(s.value for s in slopes) > 0 else None)
-        svg = _svg(canvas)
-    return Figure(svg, f"{fits[0].name}: slope of each line with its 95 % interval.", f"Slopes of calibration {fits[0].name}")
+    return Figure(canvas, f"{fits[0].name}: slope of each line with its 95 % interval.", f"Slopes of calibration {fits[0].name}")

@@ -1,4 +1,4 @@
-"""A document as HTML or Markdown. RENDERERS by format."""
+"""A document as HTML or Markdown. RENDERERS by format: each turns an identification into the bytes of a file."""
 
 from __future__ import annotations
 
@@ -9,18 +9,26 @@ from labpipe.records.identification import Identification
 from labpipe.registry import Registry
 from labpipe.report.build import build
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Table
+from labpipe.report.drawing import svg_text
 
-RENDERERS = Registry("report format", {"html": "labpipe.report.render:html_report", "md": "labpipe.report.render:markdown_report"})
+RENDERERS = Registry(
+    "report format",
+    {
+        "html": "labpipe.report.render:html_report",
+        "md": "labpipe.report.render:markdown_report",
+        "pdf": "labpipe.report.pdf:pdf_report",
+    },
+)
 
 
-def html_report(identification: Identification) -> str:
+def html_report(identification: Identification) -> bytes:
     """One HTML file that opens offline: style and drawings inside, nothing fetched, names from files escaped."""
-    return render_html(build(identification))
+    return render_html(build(identification)).encode()
 
 
-def markdown_report(identification: Identification) -> str:
+def markdown_report(identification: Identification) -> bytes:
     """The same report as Markdown; drawings are named by their captions."""
-    return render_markdown(build(identification))
+    return render_markdown(build(identification)).encode()
 
 
 def render_html(document: Document) -> str:
@@ -44,7 +52,7 @@ def _html(block: Block) -> str:
     if isinstance(block, Code):
         return f"<pre>{escape(block.text)}</pre>"
     if isinstance(block, Figure):
-        drawing = block.svg.replace("<svg", f'<svg role="img" aria-label="{escape(block.alternative)}"', 1)
+        drawing = svg_text(block.drawing).replace("<svg", f'<svg role="img" aria-label="{escape(block.alternative)}"', 1)
         return f"<figure>{drawing}<figcaption>{escape(block.caption)}</figcaption></figure>"
     return _html_table(block)
 

@@ -9,7 +9,7 @@ from labpipe.errors import ConfigError
 from labpipe.records.identification import Identification
 from labpipe.report.render import RENDERERS
 
-SUFFIX_FORMATS = {".html": "html", ".htm": "html", ".md": "md"}
+SUFFIX_FORMATS = {".html": "html", ".htm": "html", ".md": "md", ".pdf": "pdf"}
 
 
 def format_of(path: Path) -> str:
@@ -24,6 +24,6 @@ def format_of(path: Path) -> str:
 
 def write_report(identification: Identification, path: Path, report_format: str = "") -> None:
     """Write the report of an identification; the format follows from the file's ending."""
-    text = RENDERERS.load(report_format or format_of(path))(identification)
+    content: bytes = RENDERERS.load(report_format or format_of(path))(identification)
     with output_file(path) as target:
-        target.write_text(text, encoding="utf-8")
+        target.write_bytes(content)

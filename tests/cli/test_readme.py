@@ -45,7 +45,7 @@ def test_the_tutorial_runs_as_printed(tmp_path: Path, labpipe, monkeypatch) -> N
             assert ended.err.strip().splitlines() == shown or not shown
             ran += 1
     assert ran == 7
-    assert (tmp_path / "my-rig/out/report.md").exists()
+    assert (tmp_path / "my-rig/out/report.pdf").exists()
 
 
 def test_the_tutorial_s_rig_file_is_the_scaffold_s(tmp_path: Path, labpipe) -> None:

@@ -14,7 +14,7 @@ from labpipe.identify.settings import FitSettings, Sliding
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Identification, Parameter, RuleOutcome
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
-from labpipe.report.render import html_report, markdown_report
+from labpipe.report import render
 from labpipe.report.wording import parameter_row, rounded, significance
 
 HOSTILE = '<script>alert("x")</script> $y_1$ | *bold*'
@@ -38,6 +38,14 @@ def result(name: str = "pedestal", sliding: Sliding | None = None) -> Identifica
     outcome = RuleOutcome("accept", f"{name}.gof >= 0.95", 0.9999, True)
     sources = ({"path": "run.csv", "sha256": "ab" * 32},)
     return Identification(fits, f"Report of {name}", "p.yaml", sources, {"frf": {"period": 1.0}}, {}, (response,), (outcome,), "0.1.0")
+
+
+def html_report(identification: Identification) -> str:
+    return render.html_report(identification).decode()
+
+
+def markdown_report(identification: Identification) -> str:
+    return render.markdown_report(identification).decode()
 
 
 class Tags(HTMLParser):
@@ -131,3 +139,11 @@ def test_stars_follow_the_t_distribution() -> None:
 def test_a_parameter_without_an_error_shows_none() -> None:
     row = parameter_row(Parameter("linear_range", 0.2, "1", derived=True), 5)
     assert row == ("linear_range", "0.2", "", "none", "none", "", "derived", "")
+
+
+def test_the_pdf_has_pages_with_numbers_and_is_the_same_each_time() -> None:
+    from labpipe.report.pdf import pdf_report
+
+    first, second = pdf_report(result()), pdf_report(result())
+    assert first.startswith(b"%PDF-") and first == second
+    assert first.count(b"/Type /Page\n") >= 3
