@@ -74,7 +74,8 @@ def _head(path: Path) -> tuple[str, list[str]]:
         raise DataError("is not a text file", where=str(path))
     else:
         encoding = "utf-8-sig" if head.startswith(codecs.BOM_UTF8) else _utf8_or_latin(head)
-    lines = head.decode(encoding, errors="ignore").splitlines()
+    # Not splitlines(): pyarrow, which skips the header by its number of lines, knows line feeds only.
+    lines = [line.rstrip("\r") for line in head.decode(encoding, errors="ignore").split("\n")]
     return encoding, lines[:-1] if len(head) == HEAD_BYTES else lines
 
 
