@@ -26,9 +26,11 @@ STEP_TOLERANCE = 1e-10
 GRADIENT_TOLERANCE = 1e-5
 REWEIGHTINGS = 12
 UNWEIGHTED_NOTE = (
-    "ml: the FRF came without its covariance, so all lines weigh alike, the standard errors come from the residual, and the "
-    "chi-square test of the model is not possible."
+    "ml: the noise of the FRF is not known (it came without covariance, or free of noise), so all lines weigh alike, the standard "
+    "errors come from the residual, and the chi-square test of the model is not possible."
 )
+# Below this relative standard deviation an FRF holds rounding errors, which are no measured noise to weigh by.
+NOISE_FREE = 1e-10
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,8 @@ def maximum_likelihood(measured: Measured, model: DynamicModel) -> Estimate:
     n_parameter = len(model.terms)
     if measured.n_equation <= n_parameter:
         raise FitError(f"{measured.n_equation} real equations cannot determine {n_parameter} parameters", hint="widen the band")
-    problem = _Problem(measured, model, _whitener(measured))
+    weighted = _has_noise(measured)
+    problem = _Problem(measured, model, _whitener(measured) if weighted else _equal_weights(measured))
     values, converged, iterations = _minimise(problem, _start(problem))
     jacobian = problem.jacobian(values)
     _, inverse = solve_scaled(jacobian, problem.residual(values))
@@ -72,7 +75,7 @@ def maximum_likelihood(measured: Measured, model: DynamicModel) -> Estimate:
     fitted_error = measured.matrix - model.receptance(values, measured.omega)
     r2, adjusted = determination(measured.matrix, fitted_error, n_parameter)
     design = jacobian / np.linalg.norm(jacobian, axis=0)
-    if measured.covariance is None:
+    if not weighted:
         gof = Goodness(r2, adjusted)
         return Estimate(values, excess * inverse, design, gof, dof, converged, iterations, (UNWEIGHTED_NOTE,))
     factor = _estimated_weight_factor(measured)
@@ -95,17 +98,29 @@ def _estimated_weight_factor(measured: Measured) -> float:
     return float(measured.noise_dof / (measured.noise_dof - n))
 
 
-def _whitener(measured: Measured) -> NDArray[np.complexfloating]:
-    """L^-1 of C = L L^H per line, (n_line, n, n); the same number for all lines where the covariance is unknown."""
-    n = measured.matrix.shape[1] * measured.matrix.shape[2]
+def _has_noise(measured: Measured) -> bool:
+    """Whether the FRF comes with noise that was measured."""
     if measured.covariance is None:
-        size = np.sqrt(np.mean(np.abs(measured.matrix) ** 2))
-        return np.broadcast_to(np.eye(n) / size, (measured.omega.size, n, n)).astype(np.complex128)
+        return False
+    variance = np.einsum("lii->li", measured.covariance).real
+    return bool(np.max(variance) > NOISE_FREE**2 * np.max(np.abs(measured.matrix) ** 2))
+
+
+def _equal_weights(measured: Measured) -> NDArray[np.complexfloating]:
+    """The same weight for every FRF and line, (n_line, n, n), scaled by the FRF's size so that units do not matter."""
+    n = measured.matrix.shape[1] * measured.matrix.shape[2]
+    size = np.sqrt(np.mean(np.abs(measured.matrix) ** 2))
+    return np.broadcast_to(np.eye(n) / size, (measured.omega.size, n, n)).astype(np.complex128)
+
+
+def _whitener(measured: Measured) -> NDArray[np.complexfloating]:
+    """L^-1 of C = L L^H per line, (n_line, n, n)."""
+    assert measured.covariance is not None
     std = np.sqrt(np.einsum("lii->li", measured.covariance).real)
     if np.any(std == 0):
         line = int(np.argwhere(std == 0)[0][0])
         frequency = measured.omega[line] / (2 * np.pi)
-        hint = "noise-free FRFs have no weights; use the estimator ls"
+        hint = "leave this line out with `exclude`"
         raise FitError(f"the variance of the FRF is zero at {frequency:g} Hz", hint=hint)
     scaled = measured.covariance / (std[:, :, None] * std[:, None, :])
     try:

@@ -216,7 +216,17 @@ def test_what_a_fit_cannot_do_is_said(sdof_response, symmetric_response, coupled
     with pytest.raises(ConfigError, match="no force acts in direction y"):
         identify(axis, FitSettings("rotor-2dof-direct", mass=0.92))
     silent = sdof_response(1e-6)
-    with pytest.raises(FitError, match="variance of the FRF is zero"):
-        identify(replace(silent, covariance=0 * silent.covariance), SDOF)
+    one_line = np.where(np.arange(silent.n_frequency)[:, None, None] == 3, 0, silent.covariance)
+    with pytest.raises(FitError, match=r"variance of the FRF is zero at 61\.5 Hz"):
+        identify(replace(silent, covariance=one_line), SDOF)
     with pytest.raises(FitError, match="linearly dependent"):
         identify(symmetric_response(), FitSettings("rotor-2dof", mass=0.92, estimator="ls"))
+
+
+@pytest.mark.parametrize("variance", [0.0, 1e-40])
+def test_a_response_without_noise_is_fitted_with_equal_weights(sdof_response, variance: float) -> None:
+    silent = replace(sdof_response(), covariance=np.full((21, 1, 1), variance))
+    (fit,) = identify(silent, SDOF)
+    assert fit.parameter("k").value == pytest.approx(134.5e3, rel=1e-9)
+    assert fit.gof.chi2_reduced is None
+    assert any("all lines weigh alike" in note for note in fit.notes)
