@@ -21,7 +21,7 @@ def build(identification: Identification) -> Document:
     sections = (
         Section("Verdict", _verdict(identification)),
         Section("Warnings", _warnings(identification)),
-        *(Section(f"Result: {fit_title(fits[0])}", _result(fits)) for fits in series),
+        *(Section(f"Result: {_series_title(fits)}", _result(fits)) for fits in series),
         *([Section("Measurement", _measurement(identification))] if identification.responses else []),
         Section("Rig and conditions", _rig(identification)),
         Section("Provenance", _provenance(identification)),
@@ -36,6 +36,11 @@ def _series(fits: Sequence[Fit]) -> list[list[Fit]]:
     for fit in fits:
         groups.setdefault((fit.name, "" if fit.model == "straight-line" else fit.test), []).append(fit)
     return list(groups.values())
+
+
+def _series_title(fits: list[Fit]) -> str:
+    """A calibration's lines stand under one heading, whatever group they belong to."""
+    return fits[0].name if fits[0].model == "straight-line" else fit_title(fits[0])
 
 
 def _verdict(identification: Identification) -> tuple[Block, ...]:
@@ -163,9 +168,9 @@ def _with_error(fit: Fit, name: str) -> str:
 
 
 def _calibration(fits: list[Fit]) -> tuple[Block, ...]:
-    """Straight lines: slope, intercept and linear range of each."""
-    rows = tuple((fit.test or fit.name, *parameter_row(parameter, fit.dof)) for fit in fits for parameter in fit.parameters)
-    table = Table(("line", *PARAMETER_HEADER), rows, f"Straight lines of {fits[0].name}", tuple(n + 1 for n in NUMERIC))
+    """Straight lines: slope, intercept and linear range of each; inflation factors say nothing here."""
+    rows = tuple((fit.test or fit.name, *parameter_row(parameter, fit.dof)[:-1]) for fit in fits for parameter in fit.parameters)
+    table = Table(("line", *PARAMETER_HEADER[:-1]), rows, f"Straight lines of {fits[0].name}", tuple(n + 1 for n in NUMERIC[:-1]))
     goodness = tuple((fit.test or fit.name, f"{fit.gof.r2:.5f}", str(fit.lines), "; ".join(fit.notes)) for fit in fits)
     quality = Table(("line", "R²", "points", "remarks"), goodness, "Goodness of the lines", (1, 2))
     drawing = [figures.line_figure(fits)] if len(fits) > 1 else []

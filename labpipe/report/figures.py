@@ -206,7 +206,7 @@ def line_figure(fits: Sequence[Fit]) -> Figure:
         low = [s.value - s.ci95[0] if s.ci95 else 0.0 for s in slopes]
         high = [s.ci95[1] - s.value if s.ci95 else 0.0 for s in slopes]
         axes.errorbar(position, [s.value for s in slopes], yerr=(low, high), fmt="o", capsize=3)
-        axes.set_xticks(position, [fit.test or fit.name for fit in fits])
+        axes.set_xticks(position, [fit.test or fit.name for fit in fits], rotation=25, ha="right")
         axes.set_ylabel(f"slope [{slopes[0].unit}]")
         axes.set_ylim(bottom=0 if min(s.value for s in slopes) > 0 else None)
     return Figure(canvas, f"{fits[0].name}: slope of each line with its 95 % interval.", f"Slopes of calibration {fits[0].name}")
