@@ -21,7 +21,8 @@ from labpipe.stages.identify import identify_stage
 @options.out_folder
 @options.overrides
 @options.quiet
-def calibrate(pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool) -> int:
+@options.verbose
+def calibrate(pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
     """Fit the straight lines of a file's calibrate: section: DIR/identification.json.
 
     A rig file can then name a fitted slope as a sensitivity: `sensitivity: results/identification.json#probe_y`.
@@ -29,6 +30,7 @@ def calibrate(pipeline_path: Path, output: Path, overrides: tuple[str, ...], qui
     pipeline = load_pipeline(pipeline_path, overrides)
     if not pipeline.calibrations:
         raise ConfigError("calibrate: is missing", where=str(pipeline_path), hint="name a table with its x and y columns")
+    options.teller(quiet, verbose)(f"calibrate {pipeline.title}")
     names = {calibration.name for calibration in pipeline.calibrations}
     rules = tuple(rule for rule in pipeline.rules if rule.fit in names)
     lines = replace(pipeline, tests=(), fits=(), rules=rules)

@@ -26,7 +26,10 @@ from labpipe.signals.excitation import PHASES, design_multisine
 @click.option("--phases", type=click.Choice(list(PHASES)), default="schroeder", show_default=True, help="How the phases are chosen.")
 @click.option("--odd", is_flag=True, help="Odd lines only: even lines then show even distortion.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of random phases.")
-def excite(output: Path, band: str, spacing: str, rate: str, periods: int, level: str, phases: str, odd: bool, seed: int) -> None:
+@options.quiet
+def excite(
+    output: Path, band: str, spacing: str, rate: str, periods: int, level: str, phases: str, odd: bool, seed: int, quiet: bool
+) -> None:
     """Design a periodic test signal and print its crest factor (peak over rms)."""
     limits = _option("--band", lambda: read_band(Marked(band, "--band", text=band), Setting("band", "", "Hz")))
     line_spacing = _option("--spacing", lambda: parse_value(spacing, "Hz"))
@@ -34,6 +37,8 @@ def excite(output: Path, band: str, spacing: str, rate: str, periods: int, level
     rms = _option("--level", lambda: parse_value(level, "V"))
     signal = design_multisine(limits, line_spacing, rms, phases=phases, odd_only=odd, seed=seed)
     write_signal(output, signal.samples(sample_rate, periods), sample_rate)
+    if quiet:
+        return
     lines = f"{signal.lines.size} lines, {signal.lines[0] * line_spacing:g}-{signal.lines[-1] * line_spacing:g} Hz"
     click.echo(f"{lines}, period {1 / line_spacing:g} s, {phases} phases: crest factor {signal.crest_factor:.3f}")
 

@@ -22,12 +22,14 @@ from labpipe.stages.identify import identify_stage
 @options.out_folder
 @options.overrides
 @options.quiet
-def identify(frfs: tuple[Path, ...], pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool) -> int:
+@options.verbose
+def identify(frfs: tuple[Path, ...], pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
     """Identify parameters from frequency responses: DIR/identification.json.
 
     Without FRF... the responses that `labpipe frf` left in DIR are used, or the pipeline's own frfs:.
     """
     pipeline = load_pipeline(pipeline_path, overrides)
+    options.teller(quiet, verbose)(f"identify  {pipeline.title}")
     with output_folder(output) as folder:
         paths = list(frfs) or _known_responses(pipeline, folder)
         responses = [load_response(path) for path in paths]

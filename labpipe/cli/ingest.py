@@ -18,9 +18,11 @@ from labpipe.stages.ingest import ingest_all
 @options.out_folder
 @options.overrides
 @options.quiet
-def ingest(sources: tuple[Path, ...], rig_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool) -> None:
+@options.verbose
+def ingest(sources: tuple[Path, ...], rig_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> None:
     """Calibrate raw files to SI units: SOURCE... -> DIR/*.recording.parquet."""
     rig = load_rig(rig_path, overrides)
+    options.teller(quiet, verbose)(f"ingest    {len(sources)} file(s)")
     with output_folder(output) as folder:
         recordings = ingest_all(sources, rig, folder, Path.cwd())
     for recording in recordings:

@@ -22,9 +22,11 @@ from labpipe.stages.report import write_report
     help="Report file; its ending (.html, .pdf, .md) chooses the format.",
 )
 @options.quiet
-def report(result: Path, output: Path, quiet: bool) -> None:
+@options.verbose
+def report(result: Path, output: Path, quiet: bool, verbose: bool) -> None:
     """Write the report of a result: verdict, parameters, figures, warnings, provenance."""
     identification = read_identification(result / NAME if result.is_dir() else result)
+    options.teller(quiet, verbose)(f"report    {identification.title}")
     write_report(identification, output)
     if not quiet:
         click.echo(f"written: {output}", err=True)

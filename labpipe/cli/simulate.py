@@ -18,9 +18,13 @@ from labpipe.stages.simulate import load_virtual_rig, simulate_files
 @click.option("--run", "runs", multiple=True, metavar="NAME", help="Make this run only (repeatable); default: all.")
 @options.overrides
 @options.quiet
-def simulate(rig_path: Path, output: Path, seed: int, runs: tuple[str, ...], overrides: tuple[str, ...], quiet: bool) -> None:
+@options.verbose
+def simulate(
+    rig_path: Path, output: Path, seed: int, runs: tuple[str, ...], overrides: tuple[str, ...], quiet: bool, verbose: bool
+) -> None:
     """Make recordings of a virtual RIG with known truth (truth.json)."""
     rig = load_virtual_rig(rig_path, overrides)
+    options.teller(quiet, verbose)(f"simulate  {rig.name}, seed {seed}")
     with output_folder(output) as folder:
         names = simulate_files(rig, seed, runs or None, folder)
     if not quiet:

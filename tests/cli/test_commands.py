@@ -237,3 +237,21 @@ def test_no_clock_in_any_artefact(tmp_path: Path, labpipe) -> None:
     labpipe("run", PEDESTAL, "-o", tmp_path)
     year = time.strftime("%Y-%m")
     assert year not in (tmp_path / "identification.json").read_text() and year not in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["ingest", "sample_data/hmb/axial.csv", "-r", "configs/hmb-axial.yaml", "-o", "OUT"],
+        ["frf", "-c", PEDESTAL, "-o", "OUT"],
+        ["calibrate", "-c", "pipelines/actuator-gain.yaml", "-o", "OUT"],
+        ["simulate", "configs/virtual-hmb.yaml", "--run", "static", "-o", "OUT"],
+        ["run", PEDESTAL, "-o", "OUT"],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_quiet_and_verbose(tmp_path: Path, labpipe, arguments: list[str]) -> None:
+    quiet = labpipe(*(a.replace("OUT", str(tmp_path / "q")) for a in arguments), "-q")
+    loud = labpipe(*(a.replace("OUT", str(tmp_path / "v")) for a in arguments), "-v")
+    assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
+    assert loud.code == 0 and loud.err.split()[0] in ("ingest", "calibrate", "simulate")
