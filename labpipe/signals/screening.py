@@ -14,6 +14,10 @@ from labpipe.records.finding import Finding
 CLIPPED_RUN = 3
 # A time step may differ from the mean by this share, beside the rounding of printed times.
 JITTER = 1e-3
+# A recorded value this near to the end of the range (share of the range) stands at it: units convert with rounding.
+AT_LIMIT = 1e-9
+# Steps of more printed digits than this cannot lose a sample within the rounding of the times.
+FINE = 3.0
 # Share of the last printed digit by which mean and typical step differ when the digits are too few for the step.
 COARSE = 0.1
 
@@ -24,31 +28,34 @@ class ChannelScreen:
     def __init__(self, names: Sequence[str], limits: Sequence[tuple[float, float] | None] | None = None) -> None:
         n = len(names)
         self._names = list(names)
-        self._limits = list(limits) if limits is not None else [None] * n
         self.minimum, self.maximum = np.full(n, np.inf), np.full(n, -np.inf)
-        self._sum, self._squares = np.zeros(n), np.zeros(n)
-        self._origin: NDArray[np.floating] | None = None
+        self._sum, self._squares, self._origin = np.zeros(n), np.zeros(n), np.full(n, np.nan)
         self.n_sample = 0
         self._n_missing = np.zeros(n, int)
         self._first_missing = np.full(n, -1)
-        self._ends = [_EndRuns(-1.0) for _ in names], [_EndRuns(1.0) for _ in names]
+        self._ends = [_both_ends(limit) for limit in limits or [None] * n]
 
     def add(self, block: NDArray[np.floating]) -> None:
         """Take the next block."""
+        if not block.shape[0]:
+            return
         missing = ~np.isfinite(block)
+        self._add_levels(block, missing)
         self._note_missing(missing)
-        if self._origin is None:
-            # Sums around a first value keep the variance of a small signal on a large offset.
-            self._origin = np.where(missing[0], 0.0, block[0])
+        self.minimum = np.minimum(self.minimum, np.min(np.where(missing, np.inf, block), axis=0))
+        self.maximum = np.maximum(self.maximum, np.max(np.where(missing, -np.inf, block), axis=0))
+        for ends, column in zip(self._ends, block.T, strict=True):
+            for end in ends:
+                end.add(column, self.n_sample)
+        self.n_sample += block.shape[0]
+
+    def _add_levels(self, block: NDArray[np.floating], missing: NDArray[np.bool_]) -> None:
+        """Sums around each channel's first number: a small signal on a large offset keeps its variance."""
+        fresh = np.isnan(self._origin) & ~missing.all(axis=0)
+        self._origin[fresh] = block[np.argmin(missing, axis=0)[fresh], fresh]
         beside = np.where(missing, 0.0, block - self._origin)
         self._sum += beside.sum(axis=0)
         self._squares += (beside**2).sum(axis=0)
-        self.minimum = np.minimum(self.minimum, np.min(np.where(missing, np.inf, block), axis=0))
-        self.maximum = np.maximum(self.maximum, np.max(np.where(missing, -np.inf, block), axis=0))
-        for low, high, column in zip(*self._ends, block.T, strict=True):
-            low.add(column, self.n_sample)
-            high.add(column, self.n_sample)
-        self.n_sample += block.shape[0]
 
     def _note_missing(self, missing: NDArray[np.bool_]) -> None:
         self._n_missing += missing.sum(axis=0)
@@ -58,8 +65,7 @@ class ChannelScreen:
     @property
     def mean(self) -> NDArray[np.floating]:
         """Mean per channel over the samples that are numbers."""
-        origin = self._origin if self._origin is not None else 0.0
-        return self._sum / np.maximum(self.n_sample - self._n_missing, 1) + origin
+        return self._sum / np.maximum(self.n_sample - self._n_missing, 1) + np.nan_to_num(self._origin)
 
     @property
     def rms(self) -> NDArray[np.floating]:
@@ -76,6 +82,8 @@ class ChannelScreen:
                 found.append(
                     Finding("gap", f"channel {name}: {count} of {self.n_sample} samples are no numbers, the first is sample {first}")
                 )
+            if self._n_missing[number] == self.n_sample:
+                continue
             if not self.maximum[number] > self.minimum[number]:
                 found.append(Finding("constant", f"channel {name} does not vary at all"))
                 continue
@@ -83,8 +91,7 @@ class ChannelScreen:
         return tuple(found)
 
     def _clipping(self, number: int, name: str) -> list[Finding]:
-        limits = self._limits[number]
-        runs = [ends[number].clipped(None if limits is None else limits[side]) for side, ends in enumerate(self._ends)]
+        runs = [end.clipped() for end in self._ends[number]]
         count = sum(n for n, _ in runs)
         if not count:
             return []
@@ -133,11 +140,37 @@ class _EndRuns:
         if self._first < 0:
             self._first = start + begin - carried
 
-    def clipped(self, limit: float | None) -> tuple[int, int]:
-        """(clipped samples, first of them); with a known *limit* of the range only values at or beyond it count."""
-        if limit is not None and self._extreme < self._sign * limit:
-            return 0, -1
+    def clipped(self) -> tuple[int, int]:
+        """(clipped samples, first of them)."""
         return self._count, self._first
+
+
+class _AtLimit:
+    """Samples at or beyond a known end of the range: *sign* +1 the upper, -1 the lower one. A single one is clipped."""
+
+    def __init__(self, sign: float, limits: tuple[float, float]) -> None:
+        low, high = limits
+        self._sign = sign
+        self._limit = (high if sign > 0 else -low) - AT_LIMIT * (high - low)
+        self._count = 0
+        self._first = -1
+
+    def add(self, column: NDArray[np.floating], start: int) -> None:
+        beyond = np.isfinite(column) & (self._sign * column >= self._limit)
+        if self._first < 0 and beyond.any():
+            self._first = start + int(np.argmax(beyond))
+        self._count += int(beyond.sum())
+
+    def clipped(self) -> tuple[int, int]:
+        """(clipped samples, first of them)."""
+        return self._count, self._first
+
+
+def _both_ends(limits: tuple[float, float] | None) -> tuple[_EndRuns, _EndRuns] | tuple[_AtLimit, _AtLimit]:
+    """What finds clipping at the lower and the upper end; a known range settles it, otherwise repeats at the extremes do."""
+    if limits is None:
+        return _EndRuns(-1.0), _EndRuns(1.0)
+    return _AtLimit(-1.0, limits), _AtLimit(1.0, limits)
 
 
 class TimeAxisScreen:
@@ -148,11 +181,13 @@ class TimeAxisScreen:
         self._first = self._last = np.nan
         self._smallest, self._largest = (np.inf, -1), (-np.inf, -1)
         self._n_sample = 0
-        self._resolution = 0.0
+        self._resolution = np.inf
         self._typical = np.nan
 
     def add(self, times: NDArray[np.floating]) -> None:
         """Take the next time stamps; DataError at a missing one or one that does not rise."""
+        if not times.size:
+            return
         if not np.all(np.isfinite(times)):
             sample = self._n_sample + int(np.argmax(~np.isfinite(times)))
             raise DataError(f"the time column '{self._column}' has no number at sample {sample}")
@@ -167,7 +202,8 @@ class TimeAxisScreen:
                 self._typical = float(np.median(steps))
             self._smallest = min(self._smallest, (float(steps.min()), offset + 1 + int(steps.argmin())))
             self._largest = max(self._largest, (float(steps.max()), offset + 1 + int(steps.argmax())))
-        self._resolution = max(self._resolution, _printed_resolution(times))
+        # The finest block counts: a short one may hold round numbers only.
+        self._resolution = min(self._resolution, _printed_resolution(times))
         if self._n_sample == 0:
             self._first = float(times[0])
         self._last = float(times[-1])
@@ -178,10 +214,12 @@ class TimeAxisScreen:
         if self._n_sample < 2:
             raise DataError(f"the time column '{self._column}' has fewer than two samples")
         step = (self._last - self._first) / (self._n_sample - 1)
-        # Times printed coarsely make unequal steps of equal ones, by one last digit. Where the typical printed step is the mean step
-        # that is no excuse: there an unequal step is a lost sample.
-        coarse = abs(step - self._typical) > COARSE * self._resolution
-        allowed = JITTER * step + (self._resolution if coarse else 0.0)
+        # Times printed coarsely make unequal steps of equal ones, by one last digit (half a digit on either side). Where a step is
+        # hardly longer than that digit and the typical step is the mean one that is no excuse: an unequal step is a lost sample.
+        coarse = step > FINE * self._resolution or abs(step - self._typical) > COARSE * self._resolution
+        # Stored numbers are rounded as well: a date in seconds is known to 2e-7 s only, at either end of a step.
+        stored = float(np.spacing(max(abs(self._first), abs(self._last))))
+        allowed = JITTER * step + stored + (self._resolution if coarse else 0.0)
         for extreme, sample in (self._largest, self._smallest):
             if abs(extreme - step) > allowed:
                 raise DataError(
@@ -192,10 +230,13 @@ class TimeAxisScreen:
 
 
 def _printed_resolution(times: NDArray[np.floating]) -> float:
-    """The last digit to which times are printed: the smallest power of ten of which all are multiples."""
-    largest = float(np.max(np.abs(times)))
+    """The last digit to which times are printed: the largest power of ten, 1 at most, of which all are multiples.
+
+    Never finer than the numbers themselves: a date in seconds is known to 2e-7 s only.
+    """
+    spacing = float(np.spacing(np.max(np.abs(times))))
     for digits in range(12):
         scaled = times * 10.0**digits
-        if np.all(np.abs(scaled - np.round(scaled)) <= 1e-9 * max(largest * 10.0**digits, 1.0)):
+        if np.all(np.abs(scaled - np.round(scaled)) <= 4 * spacing * 10.0**digits) and spacing * 10.0**digits < COARSE:
             return 10.0**-digits
-    return 0.0
+    return 4 * spacing

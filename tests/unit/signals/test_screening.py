@@ -65,6 +65,38 @@ def test_a_known_range_excuses_equal_peaks_inside_it() -> None:
     assert [f.code for f in screened(samples, 50, [(-0.8, 0.8)]).findings()] == ["clipped"]
 
 
+def test_a_known_range_finds_peaks_that_do_not_repeat() -> None:
+    # Noise behind the saturated amplifier: no two samples are equal, yet all of them stand at or beyond the end of the range.
+    samples = np.sin(np.arange(300) / 9)[:, None]
+    samples[[40, 41, 200], 0] = [10.0, 10.001, -10.0002]
+    (clipped,) = screened(samples, 50, [(-10.0, 10.0)]).findings()
+    assert clipped.code == "clipped" and "3 samples" in clipped.message and "first is sample 40" in clipped.message
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1 / 3, 1e6])
+def test_the_end_of_the_range_is_met_in_any_unit(scale: float) -> None:
+    samples = np.array([0.1, 10.0 * (1 - 1e-15), 0.3, 9.99])[:, None] * scale
+    (clipped,) = screened(samples, 2, [(-10.0 * scale, 10.0 * scale)]).findings()
+    assert "1 samples" in clipped.message and "first is sample 1" in clipped.message
+
+
+def test_a_gap_at_the_start_of_a_large_offset_keeps_the_level() -> None:
+    samples = 1e9 + np.sin(np.arange(300.0))[:, None]
+    samples[:3] = np.nan
+    assert screened(samples, 2).rms[0] == pytest.approx(np.nanstd(samples), rel=1e-6)
+
+
+def test_a_channel_without_any_number_is_a_gap_and_nothing_else() -> None:
+    screen = screened(np.full((20, 1), np.nan), 7)
+    assert [finding.code for finding in screen.findings()] == ["gap"]
+
+
+def test_an_empty_block_changes_nothing() -> None:
+    screen = screened(np.array([[1.0], [2.0]]), 2)
+    screen.add(np.empty((0, 1)))
+    assert (screen.n_sample, screen.maximum[0]) == (2, 2.0)
+
+
 def test_two_equal_peaks_are_chance() -> None:
     samples = np.array([0.0, 1.0, 1.0, 0.5, 0.2, -1.0, 0.3])[:, None]
     assert screened(samples, 3).findings() == ()
@@ -82,6 +114,32 @@ def axis(times: np.ndarray, block: int = 7) -> TimeAxisScreen:
 def test_rounded_times_give_the_rate(rate: float, digits: int) -> None:
     times = np.round(np.arange(5000) / rate, digits)
     assert axis(times, 999).sample_rate() == pytest.approx(rate, rel=2 * 10.0**-digits * rate / 5000 + 1e-9)
+
+
+@pytest.mark.parametrize("rate", [8192.0, 1001.0, 19998.0])
+def test_times_rounded_to_nearly_the_step_are_no_fault(rate: float) -> None:
+    # Printed to 1 us, 8192 Hz steps by 122 us and at times by 123 us.
+    times = np.round(np.arange(5000) / rate, 6)
+    assert axis(times, 999).sample_rate() == pytest.approx(rate, rel=1e-6 * rate / 5000)
+
+
+def test_a_last_block_of_one_round_time_does_not_coarsen_the_digits() -> None:
+    times = np.round(np.arange(44101) / 44100, 5)
+    assert axis(times, 44100).sample_rate() == pytest.approx(44100, rel=1e-4)
+
+
+def test_a_lost_sample_is_found_whatever_the_digits() -> None:
+    for digits in (4, 6, 9):
+        times = np.round(np.delete(np.arange(5000) / 2048, 3000), digits)
+        with pytest.raises(DataError, match="not equal"):
+            axis(times, 999).sample_rate()
+
+
+def test_dates_in_seconds_are_known_to_their_own_digits_only() -> None:
+    times = 1.7e9 + np.arange(5000) / 10_000
+    assert axis(times, 999).sample_rate() == pytest.approx(10_000, rel=1e-5)
+    with pytest.raises(DataError, match="not equal"):
+        axis(np.delete(times, 3000), 999).sample_rate()
 
 
 @pytest.mark.parametrize(
