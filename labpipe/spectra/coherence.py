@@ -1,4 +1,4 @@
-"""How much of a response the forces explain: ordinary and multiple coherence."""
+"""How much of a response the forces explain: ordinary, multiple and partial coherence."""
 
 from __future__ import annotations
 
@@ -18,6 +18,20 @@ def multiple_coherence(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> NDArray[np.f
     """gamma^2 = S_yu S_uu^-1 S_uy / S_yy per response, (n_frequency, n_output)."""
     explained = np.einsum("foi,fio->fo", s_yu, np.linalg.solve(s_uu, s_yu.conj().swapaxes(-1, -2))).real
     return _clipped(explained, np.einsum("foo->fo", s_yy).real)
+
+
+def partial_coherence(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> NDArray[np.floating]:
+    """Coherence of a response and one force after the other forces are taken out of both, (n_frequency, n_output, n_input).
+
+    gamma^2 = |Q_yu|^2 / (Q_yy Q_uu) of the inverse Q of the spectra of all forces and that response (Bendat and Piersol, Random
+    Data, ch. 7.3: conditioned spectra); by blocks Q_yu = -q H1 and Q_uu = S_uu^-1 + q H1^H H1 with the residual power 1 / q.
+    """
+    inverse = np.linalg.inv(s_uu)
+    h1 = s_yu @ inverse
+    residual = np.einsum("foo->fo", s_yy).real - np.einsum("foi,foi->fo", h1, s_yu.conj()).real
+    explained = np.abs(h1) ** 2
+    alone = np.einsum("fii->fi", inverse).real[:, None, :] * np.maximum(residual, 0.0)[:, :, None]
+    return _clipped(explained, explained + alone)
 
 
 def _clipped(part: NDArray[np.floating], whole: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -1,11 +1,14 @@
-"""Receptance <-> mobility <-> accelerance: one factor j w per time derivative of the response."""
+"""Receptance <-> mobility <-> accelerance: one factor j w per time derivative of the response; dynamic stiffness is the inverse."""
 
 from __future__ import annotations
+
+import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, DataError
+from labpipe.records.response import FrequencyResponse
 
 DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
@@ -16,3 +19,37 @@ def receptance_factor(form: str, frequency: NDArray[np.floating]) -> NDArray[np.
         raise ConfigError(f"a response of the form '{form}' cannot be identified", hint="displacement, velocity or acceleration per force")
     factor: NDArray[np.complexfloating] = (2j * np.pi * frequency) ** DERIVATIVES[form]
     return factor
+
+
+def converted(response: FrequencyResponse, form: str) -> FrequencyResponse:
+    """The response as *form*: H' = (j w)^n H, cov' = w^2n cov, n the time derivatives between the two forms.
+
+    Coherence and signal-to-noise ratio stay as measured. Raises ConfigError for a form that is no displacement, velocity or
+    acceleration per force, DataError where a line at 0 Hz would have to be integrated.
+    """
+    order = DERIVATIVES.get(form, 0) - DERIVATIVES.get(response.form, 0)
+    for name in (form, response.form):
+        receptance_factor(name, response.frequency[:0])
+    if order < 0 and response.frequency[0] == 0:
+        raise DataError(f"the line at 0 Hz of a {response.form} says nothing of a {form}", hint="begin the band above 0 Hz")
+    factor = (2j * np.pi * response.frequency) ** order
+    covariance = response.covariance
+    if covariance is not None:
+        covariance = covariance * (np.abs(factor) ** 2)[:, None, None]
+    return dataclasses.replace(response, matrix=response.matrix * factor[:, None, None], covariance=covariance, form=form)
+
+
+def dynamic_stiffness(response: FrequencyResponse) -> NDArray[np.complexfloating]:
+    """Z = H^-1 [N/m] of the receptance matrix, (n_frequency, n_input, n_output): force per displacement, the matrix inverse.
+
+    Raises DataError when there are not as many forces as responses, or when the matrix is singular at a line.
+    """
+    n_output, n_input = response.matrix.shape[1:]
+    if n_output != n_input:
+        hint = "as many forces as responses are needed"
+        raise DataError(f"{n_output} responses to {n_input} forces have no dynamic stiffness", hint=hint)
+    receptance = converted(response, "receptance")
+    try:
+        return np.linalg.inv(receptance.matrix)
+    except np.linalg.LinAlgError:
+        raise DataError("the FRF matrix is singular at a line, so it has no dynamic stiffness") from None

@@ -1,7 +1,11 @@
-"""From the cross-spectral matrix to the frequency response: H1, H2, Hv. ESTIMATORS by name.
+"""From the cross-spectral matrix to the frequency response: H1, H2, Hv. ESTIMATORS and INSTRUMENTS by name.
 
 Frequency is axis 0. S_uu (n_frequency, n_input, n_input), S_yu = E[Y U*] (n_frequency, n_output, n_input),
 S_yy (n_frequency, n_output, n_output); the result is (n_frequency, n_output, n_input).
+
+Every estimator solves E[(y_o - H_o u) z_o^H] = 0 for its own instruments z_o = W_o [u; y]; they decide how noise becomes error,
+so the covariance needs them. INSTRUMENTS gives W (n_frequency, n_output, n_input, n_input + n_output) from the response and the
+power of all channels, forces first (n_frequency, n_input + n_output).
 """
 
 from __future__ import annotations
@@ -55,4 +59,42 @@ def hv(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:
     return np.stack(columns, axis=1)
 
 
+def forces_as_instruments(response: Matrix, power: NDArray[np.floating]) -> Matrix:  # noqa: ARG001 (one signature for the table)
+    """z = u: the measured forces, for H1."""
+    return _chosen_channels(response, 0)
+
+
+def responses_as_instruments(response: Matrix, power: NDArray[np.floating]) -> Matrix:  # noqa: ARG001
+    """z = y: the measured responses, for H2."""
+    return _chosen_channels(response, response.shape[2])
+
+
+def _chosen_channels(response: Matrix, first: int) -> Matrix:
+    n_frequency, n_output, n_input = response.shape
+    chosen = np.eye(n_input, n_input + n_output, first, dtype=np.complex128)
+    return np.broadcast_to(chosen, (n_frequency, n_output, n_input, n_input + n_output))
+
+
+def adjusted_forces_as_instruments(response: Matrix, power: NDArray[np.floating]) -> Matrix:
+    """z = the forces moved onto the plane y = H u by the shortest way in scaled channels, for Hv.
+
+    With q the normal (-H, 1) of that plane in channels divided by their own power, z = (I - q q^H / q^H q) [u; y].
+    """
+    n_frequency, n_output, n_input = response.shape
+    scale = np.sqrt(power)
+    weights = np.zeros((n_frequency, n_output, n_input, n_input + n_output), np.complex128)
+    for output in range(n_output):
+        columns = [*range(n_input), n_input + output]
+        residual = np.concatenate([-response[:, output], np.ones((n_frequency, 1))], axis=1)
+        normal = (residual * scale[:, columns]).conj()
+        shift = normal[:, :n_input] * scale[:, :n_input] / np.sum(np.abs(normal) ** 2, axis=1)[:, None]
+        weights[:, output, :, columns] = np.moveaxis(np.eye(n_input, n_input + 1) - shift[:, :, None] * residual[:, None, :], 2, 0)
+    return weights
+
+
 ESTIMATORS: dict[str, Callable[[Matrix, Matrix, Matrix], Matrix]] = {"H1": h1, "H2": h2, "Hv": hv}
+INSTRUMENTS: dict[str, Callable[[Matrix, NDArray[np.floating]], Matrix]] = {
+    "H1": forces_as_instruments,
+    "H2": responses_as_instruments,
+    "Hv": adjusted_forces_as_instruments,
+}

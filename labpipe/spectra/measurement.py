@@ -13,9 +13,9 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse
-from labpipe.spectra.bands import lines_in
+from labpipe.spectra.bands import line_range, lines_in
 from labpipe.spectra.coherence import multiple_coherence, ordinary_coherence
-from labpipe.spectra.estimators import ESTIMATORS
+from labpipe.spectra.estimators import ESTIMATORS, INSTRUMENTS
 from labpipe.spectra.periodic import LineSpectrum, PeriodAverage, excited_lines, samples_per_period, smoothed_noise
 from labpipe.spectra.ports import Layout, find_layout
 from labpipe.spectra.settings import FrfSettings
@@ -122,9 +122,7 @@ def _checked_blocks(source: SampleSource) -> Iterator[NDArray[np.floating]]:
 def _measure_periodic(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> _Parts:
     assert settings.period is not None
     spectra = [_period_average(source, settings) for source in sources]
-    lines = np.zeros(spectra[0].frequency.shape, bool)
-    for source, spectrum in zip(sources, spectra, strict=True):
-        lines |= excited_lines(spectrum, [n for n, channel in enumerate(source.channels) if channel.role == "input"])
+    lines = _lines_of_all_forces(spectra, layout)
     if not np.any(lines):
         raise DataError("no line of the force stands out of its noise", hint="check `period` and `band`, or raise the level")
     spectra = [spectrum.select(lines) for spectrum in spectra]
@@ -142,18 +140,33 @@ def _measure_periodic(sources: Sequence[SampleSource], settings: FrfSettings, la
     return _Parts(spectra[0].frequency, matrix, covariance, averages, dof, findings, snr=snr)
 
 
+def _lines_of_all_forces(spectra: Sequence[LineSpectrum], layout: Layout) -> NDArray[np.bool_]:
+    """The lines at which every force acts in one of the recordings; hum in one force channel alone makes no line of the matrix."""
+    acting = np.zeros((spectra[0].frequency.size, len(layout.inputs)), bool)
+    for spectrum, columns in zip(spectra, layout.input_columns, strict=True):
+        for number, column in enumerate(columns):
+            if column >= 0:
+                acting[:, number] |= excited_lines(spectrum, [column])
+    return np.all(acting, axis=1)
+
+
 def _period_average(source: SampleSource, settings: FrfSettings) -> LineSpectrum:
     """The averaged and smoothed lines of one recording in the band."""
     assert settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)
-    average = PeriodAverage(n_sample, len(source.channels), settings.skip)
+    lines = line_range(n_sample, source.sample_rate, settings.band)
+    average = PeriodAverage(n_sample, len(source.channels), settings.skip, lines)
     for block in _checked_blocks(source):
         average.add(block)
     spectrum = average.spectrum(source.sample_rate)
-    chosen = lines_in(spectrum.frequency, settings.band, settings.exclude)
+    return smoothed_noise(spectrum.select(_lines_left(spectrum.frequency, settings)), settings.smooth)
+
+
+def _lines_left(frequency: NDArray[np.floating], settings: FrfSettings) -> NDArray[np.bool_]:
+    chosen = lines_in(frequency, settings.band, settings.exclude)
     if not np.any(chosen):
-        raise DataError(f"no line of '{source.name}' lies in the band", hint=f"it has lines up to {spectrum.frequency[-1]:g} Hz")
-    return smoothed_noise(spectrum.select(chosen), settings.smooth)
+        raise DataError("no line of the band is left", hint="`exclude` takes them all")
+    return chosen
 
 
 def _force_inverse(forces: NDArray[np.complexfloating], layout: Layout) -> NDArray[np.complexfloating]:
@@ -199,20 +212,22 @@ def _measure_random(sources: Sequence[SampleSource], settings: FrfSettings, layo
     n_blocks = np.array([spectrum.n_block for spectrum in spectra], float)
     padded = np.stack([layout.padded(e, spectrum.matrix, 2) for e, spectrum in enumerate(spectra)])
     matrix = np.einsum("e,efab->fab", n_blocks / n_blocks.sum(), padded)
-    chosen = lines_in(spectra[0].frequency, settings.band, settings.exclude)
-    if not np.any(chosen):
-        raise DataError("no line lies in the band", hint=f"the recordings have lines up to {spectra[0].frequency[-1]:g} Hz")
+    chosen = _lines_left(spectra[0].frequency, settings)
     n_input = len(layout.inputs)
-    s_uu, s_yu, s_yy = matrix[chosen, :n_input, :n_input], matrix[chosen, n_input:, :n_input], matrix[chosen, n_input:, n_input:]
+    matrix = matrix[chosen]
+    s_uu, s_yu, s_yy = matrix[:, :n_input, :n_input], matrix[:, n_input:, :n_input], matrix[:, n_input:, n_input:]
     _check_independent(s_uu, layout)
+    if settings.estimator != "H1":
+        _check_responses(s_yy, layout, settings.estimator)
     response = ESTIMATORS[settings.estimator](s_uu, s_yu, s_yy)
+    instruments = INSTRUMENTS[settings.estimator](response, np.einsum("faa->fa", matrix).real)
     averages = sum(spectrum.averages for spectrum in spectra)
     multiple = multiple_coherence(s_uu, s_yu, s_yy)
     enough = averages > n_input + 1
     return _Parts(
         frequency=spectra[0].frequency[chosen],
         matrix=response,
-        covariance=covariance_of_random(s_uu, s_yu, s_yy, response, averages) if enough else None,
+        covariance=covariance_of_random(matrix, response, instruments, averages) if enough else None,
         averages=averages,
         dof=averages - n_input if enough else np.inf,
         findings=_coherence_findings(multiple, layout) if enough else _no_average_finding(averages),
@@ -227,7 +242,8 @@ def _welch_average(source: SampleSource, settings: FrfSettings) -> CrossSpectra:
     if n_sample < 4:
         raise DataError(f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'", hint="lengthen `block`")
     step = max(1, round(n_sample * (1 - settings.overlap)))
-    average = WelchAverage(window_values(settings.window, n_sample), step, len(source.channels))
+    lines = line_range(n_sample, source.sample_rate, settings.band)
+    average = WelchAverage(window_values(settings.window, n_sample), step, len(source.channels), lines)
     for block in _checked_blocks(source):
         average.add(block)
     return average.spectra(source.sample_rate)
@@ -242,6 +258,19 @@ def _check_independent(s_uu: NDArray[np.complexfloating], layout: Layout) -> Non
     if np.any(values[:, 0] * WORST_FORCE_CONDITION**2 < values[:, -1]):
         names = ", ".join(port.label for port in layout.inputs)
         raise DataError(f"the forces {names} do not act independently", hint="excite each direction in its own recording")
+
+
+def _check_responses(s_yy: NDArray[np.complexfloating], layout: Layout, estimator: str) -> None:
+    """DataError when a response on which the estimator leans is silent, or a combination of the others where it inverts them all."""
+    power = np.einsum("foo->fo", s_yy).real
+    silent = [port.label for port, values in zip(layout.outputs, power.T, strict=True) if np.any(values == 0)]
+    if silent:
+        hint = "is the sensor connected? H1 does without"
+        raise DataError(f"{estimator} needs responses at every line; silent: {', '.join(silent)}", hint=hint)
+    scale = np.sqrt(power)
+    values = np.linalg.eigvalsh(s_yy / (scale[:, :, None] * scale[:, None, :]))
+    if estimator == "H2" and np.any(values[:, 0] * WORST_FORCE_CONDITION**2 < values[:, -1]):
+        raise DataError("the responses do not move independently, so H2 cannot be formed", hint="use H1 or Hv")
 
 
 def _coherence_findings(multiple: NDArray[np.floating], layout: Layout) -> tuple[Finding, ...]:

@@ -53,11 +53,14 @@ class PeriodAverage:
     The mean and the scatter are updated as by Welford, so that a small noise on a large signal does not cancel.
     """
 
-    def __init__(self, n_sample: int, n_channel: int, skip: int) -> None:
+    def __init__(self, n_sample: int, n_channel: int, skip: int, lines: slice = slice(1, None)) -> None:
+        """*n_sample* samples per period, *skip* transient periods; *lines* of the DFT that are kept, all above 0 Hz unless given."""
         self._n_sample = n_sample
+        self._lines = lines
+        self._line_numbers = np.arange(n_sample // 2 + 1)[lines]
         self._skip = skip
         self._rest: NDArray[np.floating] = np.empty((0, n_channel))
-        n_line = n_sample // 2 + 1
+        n_line = self._line_numbers.size
         self._mean = np.zeros((n_line, n_channel), np.complex128)
         self._scatter = np.zeros((n_line, n_channel, n_channel), np.complex128)
         self.n_period = 0
@@ -74,7 +77,8 @@ class PeriodAverage:
         if self._skip > 0:
             self._skip -= 1
             return
-        amplitude = fft.rfft(period, axis=0) * (2 / self._n_sample)
+        # A slow drift of the mean is no noise of the lines; a large mean would cost digits.
+        amplitude = fft.rfft((period - period.mean(axis=0)).T, axis=1)[:, self._lines].T * (2 / self._n_sample)
         self.n_period += 1
         before = amplitude - self._mean
         self._mean += before / self.n_period
@@ -82,16 +86,16 @@ class PeriodAverage:
         self._scatter += before[:, :, None] * after[:, None, :].conj()
 
     def spectrum(self, sample_rate: float) -> LineSpectrum:
-        """The averaged lines from the fundamental on; DataError when not even one period is left."""
+        """The averaged lines; DataError when not even one period is left."""
         n = self.n_period
         if n == 0:
             raise DataError(
                 "the recording is too short for one period after the transient ones",
                 hint=f"a period is {self._n_sample / sample_rate:g} s; shorten `skip` or `period`, or record longer",
             )
-        frequency = np.arange(self._mean.shape[0]) * (sample_rate / self._n_sample)
-        noise = None if n == 1 else self._scatter[1:] / (n * (n - 1))
-        return LineSpectrum(frequency[1:], self._mean[1:], noise, n, float(n - 1))
+        frequency = self._line_numbers * (sample_rate / self._n_sample)
+        noise = None if n == 1 else self._scatter / (n * (n - 1))
+        return LineSpectrum(frequency, self._mean.copy(), noise, n, float(n - 1))
 
 
 def smoothed_noise(spectrum: LineSpectrum, half_width: int) -> LineSpectrum:
@@ -104,10 +108,7 @@ def smoothed_noise(spectrum: LineSpectrum, half_width: int) -> LineSpectrum:
     """
     if spectrum.noise is None or half_width == 0:
         return spectrum
-    power = np.einsum("fii->fi", spectrum.noise).real
-    around = _neighbourhood_mean(power, np.ones(power.shape[0], bool), half_width, own=False)
-    limit = stats.f.ppf(1 - OUTLIER_LEVEL, 2 * spectrum.dof, 4 * half_width * spectrum.dof)
-    broadband = ~np.any(power > limit * around, axis=1)
+    broadband = _broadband_lines(np.einsum("fii->fi", spectrum.noise).real, spectrum.dof, half_width)
     smooth = _neighbourhood_mean(spectrum.noise, broadband, half_width, own=True)
     noise = np.where(broadband[:, None, None], smooth, spectrum.noise)
     count = _neighbourhood_count(broadband, half_width, own=True)
@@ -115,24 +116,43 @@ def smoothed_noise(spectrum: LineSpectrum, half_width: int) -> LineSpectrum:
     return LineSpectrum(spectrum.frequency, spectrum.mean, noise, spectrum.n_period, dof)
 
 
-def _window_sum(values: NDArray[Any], half_width: int) -> NDArray[Any]:
-    """Sum over k-h ... k+h along axis 0, cut at the ends."""
-    n = values.shape[0]
-    total = np.concatenate([np.zeros((1, *values.shape[1:]), values.dtype), np.cumsum(values, axis=0)])
-    index = np.arange(n)
-    return total[np.minimum(index + half_width + 1, n)] - total[np.maximum(index - half_width, 0)]
+def _broadband_lines(power: NDArray[np.floating], dof: float, half_width: int) -> NDArray[np.bool_]:
+    """The lines whose noise power (n_line, n_channel) is that of their neighbours; the others are left out one after the other.
+
+    A strong line hides weaker ones beside it (leakage of a shaft-speed line, say), so the test is repeated without those found.
+    """
+    broadband = np.ones(power.shape[0], bool)
+    while True:
+        around = _neighbourhood_mean(power, broadband, half_width, own=False)
+        count = _neighbourhood_count(broadband, half_width, own=False)
+        limit = np.asarray(stats.f.ppf(1 - OUTLIER_LEVEL, 2 * dof, 2 * dof * count))
+        # A line without any neighbour left has nothing to be compared with.
+        found = np.any((power > limit[:, None] * around) & (around > 0), axis=1) & broadband
+        if not np.any(found):
+            return broadband
+        broadband &= ~found
+
+
+def _neighbourhood_sum(values: NDArray[Any], half_width: int, own: bool) -> NDArray[Any]:
+    """Sum over k-h ... k+h along axis 0, cut at the ends, with or without line k itself.
+
+    Added up term by term: differences of running sums would lose small noise behind one huge line.
+    """
+    total = values.copy() if own else np.zeros_like(values)
+    for shift in range(1, min(half_width, values.shape[0] - 1) + 1):
+        total[shift:] += values[:-shift]
+        total[:-shift] += values[shift:]
+    return total
 
 
 def _neighbourhood_count(chosen: NDArray[np.bool_], half_width: int, own: bool) -> NDArray[np.floating]:
-    count = _window_sum(chosen.astype(np.float64), half_width)
-    return np.maximum(count - (0 if own else chosen), 1)
+    return np.maximum(_neighbourhood_sum(chosen.astype(np.float64), half_width, own), 1)
 
 
 def _neighbourhood_mean(values: NDArray[Any], chosen: NDArray[np.bool_], half_width: int, own: bool) -> NDArray[Any]:
     """Mean over the chosen lines k-h ... k+h, with or without line k itself."""
     shape = (-1,) + (1,) * (values.ndim - 1)
-    used = np.where(chosen.reshape(shape), values, 0)
-    total = _window_sum(used, half_width) - (0 if own else used)
+    total = _neighbourhood_sum(np.where(chosen.reshape(shape), values, 0), half_width, own)
     mean: NDArray[Any] = total / _neighbourhood_count(chosen, half_width, own).reshape(shape)
     return mean
 

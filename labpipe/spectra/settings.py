@@ -34,6 +34,9 @@ class FrfSettings:
             raise ConfigError(f"'{needed}' is missing", hint=f"{self.excitation} excitation needs it, e.g. {needed}: 1 s")
         if length <= 0:
             raise ConfigError(f"'{needed}' must be positive")
+        for count in ("skip", "smooth"):
+            if getattr(self, count) < 0:
+                raise ConfigError(f"'{count}' must not be negative")
         if not 0 <= self.overlap < 1:
             raise ConfigError("'overlap' must be at least 0 and below 100 %")
         if self.directional:

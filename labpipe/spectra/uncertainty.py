@@ -8,18 +8,25 @@ from numpy.typing import NDArray
 Matrix = NDArray[np.complexfloating]
 
 
-def covariance_of_random(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix, response: Matrix, averages: float) -> Matrix:
-    """cov(H_oi, H_pj) = S_rr[o, p] (S_uu^-1)[j, i] / (n_e - n_input), S_rr = [-H, I] S [-H, I]^H.
+def covariance_of_random(spectra: Matrix, response: Matrix, instruments: Matrix, averages: float) -> Matrix:
+    """cov(H_oi, H_pj) = S_rr[o, p] (B_p^H S_zz[p, o] B_o)[j, i] / (n_e - n_input), B_o = (E[u z_o^H])^-1, S_rr = [-H, I] S [-H, I]^H.
 
-    From d = sum_k r_k u_k^H S_uu^-1 / n_e with the residual r = y - H u. For one force and one response this is
-    E|H - E H|^2 = (1 - coh^2) / coh^2 |H|^2 / n_e, twice the variance that the textbooks give for the magnitude alone
-    (Bendat and Piersol, Random Data, eq. 9.90: the complex value has two such parts).
+    An estimator with instruments z errs by d_o = sum_k r_o z_o^H B_o / n_e, r = y - H u. For H1 (z = u) the second factor is
+    (S_uu^-1)[j, i], and one force and one response give E|H - E H|^2 = (1 - coh^2) / coh^2 |H|^2 / n_e: twice the variance that
+    the textbooks give for the magnitude alone (Bendat and Piersol, Random Data, eq. 9.90: the complex value has two such parts).
+    H2 has the same share of its own, larger |H|^2. Exact for H1, to first order in 1 / n_e for the others.
+
+    spectra (n_frequency, n, n) of all channels, the n_input forces first; response (n_frequency, n_output, n_input);
+    instruments W (n_frequency, n_output, n_input, n) with z_o = W_o [u; y], see estimators.INSTRUMENTS.
     """
     n_frequency, n_output, n_input = response.shape
-    cross = response @ s_yu.conj().swapaxes(-1, -2)
-    residual = s_yy - cross - cross.conj().swapaxes(-1, -2) + response @ s_uu @ response.conj().swapaxes(-1, -2)
-    inverse = np.linalg.inv(s_uu)
-    covariance = np.einsum("fop,fji->foipj", residual, inverse) / max(averages - n_input, 1.0)
+    identity = np.broadcast_to(np.eye(n_output), (n_frequency, n_output, n_output))
+    residual_of = np.concatenate([-response, identity], axis=2)
+    residual = residual_of @ spectra @ residual_of.conj().swapaxes(-1, -2)
+    seen = np.einsum("fua,foza->fouz", spectra[:, :n_input], instruments.conj())
+    gain = np.linalg.inv(seen).conj().swapaxes(-1, -2) @ instruments
+    spread = np.einsum("fpja,fab,foib->foipj", gain, spectra, gain.conj(), optimize=True)
+    covariance = residual[:, :, None, :, None] * spread / max(averages - n_input, 1.0)
     n = n_output * n_input
     return _without_rounding(covariance.reshape(n_frequency, n, n))
 

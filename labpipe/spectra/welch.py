@@ -11,7 +11,7 @@ from scipy import fft, signal
 from labpipe.errors import ConfigError, DataError
 
 # Segments transformed together: enough to keep numpy's overhead small, few enough to stay in the cache.
-SEGMENTS_AT_ONCE = 8
+SEGMENTS_AT_ONCE = 16
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,17 @@ def effective_averages(window: NDArray[np.floating], step: int, n_block: int) ->
 class WelchAverage:
     """Running sum of the cross-spectral matrix, fed block by block in any size; one FFT per channel and segment."""
 
-    def __init__(self, window: NDArray[np.floating], step: int, n_channel: int) -> None:
+    def __init__(self, window: NDArray[np.floating], step: int, n_channel: int, lines: slice = slice(1, None)) -> None:
+        """*window* (n_sample,), *step* samples from block to block; *lines* of the DFT that are kept, all above 0 Hz unless given."""
         self._window = window
         self._step = step
+        self._line_numbers = np.arange(window.size // 2 + 1)[lines]
+        self._lines = lines
         self._rest = np.empty((n_channel, 0))
-        n_line = window.size // 2 + 1
-        self._sum = np.zeros((n_channel, n_channel, n_line), np.complex128)
+        self._sum = np.zeros((n_channel, n_channel, self._line_numbers.size), np.complex128)
+        # Fresh temporaries of this size cost more time than the transforms: they are kept and filled again.
+        self._tapered = np.empty((n_channel, SEGMENTS_AT_ONCE, window.size))
+        self._product = np.empty((SEGMENTS_AT_ONCE, self._line_numbers.size), np.complex128)
         self.n_block = 0
 
     def add(self, block: NDArray[np.floating]) -> None:
@@ -72,22 +77,24 @@ class WelchAverage:
 
     def _add_segments(self, segments: NDArray[np.floating]) -> None:
         """Segments (n_channel, n_segment, n_sample), each freed of its mean and windowed."""
-        tapered = (segments - segments.mean(axis=2, keepdims=True)) * self._window
-        spectra = fft.rfft(tapered, axis=2)
+        n_segment = segments.shape[1]
+        tapered = np.subtract(segments, segments.mean(axis=2, keepdims=True), out=self._tapered[:, :n_segment])
+        tapered *= self._window
+        spectra = fft.rfft(tapered, axis=2)[:, :, self._lines]
         conjugate = spectra.conj()
         for a in range(spectra.shape[0]):
             for b in range(a, spectra.shape[0]):
-                self._sum[a, b] += np.einsum("sf,sf->f", spectra[a], conjugate[b])
-        self.n_block += segments.shape[1]
+                self._sum[a, b] += np.multiply(spectra[a], conjugate[b], out=self._product[:n_segment]).sum(axis=0)
+        self.n_block += n_segment
 
     def spectra(self, sample_rate: float) -> CrossSpectra:
-        """The averaged matrix from the first line above 0 Hz on; DataError when not one block was complete."""
+        """The averaged matrix on the kept lines; DataError when not one block was complete."""
         if self.n_block == 0:
             have, need = self._rest.shape[1] / sample_rate, self._window.size / sample_rate
             raise DataError(f"the recording is {have:g} s long, too short for one block of {need:g} s", hint="shorten `block`")
         density = 2 / (sample_rate * np.sum(self._window**2) * self.n_block)
-        matrix = np.moveaxis(self._sum, 2, 0)[1:] * density
+        matrix = np.moveaxis(self._sum, 2, 0) * density
         lower = np.tril_indices(matrix.shape[1], -1)
         matrix[:, lower[0], lower[1]] = matrix[:, lower[1], lower[0]].conj()
-        frequency = np.arange(1, self._window.size // 2 + 1) * (sample_rate / self._window.size)
+        frequency = self._line_numbers * (sample_rate / self._window.size)
         return CrossSpectra(frequency, matrix, self.n_block, effective_averages(self._window, self._step, self.n_block))

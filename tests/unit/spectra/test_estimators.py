@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labpipe.errors import ConfigError
-from labpipe.spectra.coherence import multiple_coherence, ordinary_coherence
+from labpipe.spectra.coherence import multiple_coherence, ordinary_coherence, partial_coherence
 from labpipe.spectra.estimators import ESTIMATORS
 
 H = np.array([[1.0 + 2.0j, 0.3 - 0.1j], [0.2j, 2.0 - 1.0j]])
@@ -63,3 +63,17 @@ def test_coherence_closed_form(rng: np.random.Generator) -> None:
     assert multiple_coherence(s_uu, s_yu, s_yy)[0, 0] == pytest.approx(8 / 9)
     noisy = spectra(rng, 2, 0.0, 3.0)
     assert np.all(multiple_coherence(*noisy) <= 1) and np.all(ordinary_coherence(*noisy) >= 0)
+
+
+def test_partial_coherence_is_that_of_what_the_other_force_leaves(rng: np.random.Generator) -> None:
+    # Literal twin (Bendat and Piersol, ch. 7.3): regress the other force out of force and response, then the ordinary coherence.
+    u = rng.normal(size=(2, 400)) + 1j * rng.normal(size=(2, 400))
+    u[1] += 0.8 * u[0]
+    y = H @ u + 0.7 * (rng.normal(size=(2, 400)) + 1j * rng.normal(size=(2, 400)))
+    partial = partial_coherence(*(np.array([a @ b.conj().T]) for a, b in ((u, u), (y, u), (y, y))))[0]
+    for output in range(2):
+        for force in range(2):
+            other = u[1 - force]
+            left = [row - (row @ other.conj()) / (other @ other.conj()) * other for row in (u[force], y[output])]
+            expected = abs(left[1] @ left[0].conj()) ** 2 / ((left[0] @ left[0].conj()).real * (left[1] @ left[1].conj()).real)
+            assert partial[output, force] == pytest.approx(expected, rel=1e-9)

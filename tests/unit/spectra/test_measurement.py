@@ -70,6 +70,26 @@ def test_no_scale_of_the_numbers_changes_the_result(scale: float) -> None:
     np.testing.assert_allclose(other.covariance, plain.covariance, rtol=1e-8)
 
 
+def test_hum_in_one_force_channel_makes_no_line(rng: np.random.Generator) -> None:
+    # 50 Hz in the force of one run only, where no force is meant to act: the other run knows nothing of that direction there.
+    runs = []
+    for dof, gains in (("x", (2.0, 0.5)), ("y", (0.3, 1.0))):
+        force = design_multisine((1.0, 40.0), 1.0, 1.0).samples(RATE, 6)
+        hum = 0.2 * np.cos(2 * np.pi * 50 * np.arange(force.size) / RATE) * (dof == "x")
+        samples = np.column_stack([force + hum, gains[0] * force, gains[1] * force]) + 1e-3 * rng.normal(size=(force.size, 3))
+        runs.append(Recording((Channel("f", "force", "input", dof), X, Y), samples, RATE, dof))
+    response = measure(runs, PERIODIC)
+    assert response.frequency.tolist() == list(range(1, 41))
+    np.testing.assert_allclose(response.matrix.mean(axis=0).real, [[2.0, 0.3], [0.5, 1.0]], atol=0.01)
+
+
+@pytest.mark.parametrize("estimator", ["H2", "Hv"])
+def test_a_silent_response_is_named(rng: np.random.Generator, estimator: str) -> None:
+    samples = np.column_stack([rng.normal(size=4000), np.zeros(4000)])
+    with pytest.raises(DataError, match="silent: x"):
+        measure([Recording((FORCE, X), samples, RATE, "dead")], FrfSettings("random", block=1.0, estimator=estimator))
+
+
 def random_recording(rng: np.random.Generator, noise: float, n: int = 20_000) -> Recording:
     force = rng.normal(size=n)
     b, a = signal.iirpeak(30.0, 8.0, fs=RATE)
@@ -149,7 +169,7 @@ def test_what_does_not_fit_together_is_refused(rng: np.random.Generator) -> None
     still = Recording(one.channels, one.samples * [0, 1, 1], RATE, "still")
     with pytest.raises(DataError, match="force channel 'f' of 'still' does not vary"):
         measure([still], PERIODIC)
-    with pytest.raises(DataError, match="no line of 'run x' lies in the band"):
+    with pytest.raises(DataError, match=r"no line lies in the band.*every 1 Hz up to 128 Hz"):
         measure([one], FrfSettings("periodic", period=1.0, band=(500.0, 600.0)))
     with pytest.raises(DataError, match="too short for one block"):
         measure([one], FrfSettings("random", block=60.0))
@@ -162,3 +182,5 @@ def test_settings_must_fit_the_excitation() -> None:
         FrfSettings("random", period=1.0)
     with pytest.raises(ConfigError, match="below 100 %"):
         FrfSettings("random", block=1.0, overlap=1.0)
+    with pytest.raises(ConfigError, match="'skip' must not be negative"):
+        FrfSettings("periodic", period=1.0, skip=-1)

@@ -96,3 +96,42 @@ def test_a_period_holds_whole_samples() -> None:
 def test_too_short_for_one_period() -> None:
     with pytest.raises(DataError, match="too short for one period"):
         spectrum_of(np.zeros((2 * N, 1)), skip=2)
+
+
+def test_a_band_keeps_its_lines_as_they_are(rng: np.random.Generator) -> None:
+    samples = rng.normal(size=(5 * N, 2))
+    kept = PeriodAverage(N, 2, 0, slice(4, 9))
+    kept.add(samples)
+    whole, part = spectrum_of(samples), kept.spectrum(float(N))
+    assert part.frequency.tolist() == [4, 5, 6, 7, 8]
+    np.testing.assert_array_equal(part.mean, whole.mean[3:8])
+    np.testing.assert_array_equal(part.noise, whole.noise[3:8])
+
+
+def line_noise(power: np.ndarray, dof: float) -> LineSpectrum:
+    n = power.size
+    return LineSpectrum(np.arange(1.0, n + 1), np.zeros((n, 1), complex), power[:, None, None].astype(complex), 5, dof)
+
+
+def test_leakage_beside_a_shaft_speed_line_is_left_out_too() -> None:
+    # Leakage falls with the square of the distance; the strongest line hides the weaker ones in the first pass.
+    power = np.ones(60)
+    power[28:33] = [25.0, 100.0, 1e4, 100.0, 25.0]
+    smooth = smoothed_noise(line_noise(power, 4.0), 5).noise[:, 0, 0].real
+    np.testing.assert_array_equal(smooth[28:33], power[28:33])
+    np.testing.assert_allclose(np.delete(smooth, range(28, 33)), 1.0, rtol=1e-12)
+
+
+def test_one_huge_line_does_not_swallow_small_noise() -> None:
+    power = np.full(60, 1e-20)
+    power[30] = 1e3
+    smooth = smoothed_noise(line_noise(power, 4.0), 5).noise[:, 0, 0].real
+    assert smooth[30] == 1e3
+    np.testing.assert_allclose(np.delete(smooth, 30), 1e-20, rtol=1e-12)
+
+
+def test_few_broadband_lines_are_taken_for_disturbed_ones() -> None:
+    # Recipe: 20,000 lines of chi-square noise with 2 x 4 degrees of freedom; the F-test is made at 0.1 %.
+    power = np.random.default_rng(8).chisquare(8, 20_000) / 8
+    smooth = smoothed_noise(line_noise(power, 4.0), 5).noise[:, 0, 0].real
+    assert 0.0003 < np.mean(smooth == power) < 0.002

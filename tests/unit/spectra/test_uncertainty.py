@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from labpipe.spectra.estimators import h1
+from labpipe.spectra.estimators import ESTIMATORS, INSTRUMENTS
 from labpipe.spectra.uncertainty import covariance_of_periodic, covariance_of_random
 
 H = np.array([[1.0 + 2.0j, 0.3 - 0.1j], [0.2j, 2.0 - 1.0j]])
@@ -16,19 +17,56 @@ def complex_normal(rng: np.random.Generator, *shape: int) -> np.ndarray:
     return (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2)
 
 
-def test_random_data_off_diagonals_included() -> None:
+def estimated(name: str, u: np.ndarray, y: np.ndarray, averages: float) -> tuple[np.ndarray, np.ndarray]:
+    """Estimate and predicted covariance from the spectra u, y (n_run, n, n_average) of many measurements."""
+    n_input, both = u.shape[1], np.concatenate([u, y], axis=1)
+    joint = both @ both.conj().swapaxes(1, 2) / u.shape[2]
+    response = ESTIMATORS[name](joint[:, :n_input, :n_input], joint[:, n_input:, :n_input], joint[:, n_input:, n_input:])
+    instruments = INSTRUMENTS[name](response, np.einsum("faa->fa", joint).real)
+    return response, covariance_of_random(joint, response, instruments, averages)
+
+
+@pytest.mark.parametrize(("name", "force_noise", "response_noise"), [("H1", 0.0, 1.0), ("H2", 0.3, 0.0), ("Hv", 0.15, 0.3)])
+def test_random_data_off_diagonals_included(name: str, force_noise: float, response_noise: float) -> None:
+    # Recipe: E[d d^H] over 8,000 simulated measurements of 60 averages each, around their mean.
     rng = np.random.default_rng(11)
-    n_average, n_run = 30, 20_000
-    u = MIX @ complex_normal(rng, n_run, 2, n_average)
-    y = H @ u + NOISE @ complex_normal(rng, n_run, 2, n_average)
-    s_uu, s_yu, s_yy = (a @ b.conj().swapaxes(1, 2) / n_average for a, b in ((u, u), (y, u), (y, y)))
-    estimates = h1(s_uu, s_yu, s_yy)
-    predicted = covariance_of_random(s_uu, s_yu, s_yy, estimates, n_average).mean(axis=0)
-    errors = (estimates - H).reshape(n_run, 4)
+    n_average, n_run = 60, 8000
+    forces = MIX @ complex_normal(rng, n_run, 2, n_average)
+    y = H @ forces + response_noise * NOISE @ complex_normal(rng, n_run, 2, n_average)
+    u = forces + force_noise * NOISE @ complex_normal(rng, n_run, 2, n_average)
+    estimates, covariance = estimated(name, u, y, n_average)
+    predicted = covariance.mean(axis=0)
+    errors = (estimates - estimates.mean(axis=0)).reshape(n_run, 4)
     observed = errors.T @ errors.conj() / n_run
     scale = np.sqrt(np.outer(np.diag(observed).real, np.diag(observed).real))
     np.testing.assert_allclose(predicted / scale, observed / scale, atol=0.05)
     np.testing.assert_allclose(np.diag(predicted).real / np.diag(observed).real, 1.0, atol=0.06)
+
+
+@pytest.mark.parametrize("coherence", [0.5, 0.8, 0.95])
+def test_h1_and_h2_have_the_same_relative_variance(coherence: float) -> None:
+    # Closed form, one force and one response: H2 = S_yy / S_uy errs by sum r y* / (n S_uy), so var H2 = S_rr S_yy / |S_uy|^2 / (n - 1)
+    # with S_rr = |H2|^2 S_uu - S_yy: (1 - c) / c |H2|^2 / (n - 1), as for H1.
+    joint = np.array([[[1.0, 2.0], [2.0, 4.0 / coherence]]], complex)
+    shares = []
+    for name in ("H1", "H2"):
+        response = ESTIMATORS[name](joint[:, :1, :1], joint[:, 1:, :1], joint[:, 1:, 1:])
+        covariance = covariance_of_random(joint, response, INSTRUMENTS[name](response, np.array([[1.0, 4.0 / coherence]])), 101.0)
+        shares.append(covariance[0, 0, 0].real / abs(response[0, 0, 0]) ** 2)
+    np.testing.assert_allclose(shares, (1 - coherence) / coherence / 100, rtol=1e-12)
+
+
+def test_h1_covariance_equals_its_literal_twin(rng: np.random.Generator) -> None:
+    # cov(H_oi, H_pj) = S_rr[o, p] (S_uu^-1)[j, i] / (n_e - n_input), written out line by line.
+    u, y = complex_normal(rng, 3, 2, 40), complex_normal(rng, 3, 2, 40)
+    response, covariance = estimated("H1", u, y, 40)
+    for line in range(3):
+        residual = y[line] - response[line] @ u[line]
+        s_rr, inverse = residual @ residual.conj().T / 40, np.linalg.inv(u[line] @ u[line].conj().T / 40)
+        for p in range(4):
+            for q in range(4):
+                expected = s_rr[p // 2, q // 2] * inverse[q % 2, p % 2] / 38
+                assert covariance[line, p, q] == pytest.approx(expected, rel=1e-10)
 
 
 def test_periodic_data_with_noise_on_force_and_response() -> None:

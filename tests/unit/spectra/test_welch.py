@@ -74,3 +74,12 @@ def test_too_short_and_unknown_window() -> None:
         average.spectra(100.0)
     with pytest.raises(ConfigError, match="unknown window 'hannn'"):
         window_values("hannn", 8)
+
+
+def test_a_band_keeps_its_lines_as_they_are(rng: np.random.Generator) -> None:
+    samples = rng.normal(size=(1000, 2))
+    kept = WelchAverage(window_values("hann", 64), 32, 2, slice(5, 12))
+    kept.add(samples)
+    spectra = kept.spectra(100.0)
+    np.testing.assert_allclose(spectra.frequency, np.arange(5, 12) * 100 / 64)
+    np.testing.assert_allclose(spectra.matrix, averaged(samples, 64, 32, 1000)[4:11], rtol=1e-12)

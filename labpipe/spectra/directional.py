@@ -1,0 +1,58 @@
+"""Forward and backward: the directional frequency response (dFRF) of a rotor measured in two directions."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import DataError
+from labpipe.records.response import FrequencyResponse, Port
+
+# [x, y] = A [f, b]: forward turns from x to y, backward the other way.
+FROM_DIRECTIONAL = np.array([[1, 1], [-1j, 1j]])
+FORWARD_BACKWARD = ("f", "b")
+# Two directions nearer to each other than this (sine of the angle between them) do not span the plane.
+SMALLEST_ANGLE = 1e-3
+
+
+def directional(response: FrequencyResponse) -> FrequencyResponse:
+    """The dFRF H_d = A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]], A = [[1, 1], [-j, j]], with its covariance (Mendes et al.).
+
+    Rows and columns are labelled f and b. The two responses and the two forces may stand at any two known angles; they are
+    turned to x and y first. An isotropic rotor has H_fb = H_bf = 0. Coherence does not carry over. Raises DataError when there
+    are not two responses and two forces in known, different directions.
+    """
+    to_xy = np.linalg.inv(_directions(response.outputs, "responses"))
+    from_xy = np.linalg.inv(_directions(response.inputs, "forces").T)
+    left = np.linalg.inv(FROM_DIRECTIONAL) @ to_xy
+    right = from_xy @ FROM_DIRECTIONAL
+    # vec(L H R) = (L kron R^T) vec(H) in row-major order.
+    turn = np.kron(left, right.T)
+    covariance = None if response.covariance is None else turn @ response.covariance @ turn.conj().T
+    ports = tuple(Port(label, label, label) for label in FORWARD_BACKWARD)
+    return dataclasses.replace(
+        response,
+        matrix=left @ response.matrix @ right,
+        covariance=covariance,
+        outputs=ports,
+        inputs=ports,
+        coherence=None,
+        multiple_coherence=None,
+        snr=None,
+        snr_channels=(),
+    )
+
+
+def _directions(ports: tuple[Port, ...], what: str) -> NDArray[np.floating]:
+    """Rows (cos, sin) of the two directions; DataError unless there are two that differ."""
+    angles = [port.angle for port in ports if port.angle is not None]
+    if len(ports) != 2 or len(angles) != 2:
+        named = ", ".join(port.label for port in ports)
+        hint = "give dof: x, dof: y or an angle in the rig file"
+        raise DataError(f"forward and backward terms need two {what} in known directions, found {named}", hint=hint)
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    if abs(np.linalg.det(directions)) < SMALLEST_ANGLE:
+        raise DataError(f"the two {what} {ports[0].label} and {ports[1].label} stand in one direction")
+    return directions
