@@ -79,7 +79,9 @@ def derived_parameters(total: Estimated, settings: FitSettings, dof: int) -> lis
 
 
 def _resonance(total: Estimated, settings: FitSettings, dof: int) -> list[Parameter]:
-    """f_n = sqrt(k/m) / 2 pi [Hz] and zeta = c / (2 sqrt(k m)) of the measured system; none for a negative k or m."""
+    """f_n = sqrt(k/m) / 2 pi [Hz] and zeta = c / (2 sqrt(k m)) of the measured system; none where k or m is negative or dropped."""
+    if "k" not in total.names:
+        return []
     k = total.value("k")
     m = total.value("m") if "m" in total.names else float(settings.mass)  # type: ignore[arg-type]
     if k <= 0 or m <= 0:

@@ -82,7 +82,7 @@ def _fit_band(
         model, estimate, dropped = _eliminated(measured, model, estimate, estimator)
     total = Estimated(model.names, model.units, estimate.values, estimate.covariance)
     reported = corrected(total, settings)
-    parameters = (*_parameters(reported, estimate), *derived_parameters(total, settings, estimate.dof))
+    parameters = (*_parameters(reported, estimate), *derived_parameters(total, settings, int(estimate.student_dof.min())))
     findings = (
         *estimate_findings(estimate, model.names, measured.n_equation, measured.omega.size),
         *parameter_findings(parameters),
@@ -111,8 +111,8 @@ def _fit_band(
 def _parameters(reported: Estimated, estimate: Estimate) -> list[Parameter]:
     vifs = inflation_factors(estimate.scaled_design)
     return [
-        estimated(name, unit, reported.value(name), reported.std_error(name), estimate.dof, float(vif))
-        for name, unit, vif in zip(reported.names, reported.units, vifs, strict=True)
+        estimated(name, unit, reported.value(name), reported.std_error(name), int(dof), float(vif))
+        for name, unit, vif, dof in zip(reported.names, reported.units, vifs, estimate.student_dof, strict=True)
     ]
 
 
@@ -121,14 +121,18 @@ def _eliminated(
 ) -> tuple[DynamicModel, Estimate, list[str]]:
     """Backward elimination: the least significant parameter is set to zero and the fit repeated until all are significant."""
     notes: list[str] = []
-    while True:
-        t_ratios = np.abs(estimate.values) / np.sqrt(np.diag(estimate.covariance))
-        t_ratio, name = min((float(t), term.name) for t, term in zip(t_ratios, model.terms, strict=True) if term.droppable)
-        if t_ratio > student_limit(estimate.dof) or sum(term.droppable for term in model.terms) < 2:
-            return model, estimate, notes
-        notes.append(f"{name} was dropped as insignificant (|t| = {t_ratio:.2f}) and is taken as zero")
+    while sum(term.droppable for term in model.terms) > 1:
+        std_errors = np.sqrt(np.diag(estimate.covariance))
+        droppable = [number for number, term in enumerate(model.terms) if term.droppable and std_errors[number] > 0]
+        t_ratios = {number: float(abs(estimate.values[number]) / std_errors[number]) for number in droppable}
+        weakest = min(t_ratios, key=lambda number: t_ratios[number], default=None)
+        if weakest is None or t_ratios[weakest] > student_limit(int(estimate.student_dof[weakest])):
+            break
+        name = model.terms[weakest].name
+        notes.append(f"{name} was dropped as insignificant (|t| = {t_ratios[weakest]:.2f}) and is taken as zero")
         model = model.without(name)
         estimate = estimator(measured, model)
+    return model, estimate, notes
 
 
 def _curve(response: FrequencyResponse, measured: Measured, model: DynamicModel, estimate: Estimate) -> FittedCurve:

@@ -17,16 +17,15 @@ from labpipe.spectra.convert import receptance_factor
 class Measured:
     """Receptance of the chosen ports on the chosen lines, with what is known of its noise.
 
-    omega (n_line,) [rad/s]; matrix (n_line, n_output, n_input) [m/N]; covariance (n_line, n, n) of vec row-major, or None;
-    noise_dof: complex degrees of freedom of one covariance estimate; band_dof: real degrees of freedom of the noise level over the
-    whole band.
+    omega (n_line,) [rad/s]; matrix (n_line, n_output, n_input) [m/N]; covariance (n_line, n, n) [m^2/N^2] of vec row-major, or None;
+    noise_dof: complex degrees of freedom of one line's covariance estimate; noise_lines: lines that share one (smoothed noise).
     """
 
     omega: NDArray[np.floating]
     matrix: NDArray[np.complexfloating]
     covariance: NDArray[np.complexfloating] | None
     noise_dof: float
-    band_dof: float
+    noise_lines: float
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
 
@@ -49,7 +48,8 @@ def _chosen(ports: tuple[Port, ...], names: tuple[str, ...], what: str) -> list[
         exact = [number for number, port in enumerate(ports) if port.label == name]
         found = exact or [number for number, port in enumerate(ports) if port.answers_to(name)]
         if not found:
-            raise ConfigError(f"no {what} '{name}' in the FRF", hint=nearest(name, [port.label for port in ports]))
+            known = [port.label for port in ports]
+            raise ConfigError(f"no {what} '{name}' in the FRF, only {', '.join(known)}", hint=nearest(name, known))
         chosen.extend(number for number in found if number not in chosen)
     return chosen
 
@@ -63,12 +63,21 @@ def measured_part(response: FrequencyResponse, rows: list[int], columns: list[in
     if np.any(factor == 0):
         raise FitError(f"the line at 0 Hz of a {response.form} says nothing of a receptance", hint="begin the band above 0 Hz")
     matrix = response.matrix[lines][:, rows][:, :, columns] / factor[:, None, None]
+    _check_moving(matrix, [response.outputs[row].label for row in rows])
     covariance = None
     if response.covariance is not None:
         index = [row * len(response.inputs) + column for row in rows for column in columns]
         covariance = response.covariance[lines][:, index][:, :, index] / (np.abs(factor) ** 2)[:, None, None]
     dof = response.covariance_dof
-    band_dof = 2 * max((response.averages - 1) * frequency.size, dof) if np.isfinite(dof) else np.inf
+    # One line alone has averages - 1 degrees of freedom; what it has beyond them it shares with its neighbours.
+    noise_lines = max(dof / (response.averages - 1), 1.0) if np.isfinite(dof) and response.averages > 1 else 1.0
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
-    return Measured(2 * np.pi * frequency, matrix, covariance, dof, band_dof, outputs, inputs)
+    return Measured(2 * np.pi * frequency, matrix, covariance, dof, noise_lines, outputs, inputs)
+
+
+def _check_moving(matrix: NDArray[np.complexfloating], labels: list[str]) -> None:
+    """FitError for a response that is zero at every line: it says nothing of any stiffness."""
+    still = [label for row, label in enumerate(labels) if not np.any(matrix[:, row])]
+    if still:
+        raise FitError(f"the FRF of {', '.join(still)} is zero at every line of the band", hint="is the sensor connected?")

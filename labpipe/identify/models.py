@@ -16,6 +16,8 @@ from labpipe.records.rig import AXIS_ANGLES
 
 # A force that acts on a direction with less than this share of its size does not excite it.
 SMALLEST_SHARE = 1e-3
+# Responses count as perpendicular when the cosine of the angle between them is below this (0.06 deg).
+PERPENDICULAR = 1e-3
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,8 @@ def _scalar_mass(mass: Mass) -> float | None:
         return None
     if not isinstance(mass, (int, float)):
         raise ConfigError("this model takes one mass", hint="for example mass: 0.92 kg")
+    if not mass >= 0:
+        raise ConfigError(f"the mass is {mass:g} kg", hint="it must not be negative")
     return float(mass)
 
 
@@ -63,38 +67,44 @@ def rotor_2dof(setup: Setup) -> DynamicModel:
     """Eight coefficients of a rotor in its bearings, x and y coupled (Lim et al. 2009, eq. 16-20).
 
     One force: its factors b_x, b_y are estimated with the coefficients, which needs the known mass. Several forces of known
-    direction: b = (cos, sin) of each is given; of unknown direction: b_x, b_y of each are estimated.
+    direction: b = (cos, sin) of each is given; of unknown direction: b_x, b_y of each are estimated. The responses whose dof or
+    label is x and y are x and y in whatever order they come; of other names, the first is x and the second y, and the directions
+    of the forces are taken from the responses' own. ConfigError where ports, mass or directions do not fit the model.
     """
     _need_ports(setup, "rotor-2dof", 2)
+    axes = _axes(setup.outputs)
     mass = _known_mass(setup)
     shape = (2, len(setup.inputs))
     terms = [
         _term(f"{letter}_{row}{column}", kind, (r, c), shape)
         for letter, kind in (("k", "stiffness"), ("c", "damping"))
-        for r, row in enumerate("xy")
-        for c, column in enumerate("xy")
+        for row, r in sorted(zip("xy", np.argsort(axes).tolist(), strict=True))
+        for column, c in sorted(zip("xy", np.argsort(axes).tolist(), strict=True))
     ]
     force: NDArray[np.floating] = np.zeros(shape)
     angles = [_angle(port) for port in setup.inputs]
     if len(angles) > 1 and None not in angles:
-        force = _directions([angle for angle in angles if angle is not None])
+        force = _directions(setup.outputs, axes, [angle for angle in angles if angle is not None])
     else:
-        terms.extend(_force_factors(setup.inputs, shape))
+        terms.extend(_force_factors(setup.inputs, shape, axes))
     return DynamicModel("rotor-2dof", tuple(terms), mass * np.eye(2), force)
 
 
-def _force_factors(inputs: tuple[Port, ...], shape: tuple[int, int]) -> list[Term]:
+def _force_factors(inputs: tuple[Port, ...], shape: tuple[int, int], axes: list[int]) -> list[Term]:
     """b_x, b_y of every force; with the force's label where there are several."""
     suffixes = [""] if len(inputs) == 1 else [f"_{port.label}" for port in inputs]
     return [
-        _term(f"b_{axis}{suffix}", "force", (row, column), shape, droppable=False)
+        _term(f"b_{'xy'[axis]}{suffix}", "force", (axes.index(axis), column), shape, droppable=False)
         for column, suffix in enumerate(suffixes)
-        for row, axis in enumerate("xy")
+        for axis in (0, 1)
     ]
 
 
 def rotor_2dof_direct(setup: Setup) -> DynamicModel:
-    """Direct coefficients only: each axis its own spring and damper under its share of the force (Lim et al. 2009, eq. 21-22)."""
+    """Direct coefficients only: each axis its own spring and damper under its share of the force (Lim et al. 2009, eq. 21-22).
+
+    F_x = F cos(a), F_y = F sin(a). ConfigError when the force's direction is not known, or has no part along a response.
+    """
     if len(setup.outputs) not in (1, 2):
         raise ConfigError(f"rotor-2dof-direct takes one or two responses, found {_labels(setup.outputs)}", hint="name them with `output`")
     mass = _known_mass(setup)
@@ -102,8 +112,8 @@ def rotor_2dof_direct(setup: Setup) -> DynamicModel:
     if None in angles:
         hint = "give its dof in the rig file as x, y or an angle such as '45 deg'"
         raise ConfigError(f"the direction of the force {_labels(setup.inputs)} is not known", hint=hint)
-    axes = [_axis(port, row, len(setup.outputs)) for row, port in enumerate(setup.outputs)]
-    force = _directions([angle for angle in angles if angle is not None])[axes]
+    axes = _axes(setup.outputs)
+    force = _directions(setup.outputs, axes, [angle for angle in angles if angle is not None])
     shape = (len(axes), len(setup.inputs))
     for row, axis in enumerate(axes):
         if np.max(np.abs(force[row])) < SMALLEST_SHARE:
@@ -127,19 +137,29 @@ def _angle(port: Port) -> float | None:
     return port.angle if port.angle is not None else AXIS_ANGLES.get(port.dof)
 
 
-def _axis(port: Port, row: int, n_output: int) -> int:
-    """0 for x, 1 for y: by the response's dof or label, by its place where both are measured."""
-    for name in (port.dof, port.label):
-        if name in AXIS_ANGLES:
-            return "xy".index(name)
-    if n_output == 2:
-        return row
-    raise ConfigError(f"response '{port.label}' is neither x nor y", hint="give its dof in the rig file")
+def _axes(outputs: tuple[Port, ...]) -> list[int]:
+    """0 for x, 1 for y of every response: by its dof or label; of two responses with other names the first is x."""
+    named = [next(("xy".index(name) for name in (port.dof, port.label) if name in AXIS_ANGLES), None) for port in outputs]
+    if len(outputs) == 2 and None in named:
+        other = [axis for axis in named if axis is not None]
+        named = [0, 1] if not other else [1 - other[0] if axis is None else axis for axis in named]
+    axes = [axis for axis in named if axis is not None]
+    if len(axes) < len(outputs):
+        raise ConfigError(f"response '{_labels(outputs)}' is neither x nor y", hint="give its dof in the rig file")
+    if len(set(axes)) < len(axes):
+        raise ConfigError(f"the responses {_labels(outputs)} have one direction", hint="one along x and one along y are needed")
+    return axes
 
 
-def _directions(angles: list[float]) -> NDArray[np.floating]:
-    """(cos, sin) of every force, (2, n_input); what is zero but for rounding is zero."""
-    force = np.array([np.cos(angles), np.sin(angles)])
+def _directions(outputs: tuple[Port, ...], axes: list[int], angles: list[float]) -> NDArray[np.floating]:
+    """Share of every force along every response, cos(force - response), (n_output, n_input); rounding next to zero is zero.
+
+    Responses along x and y have (cos, sin) of the force's angle; sensors turned by 45 deg see it in their own directions.
+    """
+    own = [port.angle if port.angle is not None else axis * np.pi / 2 for port, axis in zip(outputs, axes, strict=True)]
+    if len(own) == 2 and abs(np.cos(own[0] - own[1])) > PERPENDICULAR:
+        raise ConfigError(f"the responses {_labels(outputs)} are not perpendicular", hint="the model needs two directions at 90 deg")
+    force = np.cos(np.subtract.outer(own, angles))
     return np.where(np.abs(force) < 1e-15, 0.0, force)
 
 

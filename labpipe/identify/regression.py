@@ -30,13 +30,15 @@ def least_squares(measured: Measured, model: DynamicModel) -> Estimate:
     if measured.n_equation <= n_parameter:
         raise FitError(f"{measured.n_equation} real equations cannot determine {n_parameter} parameters", hint="widen the band")
     values, covariance = np.zeros(n_parameter), np.zeros((n_parameter, n_parameter))
+    own_dof = np.zeros(n_parameter, int)
     for rows, own in _separate_regressions(terms):
-        block = np.ix_(own, own)
-        values[own], covariance[block] = _solve(terms[own][:, :, rows], known[:, rows])
+        values[own], covariance[np.ix_(own, own)] = _solve(terms[own][:, :, rows], known[:, rows])
+        own_dof[own] = 2 * known[:, rows].size - len(own)
     residual = known - np.einsum("p,plab->lab", values, terms)
     r2, adjusted = determination(known, residual, n_parameter)
     design = _plain_design(measured, model, values, scaled_design(terms))
-    return Estimate(values, covariance, design, Goodness(r2, adjusted), measured.n_equation - n_parameter, notes=(BIAS_NOTE,))
+    dof = measured.n_equation - n_parameter
+    return Estimate(values, covariance, design, Goodness(r2, adjusted), dof, notes=(BIAS_NOTE,), own_dof=own_dof)
 
 
 def _plain_design(
@@ -80,9 +82,12 @@ def _solve(terms: NDArray[np.complexfloating], known: NDArray[np.complexfloating
     """One regression: estimates and their covariance from its own residual variance."""
     columns = stacked(terms.reshape(terms.shape[0], -1)).T
     side = stacked(known.reshape(-1))
+    if side.size <= columns.shape[1]:
+        message = f"{side.size} real equations cannot determine the {columns.shape[1]} parameters of a direction"
+        raise FitError(message, hint="widen the band")
     values, inverse = solve_scaled(columns, side)
     residual = side - columns @ values
-    variance = float(residual @ residual) / max(side.size - values.size, 1)
+    variance = float(residual @ residual) / (side.size - values.size)
     return values, variance * inverse
 
 
@@ -96,4 +101,5 @@ def _separate_regressions(terms: NDArray[np.complexfloating]) -> list[tuple[list
             groups.remove(other)
             rows, own = [*other[0], *rows], own | set(other[1])
         groups.append((rows, sorted(own)))
-    return groups
+    # Elimination may leave a direction without any parameter: nothing is regressed there.
+    return [group for group in groups if group[1]]

@@ -16,7 +16,8 @@ class Estimate:
     """What an estimator gives: parameters, their covariance, and what the fit leaves.
 
     values (n_parameter,); covariance (n_parameter, n_parameter); scaled_design (n_equation, n_parameter): real design or Jacobian
-    with columns of length 1; residual and total: sums of squares for R^2; chi2: weighted residual against its expectation.
+    with columns of length 1; dof: real equations - parameters; own_dof (n_parameter,): the same of the regression that gave each
+    parameter, where a fit consists of several (ls: one per direction), else None.
     """
 
     values: NDArray[np.floating]
@@ -27,6 +28,12 @@ class Estimate:
     converged: bool = True
     iterations: int = 0
     notes: tuple[str, ...] = ()
+    own_dof: NDArray[np.int_] | None = None
+
+    @property
+    def student_dof(self) -> NDArray[np.int_]:
+        """Degrees of freedom of every parameter's t-ratio, (n_parameter,)."""
+        return np.full(self.values.size, self.dof) if self.own_dof is None else self.own_dof
 
 
 def determination(known: NDArray[np.complexfloating], residual: NDArray[np.complexfloating], n_parameter: int) -> tuple[float, float]:

@@ -1,0 +1,110 @@
+"""How the lines weigh in an output-error fit, and what it costs that the weights themselves were estimated.
+
+A covariance S estimated from nu complex degrees of freedom is complex Wishart, S = C W / nu. With a = nu - n for n responses
+(several forces share or have their own estimate of the responses' noise, so they do not count in n):
+E[S^-1] = nu / a C^-1 and E[S^-1 C S^-1] = nu^3 / (a (a^2 - 1)) C^-1 (Maiwald and Kraus 2000, IEE Proc. Radar 147:162).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from labpipe.errors import FitError
+from labpipe.identify.measured import Measured
+
+# Below this relative standard deviation an FRF holds rounding errors, which are no measured noise to weigh by.
+NOISE_FREE = 1e-10
+# A covariance of normalised FRFs whose smallest eigenvalue is within this many roundings of zero has lost a rank.
+SINGULAR_ROUNDINGS = 100
+
+
+@dataclass(frozen=True)
+class WeightDoubt:
+    """What weights from an estimated covariance do to a fit; all 1 and infinite for a known covariance.
+
+    excess        E[d^H S^-1 d] / E[d^H C^-1 d]: how much too large the weighted residual looks
+    inflation     true covariance of the estimates / (J^H S^-1 J)^-1, lost efficiency included
+    residual_dof  second degree of freedom of the F distribution that the reduced chi-square follows
+    """
+
+    excess: float = 1.0
+    inflation: float = 1.0
+    residual_dof: float = np.inf
+
+    def p_value(self, reduced: float, dof: int) -> float:
+        """Chance of a reduced chi-square at least this large for a right model; chi-square, or F scaled to the mean 1."""
+        if not np.isfinite(self.residual_dof):
+            return float(stats.chi2.sf(reduced * dof, dof))
+        return float(stats.f.sf(reduced * self.residual_dof / (self.residual_dof - 2), dof, self.residual_dof))
+
+
+def weight_doubt(measured: Measured, dof: int) -> WeightDoubt:
+    """excess = nu / a, inflation = nu^2 / (a^2 - 1), residual_dof by the variance of the weighted residual; *dof* of the fit.
+
+    The inflation is exact when the noise estimates of the lines are independent, and slightly too large when neighbouring lines
+    share theirs. FitError when nu <= n + 1: the weighted residual then has no variance, or no mean.
+    """
+    nu, n = measured.noise_dof, measured.matrix.shape[1]
+    if not np.isfinite(nu):
+        return WeightDoubt()
+    a = nu - n
+    if a <= 1:
+        raise FitError(
+            f"the covariance of {n} response(s) was estimated from {nu:.3g} degrees of freedom only",
+            hint="average more periods or blocks, or raise `smooth`",
+        )
+    return WeightDoubt(nu / a, nu**2 / (a**2 - 1), _residual_dof(measured, a, dof))
+
+
+def _residual_dof(measured: Measured, a: float, dof: int) -> float:
+    """The second degree of freedom of the F distribution with the variance of the weighted residual over all lines.
+
+    Relative variance of the residual: [nu a / (q n (a^2 - 1)) + W nu / (n (a^2 - 1))] / L for L lines, q forces and W lines that
+    share one noise estimate; of F with d1, d2: 2 (d1 + d2 - 2) / (d1 (d2 - 4)).
+    """
+    n_line, n, q = measured.matrix.shape
+    spread = measured.noise_dof * (a / q + min(measured.noise_lines, n_line)) / (n * (a**2 - 1) * n_line)
+    # The fit takes up some of the residual: both parts scale with what it leaves.
+    scaled = spread * measured.n_equation
+    return float((2 * dof - 4 + 4 * scaled) / (scaled - 2))
+
+
+def has_noise(measured: Measured) -> bool:
+    """Whether the FRF comes with noise that was measured."""
+    if measured.covariance is None:
+        return False
+    variance = np.einsum("lii->li", measured.covariance).real
+    return bool(np.max(variance) > NOISE_FREE**2 * np.max(np.abs(measured.matrix) ** 2))
+
+
+def equal_weights(measured: Measured) -> NDArray[np.complexfloating]:
+    """The same weight for every FRF and line, (n_line, n, n) [N/m], scaled by the FRF's size so that units do not matter."""
+    n = measured.matrix.shape[1] * measured.matrix.shape[2]
+    size = np.sqrt(np.mean(np.abs(measured.matrix) ** 2))
+    return np.broadcast_to(np.eye(n) / size, (measured.omega.size, n, n)).astype(np.complex128)
+
+
+def whitener(measured: Measured) -> NDArray[np.complexfloating]:
+    """L^-1 of C = L L^H per line, (n_line, n, n) [N/m]; FitError where a variance is zero or C has lost a rank."""
+    assert measured.covariance is not None
+    std = np.sqrt(np.einsum("lii->li", measured.covariance).real)
+    if np.any(std == 0):
+        raise FitError(f"the variance of the FRF is zero at {_first(measured, std == 0)}", hint="leave this line out with `exclude`")
+    scaled = measured.covariance / (std[:, :, None] * std[:, None, :])
+    n = scaled.shape[1]
+    singular = np.linalg.eigvalsh(scaled)[:, 0] < SINGULAR_ROUNDINGS * n * np.finfo(float).eps
+    if np.any(singular):
+        hint = "average more periods or blocks, or name fewer responses with `output`"
+        raise FitError(f"the covariance of the {n} FRFs is singular at {_first(measured, singular[:, None])}", hint=hint)
+    weights: NDArray[np.complexfloating] = np.linalg.inv(np.linalg.cholesky(scaled)) / std[:, None, :]
+    return weights
+
+
+def _first(measured: Measured, at: NDArray[np.bool_]) -> str:
+    """The first line, in Hz, at which *at* (n_line, n) holds for any FRF."""
+    line = int(np.argmax(np.any(at, axis=1)))
+    return f"{measured.omega[line] / (2 * np.pi):g} Hz"
