@@ -15,14 +15,13 @@ from labpipe.errors import ConfigError
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.registry import nearest
-from labpipe.signals.excitation import Multisine, design_multisine
+from labpipe.signals.excitation import design_multisine
 from labpipe.simulate import mechanics
+from labpipe.simulate.mechanics import Timing
+from labpipe.simulate.one_dof import ONE_DOF
 from labpipe.simulate.settings import VirtualRig
 
-PERIODS = 5
 HOVER_CORNER = 5.0
-# Forces by which the rotor stays within 40 um.
-PEDESTAL_FORCE, RADIAL_FORCE, AXIAL_FORCE = 0.3, 2.0, 0.3
 ECCENTRICITIES = (0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
 GAIN_CORNER = 0.4
 STATIC_BEND = 300e-6
@@ -51,27 +50,6 @@ def _generator(seed: int, name: str) -> np.random.Generator:
     return np.random.default_rng([seed, zlib.crc32(name.encode())])
 
 
-@dataclass(frozen=True)
-class _Timing:
-    """Sampling of a periodic run: transient periods come before the PERIODS that are averaged."""
-
-    sample_rate: float
-    spacing: float
-    transient: int
-
-    @property
-    def n_sample(self) -> int:
-        return round(self.sample_rate / self.spacing)
-
-    @property
-    def periods(self) -> int:
-        return self.transient + PERIODS
-
-
-def _schroeder(band: tuple[float, float], spacing: float, rms: float) -> Multisine:
-    return design_multisine(band, spacing, rms)
-
-
 def _noisy(clean: NDArray[np.floating], std: float, rng: np.random.Generator) -> NDArray[np.floating]:
     return clean + rng.normal(0.0, std, clean.shape)
 
@@ -88,65 +66,28 @@ def _displacement_channel(name: str) -> Channel:
     return Channel(name, "displacement", "output", name, AXIS_ANGLES.get(name))
 
 
-def pedestal(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """The pedestal alone: one force, one displacement, 1-100 Hz every 0.5 Hz."""
-    force = _schroeder((1.0, 100.0), 0.5, PEDESTAL_FORCE)
-    omega = mechanics.line_frequencies(force)
-    receptance = 1 / mechanics.one_direction(rig, omega, levitated=False)
-    natural = float(np.sqrt(rig.pedestal_stiffness / rig.pedestal_mass))
-    truth = {
-        "mass": rig.pedestal_mass,
-        "k": rig.pedestal_stiffness,
-        "c": rig.pedestal_damping,
-        "f_n": natural / (2 * np.pi),
-        "zeta": rig.pedestal_damping / (2 * rig.pedestal_mass * natural),
-    }
-    return _single(rig, name, rng, force, receptance, _Timing(1000.0, 0.5, 3), truth, "y")
-
-
-def axial(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """The axial direction: 1-50 Hz every 0.5 Hz."""
-    force = _schroeder((1.0, 50.0), 0.5, AXIAL_FORCE)
-    receptance = 1 / mechanics.axial(rig, mechanics.line_frequencies(force))
-    natural = float(np.sqrt(rig.axial_stiffness / rig.axial_mass))
-    truth = {
-        "mass": rig.axial_mass,
-        "k": rig.axial_stiffness,
-        "c": rig.axial_damping,
-        "f_n": natural / (2 * np.pi),
-        "zeta": rig.axial_damping / (2 * rig.axial_mass * natural),
-    }
-    return _single(rig, name, rng, force, receptance, _Timing(500.0, 0.5, 1), truth, "z")
-
-
-def _single(
-    rig: VirtualRig,
-    name: str,
-    rng: np.random.Generator,
-    force: Multisine,
-    receptance: NDArray[np.complexfloating],
-    timing: _Timing,
-    truth: dict[str, Any],
-    dof: str,
-) -> SimulatedRun:
-    """One force and one displacement that starts at rest."""
-    steady = mechanics.steady_state(force, receptance, timing.n_sample, timing.periods)
-    clean = steady + mechanics.free_decay(steady, timing.sample_rate, truth["f_n"], truth["zeta"])
+def single(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+    """One force and one displacement that starts at rest: the runs of ONE_DOF."""
+    run = ONE_DOF[name](rig)
+    timing = run.timing
+    receptance = 1 / mechanics.one_dof(run.mass, run.stiffness, run.damping, mechanics.line_frequencies(run.force))
+    steady = mechanics.steady_state(run.force, receptance, timing.n_sample, timing.periods)
+    clean = steady + mechanics.free_decay(steady, timing.sample_rate, run.natural_frequency, run.damping_ratio)
     samples = [
-        _noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng),
+        _noisy(run.force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng),
         _noisy(clean, rig.noise.displacement, rng),
     ]
-    channels = [_force_channel(dof, AXIS_ANGLES.get(dof)), _displacement_channel(dof)]
-    return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
+    channels = [_force_channel(run.dof, AXIS_ANGLES.get(run.dof)), _displacement_channel(run.dof)]
+    return SimulatedRun(name, run.truth, _recording(name, channels, samples, timing.sample_rate))
 
 
 def radial(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
     """The levitated rotor under one force at 45 deg: x and y move alike, since the rig is symmetric; 1-250 Hz every 1 Hz."""
     rotating = name.endswith("rpm") and not name.endswith("-0rpm")
-    force = _schroeder((1.0, 250.0), 1.0, RADIAL_FORCE)
+    force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
     omega = mechanics.line_frequencies(force)
-    receptance = np.cos(np.pi / 4) / mechanics.one_direction(rig, omega, levitated=True)
-    timing = _Timing(2000.0, 1.0, 1)
+    receptance = np.cos(np.pi / 4) / mechanics.levitated(rig, omega)
+    timing = Timing(2000.0, 1.0, 1)
     clean = mechanics.steady_state(force, receptance, timing.n_sample, timing.periods)
     clean = clean + mechanics.free_decay(clean, timing.sample_rate, 70.0, 0.2)
     samples = [_noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng)]
@@ -156,7 +97,7 @@ def radial(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun
             moved = moved + _rotation(rig, timing, quarter)
         samples.append(_noisy(moved, rig.noise.displacement, rng))
     bearing = mechanics.levitation_stiffness(rig.levitation, omega) / rig.levitation.bearings
-    truth = {
+    truth: dict[str, Any] = {
         "mass": rig.rotor_mass,
         "speed_hz": rig.speed if rotating else 0.0,
         "forcing_angle": np.pi / 4,
@@ -165,11 +106,13 @@ def radial(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun
         "k_per_bearing": bearing.real.tolist(),
         "c_per_bearing": (bearing.imag / omega).tolist(),
     }
+    if rig.levitation.law == "control-loop":
+        truth["negative_stiffness_per_bearing"] = mechanics.negative_stiffness(rig.levitation)
     channels = [_force_channel("45 deg", np.pi / 4), _displacement_channel("x"), _displacement_channel("y")]
     return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
 
 
-def _hover(rig: VirtualRig, timing: _Timing, rng: np.random.Generator) -> NDArray[np.floating]:
+def _hover(rig: VirtualRig, timing: Timing, rng: np.random.Generator) -> NDArray[np.floating]:
     """Slow random wander of the levitated rotor: white noise through a first-order low pass, with the stated rms."""
     n = timing.n_sample * timing.periods
     b, a = signal.butter(1, HOVER_CORNER, fs=timing.sample_rate)
@@ -177,7 +120,7 @@ def _hover(rig: VirtualRig, timing: _Timing, rng: np.random.Generator) -> NDArra
     return rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
 
 
-def _rotation(rig: VirtualRig, timing: _Timing, quarter: float) -> NDArray[np.floating]:
+def _rotation(rig: VirtualRig, timing: Timing, quarter: float) -> NDArray[np.floating]:
     """1x of the unbalance and cogging lines at 2x and 4x of speed; speed is no multiple of the spacing."""
     t = np.arange(timing.n_sample * timing.periods) / timing.sample_rate
     angle = 2 * np.pi * rig.speed * t - quarter
@@ -189,10 +132,10 @@ def two_directions(rig: VirtualRig, name: str, rng: np.random.Generator) -> Simu
     """A cross-coupled support under a force along x (or y): all eight coefficients show in the two runs together."""
     dof = name[-1]
     column = "xy".index(dof)
-    force = _schroeder((1.0, 250.0), 1.0, RADIAL_FORCE)
+    force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
     omega = mechanics.line_frequencies(force)
     receptance = np.linalg.inv(mechanics.coupled(rig, omega))[:, :, column]
-    timing = _Timing(2000.0, 1.0, 1)
+    timing = Timing(2000.0, 1.0, 1)
     samples = [_noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng)]
     for row in range(2):
         clean = mechanics.steady_state(force, receptance[:, row], timing.n_sample, timing.periods)
@@ -227,12 +170,12 @@ def static(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun
 
 
 RUNS: dict[str, Callable[[VirtualRig, str, np.random.Generator], SimulatedRun]] = {
-    "pedestal": pedestal,
+    "pedestal": single,
     "radial-0rpm": radial,
     "radial-8000rpm": radial,
     "two-directions-x": two_directions,
     "two-directions-y": two_directions,
-    "axial": axial,
+    "axial": single,
     "actuator-gain": actuator_gain,
     "static": static,
 }

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
 from labpipe.signals.excitation import Multisine
-from labpipe.simulate.settings import Levitation, VirtualRig
+from labpipe.simulate.settings import ControlLoop, Levitation, VirtualRig
 
 Complex = NDArray[np.complexfloating]
 
@@ -16,24 +19,82 @@ COUPLED_STIFFNESS = np.array([[180e3, 25e3], [-18e3, 210e3]])
 COUPLED_DAMPING = np.array([[120.0, 15.0], [-10.0, 150.0]])
 
 
-def levitation_stiffness(levitation: Levitation, omega: NDArray[np.floating]) -> Complex:
-    """k(w) + j w c(w) of all bearings together [N/m], (n_line,)."""
+# Periods that are averaged; transient periods come before them.
+PERIODS = 5
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Sampling of a periodic run: *sample_rate* [Hz], line *spacing* [Hz], number of *transient* periods."""
+
+    sample_rate: float
+    spacing: float
+    transient: int
+
+    @property
+    def n_sample(self) -> int:
+        """Samples of one period."""
+        return round(self.sample_rate / self.spacing)
+
+    @property
+    def periods(self) -> int:
+        return self.transient + PERIODS
+
+
+def relaxation(levitation: Levitation, omega: NDArray[np.floating]) -> Complex:
+    """k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau) of one bearing at *omega* [rad/s], (n_line,) [N/m]."""
     relative: Complex = 1j * omega / (2 * np.pi * levitation.corner)
-    one = levitation.static + levitation.dynamic * relative / (1 + relative)
-    return levitation.bearings * one
+    return levitation.static + levitation.dynamic * relative / (1 + relative)
 
 
-def one_direction(rig: VirtualRig, omega: NDArray[np.floating], levitated: bool) -> Complex:
-    """Dynamic stiffness k + j w c - w^2 m of pedestal alone or with the levitated rotor, (n_line,) [N/m]."""
-    mass = rig.rotor_mass if levitated else rig.pedestal_mass
-    stiffness: Complex = rig.pedestal_stiffness + 1j * omega * rig.pedestal_damping - omega**2 * mass
-    return stiffness + levitation_stiffness(rig.levitation, omega) if levitated else stiffness
+def control_loop(levitation: Levitation, omega: NDArray[np.floating]) -> Complex:
+    """k(w) + j w c(w) = K G(jw) - k_n of one bearing under position control at *omega* [rad/s], (n_line,) [N/m].
+
+    Lim et al. (2009), eq. 7 and table 1; the negative stiffness k_n is what leaves the static stiffness k_0 at rest.
+    """
+    loop = levitation.loop
+    return loop_stiffness(loop) * controller(loop, omega) - negative_stiffness(levitation)
 
 
-def axial(rig: VirtualRig, omega: NDArray[np.floating]) -> Complex:
-    """Axial dynamic stiffness, (n_line,) [N/m]."""
-    stiffness: Complex = rig.axial_stiffness + 1j * omega * rig.axial_damping - omega**2 * rig.axial_mass
-    return stiffness
+def controller(loop: ControlLoop, omega: NDArray[np.floating]) -> Complex:
+    """G(jw) of PID, delay and amplifier, (n_line,) [1]; see ControlLoop."""
+    s: Complex = 1j * omega
+    pid = loop.proportional + loop.derivative * s / (1 + s * loop.derivative_time) + loop.lag / (1 + s * loop.lag_time)
+    chain: Complex = np.exp(-s * loop.delay) / (1 + s / (2 * np.pi * loop.bandwidth))
+    return pid * chain
+
+
+def loop_stiffness(loop: ControlLoop) -> float:
+    """Force per displacement at unit controller gain, K = probe * amplifier * force-current factor [N/m]."""
+    return loop.sensor * loop.amplifier * loop.force_per_current
+
+
+def negative_stiffness(levitation: Levitation) -> float:
+    """Pull of the bias field per displacement, k_n = K G(0) - k_0 of one bearing [N/m]."""
+    return loop_stiffness(levitation.loop) * (levitation.loop.proportional + levitation.loop.lag) - levitation.static
+
+
+LEVITATION_LAWS: dict[str, Callable[[Levitation, NDArray[np.floating]], Complex]] = {
+    "relaxation": relaxation,
+    "control-loop": control_loop,
+}
+
+
+def levitation_stiffness(levitation: Levitation, omega: NDArray[np.floating]) -> Complex:
+    """k(w) + j w c(w) of all bearings together at *omega* [rad/s], (n_line,) [N/m]."""
+    return levitation.bearings * LEVITATION_LAWS[levitation.law](levitation, omega)
+
+
+def one_dof(mass: float, stiffness: float, damping: float, omega: NDArray[np.floating]) -> Complex:
+    """Dynamic stiffness k - w^2 m + j w c at *omega* [rad/s], (n_line,) [N/m]."""
+    dynamic: Complex = stiffness - omega**2 * mass + 1j * omega * damping
+    return dynamic
+
+
+def levitated(rig: VirtualRig, omega: NDArray[np.floating]) -> Complex:
+    """Dynamic stiffness of pedestal and levitated rotor in one direction at *omega* [rad/s], (n_line,) [N/m]."""
+    pedestal = one_dof(rig.rotor_mass, rig.pedestal_stiffness, rig.pedestal_damping, omega)
+    return pedestal + levitation_stiffness(rig.levitation, omega)
 
 
 def coupled(rig: VirtualRig, omega: NDArray[np.floating]) -> Complex:
@@ -48,11 +109,15 @@ def line_frequencies(force: Multisine) -> NDArray[np.floating]:
     return 2 * np.pi * force.spacing * force.lines
 
 
+def line_amplitude(force: Multisine) -> float:
+    """Amplitude of each line of a flat multisine, rms sqrt(2 / n_line) [N]."""
+    return float(force.rms * np.sqrt(2 / force.lines.size))
+
+
 def steady_state(force: Multisine, receptance: Complex, n_sample: int, periods: int) -> NDArray[np.floating]:
     """Displacement (n_sample * periods,) [m] under the multisine, exact line by line: X_k = H(w_k) F_k."""
-    amplitude = force.rms * np.sqrt(2 / force.lines.size)
     spectrum = np.zeros(n_sample // 2 + 1, np.complex128)
-    spectrum[force.lines] = receptance * amplitude * np.exp(1j * force.phases) * (n_sample / 2)
+    spectrum[force.lines] = receptance * line_amplitude(force) * np.exp(1j * force.phases) * (n_sample / 2)
     return np.tile(fft.irfft(spectrum, n_sample), periods)
 
 

@@ -7,20 +7,46 @@ from dataclasses import dataclass
 from labpipe.records.settings import setting
 
 KIND = "virtual-magnetic-rig"
+LAWS = ("relaxation", "control-loop")
+
+
+@dataclass(frozen=True)
+class ControlLoop:
+    """The position control of one bearing: G(s) = (k_p + k_d s / (1 + s T_d) + k_i / (1 + s T_i)) e^{-s tau} / (1 + s / w_a).
+
+    Gains as printed by Lim et al. (2009), table 1, but for the sign of k_i. With the printed +0.25 the lag takes damping away below
+    21 Hz whatever the gains before and behind it (c = -301 N.s/m per bearing at 2 Hz) and the rotor alone is unstable; subtracted,
+    it lets a steady load go as zero-power levitation does: stiffness rises from its static value and damping is positive.
+    Delay: one sampling interval of 20 kHz for computing, half of one for holding. Bandwidth and sign are our own choice.
+    """
+
+    proportional: float = setting("value", "proportional gain k_p", unit="1", default=1.0)
+    derivative: float = setting("value", "derivative gain k_d", unit="s", default=6.5e-4)
+    derivative_time: float = setting("value", "time constant T_d of the differentiator", unit="s", default=1e-4)
+    lag: float = setting("value", "gain k_i of the first-order lag", unit="1", default=-0.25)
+    lag_time: float = setting("value", "time constant T_i of the lag", unit="s", default=0.0318)
+    sensor: float = setting("value", "sensitivity of the position probe", unit="V/m", default=8000.0)
+    amplifier: float = setting("value", "gain of the current amplifier", unit="A/V", default=1.0)
+    force_per_current: float = setting("value", "force-current factor of one bearing", unit="N/A", default=5.8)
+    bandwidth: float = setting("value", "-3 dB bandwidth w_a / 2 pi of the amplifier", unit="Hz", default=1000.0)
+    delay: float = setting("value", "delay tau of sampling and computing", unit="s", default=75e-6)
 
 
 @dataclass(frozen=True)
 class Levitation:
-    """One magnetic bearing: static stiffness k_0 and a relaxation that stiffens it with frequency.
+    """One magnetic bearing: static stiffness k_0, and the law by which it changes with frequency.
 
-    k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau), tau = 1 / (2 pi f_c): causal and passive, and like the measured bearings
-    soft at 2 Hz and stiffer by far at 250 Hz. It stands for control loop and eddy currents together.
+    relaxation: k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau), tau = 1 / (2 pi f_c): causal and passive, and like the measured
+    bearings soft at 2 Hz and stiffer by far at 250 Hz. It stands for control loop and eddy currents together.
+    control-loop: the loop alone, k_0 + K (G(jw) - G(0)); K = probe * amplifier * force-current factor [N/m].
     """
 
+    law: str = setting("choice", "how stiffness changes with frequency", choices=LAWS, default="relaxation")
     static: float = setting("value", "static stiffness k_0 of one bearing", unit="N/m", default=1694.0)
     dynamic: float = setting("value", "stiffness gained far above the corner, k_1", unit="N/m", default=110e3)
     corner: float = setting("value", "corner frequency f_c", unit="Hz", default=150.0)
     bearings: int = setting("integer", "equal bearings in parallel", default=2)
+    loop: ControlLoop = setting("section", "the position control (law control-loop)", section=ControlLoop, default=ControlLoop())
 
 
 @dataclass(frozen=True)
@@ -48,5 +74,6 @@ class VirtualRig:
     actuator_gain: float = setting("value", "force per control voltage at the centre", unit="N/V", default=5.8)
     speed: float = setting("value", "shaft speed of the rotating run", unit="Hz", default=8000 / 60)
     unbalance: float = setting("value", "1x amplitude of the rotating run", unit="m", default=4e-6)
+    radial_force: float = setting("value", "rms force of the shaker in radial runs", unit="N", default=2.0)
     levitation: Levitation = setting("section", "the magnetic bearings", section=Levitation, default=Levitation())
     noise: Noise = setting("section", "measuring noise", section=Noise, default=Noise())
