@@ -1,0 +1,119 @@
+"""Where the rings of a rolling bearing come to rest under prescribed loads and displacements: Newton's method on the load potential.
+
+The potential Phi(q) = sum_j K_n delta_j^(n+1) / (n+1) - f . q is convex (delta is a convex function of q for balls, linear for rollers),
+so a line search makes the solution independent of its start; loose elements, clearance and zero contact angle need no special care.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labpipe.bearings.feasibility import check_carried, check_request, explain_failure
+from labpipe.bearings.newton import Problem, solve
+from labpipe.bearings.rolling import DOFS, Contacts, ElementFrame, Matrix, RollingBearing, contacts, load_sum, stiffness_sum
+from labpipe.errors import ConfigError
+
+# Load cases solved together: enough to keep numpy's overhead small, few enough to stay in the cache.
+CASES_AT_ONCE = 512
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """The state of n_case load cases.
+
+    displacement (n_case, 5) [m, rad]; load (n_case, 5) [N, N m], of the inner ring, held ones included; stiffness K = dF/dq
+    (n_case, 5, 5); contacts: deflection, load and direction of every element; angles psi_j (n_case, z) [rad]; free: names of the dofs
+    whose load was prescribed.
+    """
+
+    bearing: RollingBearing
+    displacement: Matrix
+    load: Matrix
+    stiffness: Matrix
+    contacts: Contacts
+    angles: Matrix
+    free: tuple[str, ...]
+
+    @property
+    def contact_angle(self) -> Matrix:
+        """Loaded contact angles a_j (n_case, z) [rad]."""
+        angles: Matrix = np.arctan2(self.contacts.sin, self.contacts.cos)
+        return angles
+
+    @property
+    def mirrored(self) -> NDArray[np.bool_]:
+        """Load cases (n_case,) in which an element of an angular-contact bearing carries at the opposite contact angle.
+
+        The equations allow it; a bearing with one shoulder does not.
+        """
+        opposite = self.contacts.sin * np.sign(self.bearing.contact_angle) < 0
+        return np.any(opposite & (self.contacts.load > 1e-9 * self.contacts.load.max(axis=1, keepdims=True)), axis=1)
+
+    @property
+    def determinate(self) -> NDArray[np.bool_]:
+        """Load cases (n_case,) whose position is unique: the stiffness of the free dofs is not singular."""
+        index = [DOFS.index(name) for name in self.free]
+        if not index:
+            return np.ones(len(self.load), dtype=bool)
+        scale = np.array([1, 1, 1, 1 / self.bearing.pitch_radius, 1 / self.bearing.pitch_radius])
+        eigenvalues = np.linalg.eigvalsh((self.stiffness * np.outer(scale, scale))[:, index][:, :, index])
+        unique: NDArray[np.bool_] = eigenvalues[:, 0] > 1e-10 * eigenvalues[:, -1]
+        return unique
+
+
+def equilibrium(
+    bearing: RollingBearing,
+    loads: ArrayLike = (0.0, 0.0, 0.0, 0.0, 0.0),
+    displacements: ArrayLike = (0.0, 0.0, 0.0, 0.0, 0.0),
+    held: Sequence[str] = (),
+    cage_angle: ArrayLike = 0.0,
+) -> Equilibrium:
+    """The rest position of the bearing: F_i(q) = f_i for every dof but the *held* ones, where q_i is given.
+
+    *loads* (5,) or (n_case, 5) [N, N m]; *displacements* (5,) or (n_case, 5) [m, rad], used where *held* names the dof (of x y z bx by);
+    *cage_angle* scalar or (n_case,) [rad], angle of the first element from x. Raises ConfigError for a load the bearing's kind cannot
+    carry or displacements beyond the model's reach, FitError naming the load case when no rest position exists.
+    """
+    f, q = (np.atleast_2d(np.asarray(each, np.float64)) for each in (loads, displacements))
+    cage = np.asarray(cage_angle, np.float64)
+    check_request(bearing, f, q, held, cage)
+    n_case = max(len(f), len(q), cage.size)
+    f, q = (np.broadcast_to(each, (n_case, len(DOFS))) for each in (f, q))
+    parts = [_solve_part(bearing, f, q, held, cage, slice(n, n + CASES_AT_ONCE)) for n in range(0, n_case, CASES_AT_ONCE)]
+    displacement = np.concatenate(parts)
+    return _state(bearing, displacement, held, cage)
+
+
+def _solve_part(bearing: RollingBearing, f: Matrix, q: Matrix, held: Sequence[str], cage: Matrix, part: slice) -> Matrix:
+    """Displacements of a part of the load cases; tilts are counted in metres at the pitch radius meanwhile."""
+    scale = np.array([1, 1, 1, bearing.pitch_radius, bearing.pitch_radius])
+    frame = ElementFrame.at(bearing.angles(cage[part] if cage.ndim else cage), 1.0)
+    free = np.array([name not in held for name in DOFS])
+    problem = Problem(bearing, frame, np.where(free, f[part] / scale, 0.0), np.flatnonzero(free))
+    u, solved = solve(problem, np.where(free, 0.0, q[part] * scale))
+    if not solved.all():
+        explain_failure(bearing, np.where(free, f, 0.0), part.start + int(np.flatnonzero(~solved)[0]))
+    return u / scale
+
+
+def _state(bearing: RollingBearing, displacement: Matrix, held: Sequence[str], cage: Matrix) -> Equilibrium:
+    angles = bearing.angles(cage)
+    frame = ElementFrame.at(angles, bearing.pitch_radius)
+    at = contacts(bearing, displacement, frame)
+    check_carried(bearing, at)
+    free = tuple(name for name in DOFS if name not in held)
+    placed = np.broadcast_to(angles, at.load.shape)
+    return Equilibrium(bearing, displacement, load_sum(at, frame), stiffness_sum(at, frame), at, placed, free)
+
+
+def load_vector(**loads: float) -> Matrix:
+    """(Fx, Fy, Fz, Mx, My) from named loads: load_vector(y=-24, z=427); names x y z mx my."""
+    names = ("x", "y", "z", "mx", "my")
+    unknown = [name for name in loads if name not in names]
+    if unknown:
+        raise ConfigError(f"no load '{unknown[0]}'", hint=f"known: {', '.join(names)}")
+    return np.array([loads.get(name, 0.0) for name in names])
