@@ -12,7 +12,7 @@ import math
 import numpy as np
 import pytest
 
-from labpipe.bearings.equilibrium import Equilibrium, equilibrium, load_vector
+from labpipe.bearings.rolling_equilibrium import Equilibrium, equilibrium, load_vector
 from labpipe.bearings.rolling import RollingBearing
 
 BEARINGS = {

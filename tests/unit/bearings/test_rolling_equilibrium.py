@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from labpipe.bearings.equilibrium import equilibrium, load_vector
-from labpipe.bearings.newton import Problem, solve
 from labpipe.bearings.rolling import DOFS, ElementFrame, RollingBearing, bearing_loads
+from labpipe.bearings.rolling_equilibrium import equilibrium, load_vector
+from labpipe.bearings.rolling_newton import Problem, solve
 from labpipe.errors import ConfigError, FitError
 
 HELD_TILT = ("bx", "by")

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labpipe.bearings.feasibility import check_carried, check_request, explain_failure
-from labpipe.bearings.newton import Problem, solve
 from labpipe.bearings.rolling import DOFS, Contacts, ElementFrame, Matrix, RollingBearing, contacts, load_sum, stiffness_sum
+from labpipe.bearings.rolling_limits import check_carried, check_request, explain_failure
+from labpipe.bearings.rolling_newton import Problem, solve
 from labpipe.errors import ConfigError
 
 # Load cases solved together: enough to keep numpy's overhead small, few enough to stay in the cache.
