@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Matrix = NDArray[np.complexfloating]
+from labpipe.spectra.matrices import Matrix, inverse
 
 
 def ordinary_coherence(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> NDArray[np.floating]:
@@ -16,7 +16,7 @@ def ordinary_coherence(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> NDArray[np.f
 
 def multiple_coherence(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> NDArray[np.floating]:
     """gamma^2 = S_yu S_uu^-1 S_uy / S_yy per response, (n_frequency, n_output)."""
-    explained = np.einsum("foi,fio->fo", s_yu, np.linalg.solve(s_uu, s_yu.conj().swapaxes(-1, -2))).real
+    explained = np.einsum("foi,foi->fo", s_yu @ inverse(s_uu), s_yu.conj()).real
     return _clipped(explained, np.einsum("foo->fo", s_yy).real)
 
 
@@ -26,11 +26,11 @@ def partial_coherence(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> NDArray[np.fl
     gamma^2 = |Q_yu|^2 / (Q_yy Q_uu) of the inverse Q of the spectra of all forces and that response (Bendat and Piersol, Random
     Data, ch. 7.3: conditioned spectra); by blocks Q_yu = -q H1 and Q_uu = S_uu^-1 + q H1^H H1 with the residual power 1 / q.
     """
-    inverse = np.linalg.inv(s_uu)
-    h1 = s_yu @ inverse
+    inverse_force = inverse(s_uu)
+    h1 = s_yu @ inverse_force
     residual = np.einsum("foo->fo", s_yy).real - np.einsum("foi,foi->fo", h1, s_yu.conj()).real
     explained = np.abs(h1) ** 2
-    alone = np.einsum("fii->fi", inverse).real[:, None, :] * np.maximum(residual, 0.0)[:, :, None]
+    alone = np.einsum("fii->fi", inverse_force).real[:, None, :] * np.maximum(residual, 0.0)[:, :, None]
     return _clipped(explained, explained + alone)
 
 

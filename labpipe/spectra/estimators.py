@@ -5,7 +5,7 @@ S_yy (n_frequency, n_output, n_output); the result is (n_frequency, n_output, n_
 
 Every estimator solves E[(y_o - H_o u) z_o^H] = 0 for its own instruments z_o = W_o [u; y]; they decide how noise becomes error,
 so the covariance needs them. INSTRUMENTS gives W (n_frequency, n_output, n_input, n_input + n_output) from the response and the
-power of all channels, forces first (n_frequency, n_input + n_output).
+power of all channels, forces first (n_frequency, n_input + n_output); n_output is 1 where all responses share them.
 """
 
 from __future__ import annotations
@@ -16,24 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError
-
-Matrix = NDArray[np.complexfloating]
-
-
-def _hermitian(matrix: Matrix) -> Matrix:
-    return matrix.conj().swapaxes(-1, -2)
+from labpipe.spectra.matrices import Matrix, hermitian, inverse
 
 
 def h1(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:  # noqa: ARG001 (one signature for the whole table)
     """H1 = S_yu S_uu^-1: noise on the responses averages out."""
-    return _hermitian(np.linalg.solve(_hermitian(s_uu), _hermitian(s_yu)))
+    return s_yu @ inverse(s_uu)
 
 
 def h2(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:  # noqa: ARG001
     """H2 = S_yy S_uy^-1: noise on the forces averages out; needs as many responses as forces. The inverse is a general one."""
     if s_yu.shape[1] != s_yu.shape[2]:
         raise ConfigError("H2 needs as many responses as forces", hint="use H1 or Hv")
-    return s_yy @ np.linalg.inv(_hermitian(s_yu))
+    return s_yy @ inverse(hermitian(s_yu))
 
 
 def hv(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:
@@ -51,7 +46,7 @@ def hv(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:
         joint = np.empty((s_uu.shape[0], n_input + 1, n_input + 1), np.complex128)
         joint[:, :n_input, :n_input] = s_uu
         joint[:, n_input:, :n_input] = s_yu[:, output : output + 1]
-        joint[:, :n_input, n_input:] = _hermitian(joint[:, n_input:, :n_input])
+        joint[:, :n_input, n_input:] = hermitian(joint[:, n_input:, :n_input])
         joint[:, n_input, n_input] = s_yy[:, output, output]
         _, vectors = np.linalg.eigh(joint / (scale[:, :, None] * scale[:, None, :]))
         smallest = vectors[:, :, 0] / scale
@@ -70,9 +65,10 @@ def responses_as_instruments(response: Matrix, power: NDArray[np.floating]) -> M
 
 
 def _chosen_channels(response: Matrix, first: int) -> Matrix:
+    """W = [0 I 0], the same at every line and for every response."""
     n_frequency, n_output, n_input = response.shape
     chosen = np.eye(n_input, n_input + n_output, first, dtype=np.complex128)
-    return np.broadcast_to(chosen, (n_frequency, n_output, n_input, n_input + n_output))
+    return np.broadcast_to(chosen, (n_frequency, 1, *chosen.shape))
 
 
 def adjusted_forces_as_instruments(response: Matrix, power: NDArray[np.floating]) -> Matrix:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Matrix = NDArray[np.complexfloating]
+from labpipe.spectra.matrices import Matrix, hermitian, inverse
 
 
 def covariance_of_random(spectra: Matrix, response: Matrix, instruments: Matrix, averages: float) -> Matrix:
@@ -17,16 +16,20 @@ def covariance_of_random(spectra: Matrix, response: Matrix, instruments: Matrix,
     H2 has the same share of its own, larger |H|^2. Exact for H1, to first order in 1 / n_e for the others.
 
     spectra (n_frequency, n, n) of all channels, the n_input forces first; response (n_frequency, n_output, n_input);
-    instruments W (n_frequency, n_output, n_input, n) with z_o = W_o [u; y], see estimators.INSTRUMENTS.
+    instruments W (n_frequency, n_output or 1, n_input, n) with z_o = W_o [u; y], see estimators.INSTRUMENTS.
     """
     n_frequency, n_output, n_input = response.shape
     identity = np.broadcast_to(np.eye(n_output), (n_frequency, n_output, n_output))
     residual_of = np.concatenate([-response, identity], axis=2)
-    residual = residual_of @ spectra @ residual_of.conj().swapaxes(-1, -2)
-    seen = np.einsum("fua,foza->fouz", spectra[:, :n_input], instruments.conj())
-    gain = np.linalg.inv(seen).conj().swapaxes(-1, -2) @ instruments
-    spread = np.einsum("fpja,fab,foib->foipj", gain, spectra, gain.conj(), optimize=True)
-    covariance = residual[:, :, None, :, None] * spread / max(averages - n_input, 1.0)
+    residual = residual_of @ spectra @ hermitian(residual_of)
+    seen = spectra[:, None, :n_input] @ hermitian(instruments)
+    # B_o^H W_o of every response in rows, so that one product gives the spread of all pairs of responses.
+    gain = hermitian(inverse(seen)) @ instruments
+    rows = gain.reshape(n_frequency, -1, gain.shape[3])
+    spread = (rows @ spectra @ hermitian(rows)).reshape(n_frequency, gain.shape[1], n_input, gain.shape[1], n_input)
+    # B_p^H S_zz[p, o] B_o stands at [p, j, o, i]; the covariance needs it at [o, i, p, j].
+    spread = spread.transpose(0, 3, 4, 1, 2)
+    covariance = residual[:, :, None, :, None] * (spread / max(averages - n_input, 1.0))
     n = n_output * n_input
     return _without_rounding(covariance.reshape(n_frequency, n, n))
 
@@ -49,7 +52,7 @@ def covariance_of_periodic(response: Matrix, force_inverse: Matrix, noise: Matri
 
 def _without_rounding(covariance: Matrix) -> Matrix:
     """The Hermitian part, its diagonal not below zero."""
-    covariance = (covariance + covariance.conj().swapaxes(-1, -2)) / 2
+    covariance = (covariance + hermitian(covariance)) / 2
     diagonal = np.einsum("fii->fi", covariance)
     diagonal[...] = np.maximum(diagonal.real, 0.0)
     return covariance

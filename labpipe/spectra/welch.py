@@ -6,12 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, signal
+from scipy import fft
 
 from labpipe.errors import ConfigError, DataError
+from labpipe.spectra.windows import effective_averages
 
-# Segments transformed together: enough to keep numpy's overhead small, few enough to stay in the cache.
-SEGMENTS_AT_ONCE = 16
+DETRENDS = ("constant", "linear", "none")
+# Segments transformed together [samples, segments]: enough to keep the overhead small, few enough to stay in the cache and, for
+# very long blocks, in memory. Products of small matrices are fastest with about this many segments.
+CACHED_SAMPLES = 1 << 18
+MOST_SAMPLES = 1 << 22
+SEGMENTS_AT_ONCE = 18
 
 
 @dataclass(frozen=True)
@@ -28,73 +33,149 @@ class CrossSpectra:
     averages: float
 
 
-def window_values(name: str, n_sample: int) -> NDArray[np.floating]:
-    """The periodic (DFT-even) window of that name; ConfigError when scipy does not know it."""
-    try:
-        values: NDArray[np.floating] = signal.get_window(name, n_sample, fftbins=True)
-    except ValueError:
-        raise ConfigError(f"unknown window '{name}'", hint="for example hann, hamming, blackman, flattop, boxcar") from None
-    return values
-
-
-def effective_averages(window: NDArray[np.floating], step: int, n_block: int) -> float:
-    """n_e = K / (1 + 2 sum_k (1 - k/K) rho_k), rho_k = (sum w(n) w(n + k step) / sum w^2)^2 (Welch 1967).
-
-    Overlapping blocks are correlated and average less than their number.
-    """
-    n = window.size
-    shifts = np.arange(step, n, step)
-    rho = np.array([np.dot(window[:-shift], window[shift:]) for shift in shifts]) ** 2 / np.dot(window, window) ** 2
-    k = np.arange(1, shifts.size + 1)
-    return float(n_block / (1 + 2 * np.sum(np.maximum(1 - k / n_block, 0) * rho)))
-
-
 class WelchAverage:
-    """Running sum of the cross-spectral matrix, fed block by block in any size; one FFT per channel and segment."""
+    """Running sum of the cross-spectral matrix, fed block by block in any size; one FFT per channel and segment.
 
-    def __init__(self, window: NDArray[np.floating], step: int, n_channel: int, lines: slice = slice(1, None)) -> None:
-        """*window* (n_sample,), *step* samples from block to block; *lines* of the DFT that are kept, all above 0 Hz unless given."""
-        self._window = window
+    Segments are tapered into a buffer that is transformed when it is full, and their trend is taken out of the lines:
+    FFT(w (x - sum_p c_p b_p)) = FFT(w x) - sum_p c_p FFT(w b_p), where FFT(w b_p) has few lines that differ from zero.
+    """
+
+    def __init__(
+        self, window: NDArray[np.floating], step: int, n_channel: int, lines: slice = slice(1, None), detrend: str = "constant"
+    ) -> None:
+        """*window* (n_sample,), *step* samples from block to block; *lines* of the DFT that are kept, neighbours above 0 Hz.
+
+        *detrend*: what is taken out of every segment before the window: its mean (constant), a straight line (linear), or none.
+        """
+        n = window.size
         self._step = step
-        self._line_numbers = np.arange(window.size // 2 + 1)[lines]
-        self._lines = lines
-        self._rest = np.empty((n_channel, 0))
-        self._sum = np.zeros((n_channel, n_channel, self._line_numbers.size), np.complex128)
-        # Fresh temporaries of this size cost more time than the transforms: they are kept and filled again.
-        self._tapered = np.empty((n_channel, SEGMENTS_AT_ONCE, window.size))
-        self._product = np.empty((SEGMENTS_AT_ONCE, self._line_numbers.size), np.complex128)
+        self._line_numbers = np.arange(n // 2 + 1)[lines]
+        self._first = int(self._line_numbers[0])
+        self._window = window
+        self._taper = np.repeat(window, n_channel).reshape(n, n_channel)
+        self._basis = trend_basis(detrend, n)
+        self._trend = _significant_lines(fft.rfft(window * self._basis, axis=1)[:, lines])
+        n_together = max(SEGMENTS_AT_ONCE, CACHED_SAMPLES // (n * n_channel))
+        n_together = max(1, min(n_together, MOST_SAMPLES // (n * n_channel)))
+        self._tapered = np.empty((n_together, n, n_channel))
+        self._coefficients = np.empty((n_together, self._basis.shape[0], n_channel))
+        self._n_waiting = 0
+        self._gram = _Gram(self._line_numbers.size, n_channel)
+        self._rest: list[NDArray[np.floating]] = []
         self.n_block = 0
 
     def add(self, block: NDArray[np.floating]) -> None:
         """Take samples (n, n_channel) that follow the ones before."""
-        samples = np.concatenate([self._rest, block.T], axis=1)
-        n_segment = max(0, (samples.shape[1] - self._window.size) // self._step + 1)
-        if n_segment:
-            segments = np.lib.stride_tricks.sliding_window_view(samples, self._window.size, axis=1)[:, :: self._step]
-            for start in range(0, n_segment, SEGMENTS_AT_ONCE):
-                self._add_segments(segments[:, start : start + SEGMENTS_AT_ONCE])
-        self._rest = samples[:, n_segment * self._step :].copy()
+        n, block = self._window.size, np.ascontiguousarray(block, np.float64)
+        n_rest = sum(piece.shape[0] for piece in self._rest)
+        if n_rest + block.shape[0] < n:
+            self._rest.append(block.copy())
+            return
+        begin = 0
+        if n_rest:
+            # Segments that begin before the block are cut from a joint copy; the block itself, long as a rule, is not copied.
+            seam = np.concatenate([*self._rest, block[: n - 1]])
+            begin = self._add_segments(seam, -(-n_rest // self._step)) - n_rest
+        done = begin + self._add_segments(block[begin:], block.shape[0]) if begin >= 0 else begin
+        self._rest = [block[done:].copy()] if done >= 0 else [seam[n_rest + done :].copy()]
 
-    def _add_segments(self, segments: NDArray[np.floating]) -> None:
-        """Segments (n_channel, n_segment, n_sample), each freed of its mean and windowed."""
-        n_segment = segments.shape[1]
-        tapered = np.subtract(segments, segments.mean(axis=2, keepdims=True), out=self._tapered[:, :n_segment])
-        tapered *= self._window
-        spectra = fft.rfft(tapered, axis=2)[:, :, self._lines]
-        conjugate = spectra.conj()
-        for a in range(spectra.shape[0]):
-            for b in range(a, spectra.shape[0]):
-                self._sum[a, b] += np.multiply(spectra[a], conjugate[b], out=self._product[:n_segment]).sum(axis=0)
-        self.n_block += n_segment
+    def _add_segments(self, samples: NDArray[np.floating], most: int) -> int:
+        """Taper all complete segments of samples (n, n_channel), at most *most*; returns where the next one begins."""
+        n = self._window.size
+        n_segment = min(most, max(0, (samples.shape[0] - n) // self._step + 1))
+        if n_segment:
+            segments = np.lib.stride_tricks.sliding_window_view(samples, n, axis=0)[:: self._step].swapaxes(1, 2)
+        first = 0
+        while first < n_segment:
+            chunk = segments[first : min(n_segment, first + self._tapered.shape[0] - self._n_waiting)]
+            place = slice(self._n_waiting, self._n_waiting + chunk.shape[0])
+            np.multiply(chunk, self._taper, out=self._tapered[place])
+            self._coefficients[place] = self._trend_of(samples[first * self._step :], chunk)
+            self._n_waiting += chunk.shape[0]
+            first += chunk.shape[0]
+            if self._n_waiting == self._tapered.shape[0]:
+                self._transform()
+        return n_segment * self._step
+
+    def _trend_of(self, samples: NDArray[np.floating], segments: NDArray[np.floating]) -> NDArray[np.floating]:
+        """The trend's coefficients (n_segment, n_row, n_channel); *segments* begin with *samples*.
+
+        A mean is that of whole steps, where they fit, so that every sample is summed once, however blocks overlap.
+        """
+        n, step = self._window.size, self._step
+        if self._basis.shape[0] != 1 or n % step:
+            return self._basis @ segments
+        n_step = segments.shape[0] - 1 + n // step
+        sums = self._basis[:, :step] @ samples[: n_step * step].reshape(n_step, step, -1)
+        return np.lib.stride_tricks.sliding_window_view(sums, n // step, axis=0).sum(axis=3)
+
+    def _transform(self) -> None:
+        """The spectra of the waiting segments go into the sums."""
+        if not self._n_waiting:
+            return
+        amplitude = fft.rfft(self._tapered[: self._n_waiting], axis=1)
+        disturbed = slice(self._first, self._first + self._trend.shape[1])
+        for number, trend in enumerate(self._trend):
+            amplitude[:, disturbed] -= trend[None, :, None] * self._coefficients[: self._n_waiting, number, None, :]
+        self._gram.add(amplitude, self._first)
+        self.n_block += self._n_waiting
+        self._n_waiting = 0
 
     def spectra(self, sample_rate: float) -> CrossSpectra:
         """The averaged matrix on the kept lines; DataError when not one block was complete."""
+        self._transform()
         if self.n_block == 0:
-            have, need = self._rest.shape[1] / sample_rate, self._window.size / sample_rate
+            have, need = sum(piece.shape[0] for piece in self._rest) / sample_rate, self._window.size / sample_rate
             raise DataError(f"the recording is {have:g} s long, too short for one block of {need:g} s", hint="shorten `block`")
-        density = 2 / (sample_rate * np.sum(self._window**2) * self.n_block)
-        matrix = np.moveaxis(self._sum, 2, 0) * density
-        lower = np.tril_indices(matrix.shape[1], -1)
-        matrix[:, lower[0], lower[1]] = matrix[:, lower[1], lower[0]].conj()
+        matrix = self._gram.matrix()
+        matrix *= 2 / (sample_rate * np.sum(self._window**2) * self.n_block)
         frequency = self._line_numbers * (sample_rate / self._window.size)
         return CrossSpectra(frequency, matrix, self.n_block, effective_averages(self._window, self._step, self.n_block))
+
+
+class _Gram:
+    """Running sums of X_a X_b* over segments, as products of real matrices [re_0 im_0 re_1 im_1 ...] line by line."""
+
+    def __init__(self, n_line: int, n_channel: int) -> None:
+        self._sum = np.zeros((n_line, 2 * n_channel, 2 * n_channel + 1))
+        self._product = np.empty_like(self._sum)
+
+    def add(self, amplitude: NDArray[np.complexfloating], first: int) -> None:
+        """Add the lines from *first* on of amplitudes (n_segment, n_line_in_all, n_channel)."""
+        n_segment, n_row = amplitude.shape[0], 2 * amplitude.shape[2]
+        n_line = self._sum.shape[0]
+        flat = amplitude.reshape(n_segment, -1).view(np.float64)[:, (first - 1) * n_row :]
+        left = flat[:, n_row : (n_line + 1) * n_row].reshape(n_segment, n_line, n_row)
+        # One column more than needed, the last one of the line before: BLAS multiplies a small matrix with its own transpose
+        # at half the speed of two that differ.
+        wide = np.lib.stride_tricks.sliding_window_view(flat, n_row + 1, axis=1)[:, n_row - 1 :: n_row][:, :n_line]
+        np.matmul(left.transpose(1, 2, 0), wide.swapaxes(0, 1), out=self._product)
+        self._sum += self._product
+
+    def matrix(self) -> NDArray[np.complexfloating]:
+        """sum X_a X_b*, (n_line, n_channel, n_channel), Hermitian to the last digit."""
+        n_line, n_row, _ = self._sum.shape
+        n = n_row // 2
+        parts = self._sum[:, :, 1:].reshape(n_line, n, 2, n, 2)
+        matrix = np.empty((n_line, n, n), np.complex128)
+        matrix.real = parts[:, :, 0, :, 0] + parts[:, :, 1, :, 1]
+        matrix.imag = parts[:, :, 1, :, 0] - parts[:, :, 0, :, 1]
+        upper = np.triu_indices(n, 1)
+        matrix[:, upper[0], upper[1]] = matrix[:, upper[1], upper[0]].conj()
+        np.einsum("faa->fa", matrix).imag = 0.0
+        return matrix
+
+
+def trend_basis(detrend: str, n_sample: int) -> NDArray[np.floating]:
+    """Orthonormal rows (n_row, n_sample) that span the trend: none, a constant, or a straight line; ConfigError for another name."""
+    if detrend not in DETRENDS:
+        raise ConfigError(f"unknown trend '{detrend}'", hint=f"known: {', '.join(DETRENDS)}")
+    rows = [np.ones(n_sample), np.arange(n_sample) - (n_sample - 1) / 2][: {"none": 0, "constant": 1, "linear": 2}[detrend]]
+    return np.array([row / np.linalg.norm(row) for row in rows]).reshape(len(rows), n_sample)
+
+
+def _significant_lines(trend: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:
+    """The first lines (n_row, n_line) up to the last one above rounding: a row's largest possible amplitude is sqrt(n_sample)."""
+    size = np.sqrt(2 * trend.shape[1])
+    above = np.flatnonzero(np.any(np.abs(trend) > np.finfo(float).eps * size, axis=0))
+    return trend[:, : above[-1] + 1 if above.size else 0]

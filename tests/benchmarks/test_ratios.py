@@ -11,7 +11,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy import fft, signal
 
-from labpipe.spectra.welch import WelchAverage, window_values
+from labpipe.spectra.welch import WelchAverage
+from labpipe.spectra.windows import window_values
 
 
 def cpu_seconds(action: Callable[[], object], repeats: int = 5) -> float:

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from labpipe.errors import ConfigError, DataError
-from labpipe.spectra.welch import WelchAverage, effective_averages, window_values
+from labpipe.spectra.welch import WelchAverage
+from labpipe.spectra.windows import effective_averages, window_values
 
 
 def averaged(samples: np.ndarray, n: int, step: int, block: int, window: str = "hann") -> np.ndarray:
@@ -83,3 +84,32 @@ def test_a_band_keeps_its_lines_as_they_are(rng: np.random.Generator) -> None:
     spectra = kept.spectra(100.0)
     np.testing.assert_allclose(spectra.frequency, np.arange(5, 12) * 100 / 64)
     np.testing.assert_allclose(spectra.matrix, averaged(samples, 64, 32, 1000)[4:11], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("detrend", "theirs"), [("constant", "constant"), ("linear", "linear"), ("none", False)])
+@pytest.mark.parametrize(("window", "step"), [("hann", 32), ("boxcar", 20), ("kaiser 5", 48)])
+def test_detrending_is_that_of_scipy(rng: np.random.Generator, detrend: str, theirs: str | bool, window: str, step: int) -> None:
+    # An offset and a drift far above the noise.
+    samples = rng.normal(size=(700, 2)) + 1e3 + np.arange(700)[:, None] * [1.0, -3.0]
+    average = WelchAverage(window_values(window, 64), step, 2, detrend=detrend)
+    average.add(samples)
+    _, expected = signal.csd(
+        samples[:, 0], samples[:, 1], fs=100.0, window=window_values(window, 64), nperseg=64, noverlap=64 - step, detrend=theirs
+    )
+    matrix = average.spectra(100.0).matrix[:, 1, 0]
+    np.testing.assert_allclose(matrix[:-1], expected[1:-1], rtol=1e-8, atol=1e-11 * np.abs(expected).max())
+
+
+def test_an_unknown_trend_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"unknown trend 'square'.*known: constant, linear, none"):
+        WelchAverage(np.ones(8), 8, 1, detrend="square")
+
+
+def test_blocks_shorter_than_a_segment_and_in_columns_are_taken(rng: np.random.Generator) -> None:
+    samples = np.asfortranarray(rng.normal(size=(1000, 3)).astype(np.float32))
+    np.testing.assert_allclose(averaged(samples, 64, 30, 7), averaged(np.ascontiguousarray(samples), 64, 30, 1000), rtol=1e-10)
+
+
+def test_the_matrix_is_hermitian_to_the_last_digit(rng: np.random.Generator) -> None:
+    matrix = averaged(rng.normal(size=(1000, 3)), 64, 32, 1000)
+    np.testing.assert_array_equal(matrix, matrix.conj().swapaxes(1, 2))

@@ -1,0 +1,89 @@
+"""Recordings of a periodic excitation -> FRF matrix with the covariance that the scatter between periods shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import DataError
+from labpipe.records.finding import Finding
+from labpipe.records.recording import SampleSource
+from labpipe.spectra.bands import line_range
+from labpipe.spectra.independence import force_inverse
+from labpipe.spectra.parts import POOR_SHARE, Parts, lines_left
+from labpipe.spectra.periodic import LineSpectrum, PeriodAverage, excited_lines, samples_per_period, smoothed_noise
+from labpipe.spectra.ports import Layout
+from labpipe.spectra.reading import checked_blocks
+from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.uncertainty import covariance_of_periodic
+
+LOW_SNR = 10.0
+
+
+def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
+    assert settings.period is not None
+    spectra = [_period_average(source, settings) for source in sources]
+    lines = _lines_of_all_forces(spectra, layout)
+    if not np.any(lines):
+        raise DataError("no line of the force stands out of its noise", hint="check `period` and `band`, or raise the level")
+    spectra = [spectrum.select(lines) for spectrum in spectra]
+    n_input = len(layout.inputs)
+    mean = np.stack([layout.padded(e, spectrum.mean, 1) for e, spectrum in enumerate(spectra)], axis=2)
+    forces, responses = mean[:, :n_input], mean[:, n_input:]
+    inverse = force_inverse(forces, layout)
+    matrix = responses @ inverse
+    noises = [layout.padded(e, s.noise, 2) for e, s in enumerate(spectra) if s.noise is not None]
+    covariance = covariance_of_periodic(matrix, inverse, np.stack(noises)) if len(noises) == len(spectra) else None
+    snr = None if covariance is None else _signal_to_noise(mean, np.stack(noises))
+    findings = _no_covariance_finding(spectra[0].n_period) if covariance is None else _snr_findings(snr, layout)
+    averages = float(min(spectrum.n_period for spectrum in spectra))
+    dof = min(spectrum.dof for spectrum in spectra) if covariance is not None else np.inf
+    return Parts(spectra[0].frequency, matrix, covariance, averages, dof, findings, snr=snr)
+
+
+def _lines_of_all_forces(spectra: Sequence[LineSpectrum], layout: Layout) -> NDArray[np.bool_]:
+    """The lines at which every force acts in one of the recordings; hum in one force channel alone makes no line of the matrix."""
+    acting = np.zeros((spectra[0].frequency.size, len(layout.inputs)), bool)
+    for spectrum, columns in zip(spectra, layout.input_columns, strict=True):
+        for number, column in enumerate(columns):
+            if column >= 0:
+                acting[:, number] |= excited_lines(spectrum, [column])
+    return np.all(acting, axis=1)
+
+
+def _period_average(source: SampleSource, settings: FrfSettings) -> LineSpectrum:
+    """The averaged and smoothed lines of one recording in the band."""
+    assert settings.period is not None
+    n_sample = samples_per_period(settings.period, source.sample_rate)
+    lines = line_range(n_sample, source.sample_rate, settings.band)
+    average = PeriodAverage(n_sample, len(source.channels), settings.skip, lines)
+    for block in checked_blocks(source):
+        average.add(block)
+    spectrum = average.spectrum(source.sample_rate)
+    return smoothed_noise(spectrum.select(lines_left(spectrum.frequency, settings)), settings.smooth)
+
+
+def _signal_to_noise(mean: NDArray[np.complexfloating], noise: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+    """|mean| / std of the mean per line and channel, the largest over the recordings, (n_line, n_channel)."""
+    std = np.sqrt(np.einsum("eljj->lje", noise).real)
+    ratio = np.divide(np.abs(mean), std, out=np.full(std.shape, np.inf), where=std > 0)
+    ratio[np.abs(mean) == 0] = 0.0
+    return np.minimum(np.max(ratio, axis=2), 1e12)
+
+
+def _no_covariance_finding(n_period: int) -> tuple[Finding, ...]:
+    message = f"{n_period} period is left, so the noise of the FRF is not known; record at least 2 periods after the transient ones"
+    return (Finding("no-covariance", message),)
+
+
+def _snr_findings(snr: NDArray[np.floating] | None, layout: Layout) -> tuple[Finding, ...]:
+    assert snr is not None
+    poor = np.mean(snr < LOW_SNR, axis=0)
+    labels = [port.label for port in (*layout.inputs, *layout.outputs)]
+    return tuple(
+        Finding("low-snr", f"channel {label}: the signal is less than {LOW_SNR:g} times its noise at {100 * share:.0f} % of the lines")
+        for label, share in zip(labels, poor, strict=True)
+        if share > POOR_SHARE
+    )

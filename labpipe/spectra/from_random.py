@@ -1,0 +1,67 @@
+"""Recordings of a random excitation -> FRF matrix by Welch's averages, with coherence and covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from labpipe.errors import DataError
+from labpipe.records.finding import Finding
+from labpipe.records.recording import SampleSource
+from labpipe.spectra.bands import line_range
+from labpipe.spectra.coherence import multiple_coherence, ordinary_coherence
+from labpipe.spectra.estimators import ESTIMATORS, INSTRUMENTS
+from labpipe.spectra.independence import check_forces, check_responses
+from labpipe.spectra.parts import Parts, coherence_findings, lines_left
+from labpipe.spectra.ports import Layout
+from labpipe.spectra.reading import checked_blocks
+from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.uncertainty import covariance_of_random
+from labpipe.spectra.welch import CrossSpectra, WelchAverage
+from labpipe.spectra.windows import window_values
+
+
+def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
+    spectra = [_welch_average(source, settings) for source in sources]
+    n_block = sum(spectrum.n_block for spectrum in spectra)
+    chosen = lines_left(spectra[0].frequency, settings)
+    n_input = len(layout.inputs)
+    matrix = np.sum([layout.padded(e, s.matrix, 2) * (s.n_block / n_block) for e, s in enumerate(spectra)], axis=0)[chosen]
+    s_uu, s_yu, s_yy = matrix[:, :n_input, :n_input], matrix[:, n_input:, :n_input], matrix[:, n_input:, n_input:]
+    check_forces(s_uu, layout)
+    if settings.estimator != "H1":
+        check_responses(s_yy, layout, settings.estimator)
+    response = ESTIMATORS[settings.estimator](s_uu, s_yu, s_yy)
+    instruments = INSTRUMENTS[settings.estimator](response, np.einsum("faa->fa", matrix).real)
+    averages = sum(spectrum.averages for spectrum in spectra)
+    multiple = multiple_coherence(s_uu, s_yu, s_yy)
+    enough = averages > n_input + 1
+    return Parts(
+        frequency=spectra[0].frequency[chosen],
+        matrix=response,
+        covariance=covariance_of_random(matrix, response, instruments, averages) if enough else None,
+        averages=averages,
+        dof=averages - n_input if enough else np.inf,
+        findings=coherence_findings(multiple, layout) if enough else _no_average_finding(averages),
+        coherence=ordinary_coherence(s_uu, s_yu, s_yy),
+        multiple_coherence=multiple,
+    )
+
+
+def _welch_average(source: SampleSource, settings: FrfSettings) -> CrossSpectra:
+    assert settings.block is not None
+    n_sample = round(settings.block * source.sample_rate)
+    if n_sample < 4:
+        raise DataError(f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'", hint="lengthen `block`")
+    step = max(1, round(n_sample * (1 - settings.overlap)))
+    lines = line_range(n_sample, source.sample_rate, settings.band)
+    average = WelchAverage(window_values(settings.window, n_sample), step, len(source.channels), lines)
+    for block in checked_blocks(source):
+        average.add(block)
+    return average.spectra(source.sample_rate)
+
+
+def _no_average_finding(averages: float) -> tuple[Finding, ...]:
+    message = f"{averages:.2g} effective averages are too few to know the noise of the FRF; record longer or shorten `block`"
+    return (Finding("no-covariance", message),)

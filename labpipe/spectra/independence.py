@@ -1,0 +1,61 @@
+"""Whether forces, or responses, act independently enough for their parts in each other to be told apart."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import DataError
+from labpipe.spectra.ports import Layout
+
+# Forces whose matrix is worse conditioned than this do not act in independent directions.
+WORST_FORCE_CONDITION = 1e3
+
+
+def condition_number(correlation: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+    """Largest over smallest eigenvalue of Hermitian matrices with ones on the diagonal, (n_frequency,); 1 ... inf."""
+    if correlation.shape[1] == 2:
+        # Two channels, the usual case: the eigenvalues are 1 +- |c|.
+        c = np.minimum(np.abs(correlation[:, 0, 1]), 1.0)
+        smallest, largest = 1 - c, 1 + c
+    else:
+        values = np.linalg.eigvalsh(correlation)
+        smallest, largest = np.maximum(values[:, 0], 0.0), values[:, -1]
+    return np.divide(largest, smallest, out=np.full(smallest.shape, np.inf), where=smallest > 0)
+
+
+def force_inverse(forces: NDArray[np.complexfloating], layout: Layout) -> NDArray[np.complexfloating]:
+    """pinv of the forces (n_line, n_input, n_experiment); DataError when they do not span every input at every line."""
+    n_input, n_experiment = forces.shape[1:]
+    names = ", ".join(port.label for port in layout.inputs)
+    if n_experiment < n_input:
+        hint = f"{n_input} forces ({names}) need {n_input} recordings with independent forces"
+        raise DataError(f"{n_experiment} recording(s) cannot separate {n_input} forces", hint=hint)
+    size = np.max(np.abs(forces), axis=(0, 2))
+    singular = np.linalg.svd(forces / size[:, None], compute_uv=False)
+    if np.any(singular[:, -1] * WORST_FORCE_CONDITION < singular[:, 0]):
+        raise DataError(f"the forces {names} do not act in independent directions", hint="excite each direction in its own recording")
+    return np.linalg.pinv(forces / size[:, None]) / size[None, None, :]
+
+
+def check_forces(s_uu: NDArray[np.complexfloating], layout: Layout) -> None:
+    """DataError when the forces (n_frequency, n_input, n_input) are so correlated that their responses cannot be told apart."""
+    scale = np.sqrt(np.einsum("fii->fi", s_uu).real)
+    if np.any(scale == 0):
+        raise DataError("a force has no power at a line of the band", hint="narrow `band` to what is excited")
+    if np.any(condition_number(s_uu / (scale[:, :, None] * scale[:, None, :])) > WORST_FORCE_CONDITION**2):
+        names = ", ".join(port.label for port in layout.inputs)
+        raise DataError(f"the forces {names} do not act independently", hint="excite each direction in its own recording")
+
+
+def check_responses(s_yy: NDArray[np.complexfloating], layout: Layout, estimator: str) -> None:
+    """DataError when a response on which the estimator leans is silent, or a combination of the others where it inverts them all."""
+    power = np.einsum("foo->fo", s_yy).real
+    silent = [port.label for port, values in zip(layout.outputs, power.T, strict=True) if np.any(values == 0)]
+    if silent:
+        hint = "is the sensor connected? H1 does without"
+        raise DataError(f"{estimator} needs responses at every line; silent: {', '.join(silent)}", hint=hint)
+    scale = np.sqrt(power)
+    condition = condition_number(s_yy / (scale[:, :, None] * scale[:, None, :]))
+    if estimator == "H2" and np.any(condition > WORST_FORCE_CONDITION**2):
+        raise DataError("the responses do not move independently, so H2 cannot be formed", hint="use H1 or Hv")

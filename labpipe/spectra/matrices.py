@@ -1,0 +1,27 @@
+"""Small complex matrices, one per line: (n_frequency, n, n)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Matrix = NDArray[np.complexfloating]
+
+
+def hermitian(matrix: Matrix) -> Matrix:
+    """The conjugate transpose of every matrix."""
+    return matrix.conj().swapaxes(-1, -2)
+
+
+def inverse(matrix: Matrix) -> Matrix:
+    """The inverse of every matrix; numpy.linalg.LinAlgError when one is singular. Two by two, the usual case, in closed form."""
+    if matrix.shape[-1] != 2:
+        return np.linalg.inv(matrix)
+    a, b, c, d = (matrix[..., row, column] for row in (0, 1) for column in (0, 1))
+    determinant = a * d - b * c
+    if np.any(determinant == 0):
+        raise np.linalg.LinAlgError("Singular matrix")
+    adjugate = np.empty(matrix.shape, np.complex128)
+    for (row, column), minor in (((0, 0), d), ((0, 1), -b), ((1, 0), -c), ((1, 1), a)):
+        adjugate[..., row, column] = minor / determinant
+    return adjugate

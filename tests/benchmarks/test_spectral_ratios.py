@@ -1,0 +1,114 @@
+"""Speed of the spectra as ratios within one run, on the white-noise measurement of a rotor: 860,000 samples of 2 forces and 2 responses.
+
+The figures are printed; a test fails only where a ratio is grossly missed, since other work on the same machine disturbs them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from scipy import fft, signal
+
+from labpipe.records.recording import Channel, Recording
+from labpipe.spectra.measurement import measure
+from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.welch import WelchAverage
+from labpipe.spectra.windows import window_values
+
+RATE, BLOCK = 1024.0, 5120
+STEP = BLOCK // 2
+CHANNELS = (
+    Channel("f_y", "force", "input", "x", 0.0),
+    Channel("f_z", "force", "input", "y", np.pi / 2),
+    Channel("y", "displacement", "output", "x", 0.0),
+    Channel("z", "displacement", "output", "y", np.pi / 2),
+)
+SETTINGS = FrfSettings("random", block=5.0)
+
+
+@pytest.fixture(scope="module")
+def samples() -> np.ndarray:
+    return np.random.default_rng(1).normal(size=(860_000, 4))
+
+
+def ratios(floor: Callable[[], object], *actions: Callable[[], object], repeats: int = 9) -> list[float]:
+    """Least CPU time of each action over the least of *floor*, all measured in turns."""
+    everything = (floor, *actions)
+    times = np.empty((repeats, len(everything)))
+    for turn in range(repeats):
+        for number, action in enumerate(everything):
+            start = time.process_time()
+            action()
+            times[turn, number] = time.process_time() - start
+    least = times.min(axis=0)
+    return [float(value) for value in least[1:] / least[0]]
+
+
+def bare_ffts(columns: np.ndarray) -> None:
+    """scipy.fft.rfft of every segment of every channel, (n_channel, n_sample), and nothing else."""
+    for start in range(0, columns.shape[1] - BLOCK + 1, STEP):
+        fft.rfft(columns[:, start : start + BLOCK], axis=1)
+
+
+def test_mimo_frf_in_memory_against_the_bare_ffts_and_scipy(samples: np.ndarray, capsys: pytest.CaptureFixture[str]) -> None:
+    recording, columns = Recording(CHANNELS, samples, RATE, "run"), np.ascontiguousarray(samples.T)
+
+    def pair_by_pair() -> None:
+        for a in range(4):
+            for b in range(a, 4):
+                signal.csd(columns[a], columns[b], fs=RATE, nperseg=BLOCK, noverlap=BLOCK - STEP)
+
+    own, peer = ratios(lambda: bare_ffts(columns), lambda: measure([recording], SETTINGS), pair_by_pair, repeats=5)
+    with capsys.disabled():
+        print(f"\nMIMO FRF with covariance: {own:.2f} times the bare FFTs; scipy.signal.csd {peer:.1f} times")
+    assert own < 5
+    assert peer > 4 * own
+
+
+def test_the_matrix_is_that_of_scipy_to_1e10(samples: np.ndarray) -> None:
+    average = WelchAverage(window_values("hann", BLOCK), STEP, 4)
+    for start in range(0, samples.shape[0], 50_000):
+        average.add(samples[start : start + 50_000])
+    matrix = average.spectra(RATE).matrix
+    for a, b in ((0, 0), (2, 1), (3, 2), (3, 3)):
+        _, expected = signal.csd(samples[:, b], samples[:, a], fs=RATE, nperseg=BLOCK, noverlap=BLOCK - STEP)
+        np.testing.assert_allclose(matrix[:-1, a, b], expected[1:-1], rtol=0, atol=1e-10 * np.abs(expected).max())
+
+
+def test_block_size_of_the_reader_changes_nothing_but_rounding(samples: np.ndarray) -> None:
+    matrices = []
+    for size in (7_777, 65_536, samples.shape[0]):
+        average = WelchAverage(window_values("hann", BLOCK), STEP, 4)
+        for start in range(0, samples.shape[0], size):
+            average.add(samples[start : start + size])
+        matrices.append(average.spectra(RATE).matrix)
+    for matrix in matrices[1:]:
+        np.testing.assert_allclose(matrix, matrices[0], rtol=0, atol=1e-14 * np.abs(matrices[0]).max())
+
+
+def test_from_parquet_against_bare_read_and_bare_ffts(samples: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from labpipe.artefacts.header import Header
+    from labpipe.artefacts.recording_file import RecordingWriter, open_recording, recording_contents
+
+    path = tmp_path / "run.recording.parquet"
+    with RecordingWriter(path, CHANNELS) as writer:
+        for start in range(0, samples.shape[0], 1 << 16):
+            writer.write(samples[start : start + (1 << 16)])
+        writer.finish(Header("recording", {}, (), contents=recording_contents(CHANNELS, RATE, "run")))
+    recording, columns = open_recording(path), np.ascontiguousarray(samples.T)
+
+    def bare() -> None:
+        read: pa.Table = pq.read_table(path, use_threads=False)
+        assert read.num_rows == samples.shape[0]
+        bare_ffts(columns)
+
+    (own,) = ratios(bare, lambda: measure([recording], SETTINGS), repeats=5)
+    with capsys.disabled():
+        print(f"\nMIMO FRF from Parquet: {own:.2f} times a bare read and the bare FFTs")
+    assert own < 5

@@ -1,0 +1,53 @@
+"""Windows against printed figures (Harris 1978, Proc. IEEE 66, table 1) and sums written out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ConfigError
+from labpipe.spectra.windows import effective_averages, noise_bandwidth, overlap_correlation, window_values
+
+# Harris 1978, table 1: equivalent noise bandwidth [lines], correlation at 75 % and 50 % overlap [per cent].
+HARRIS = {"boxcar": (1.00, 75.0, 50.0), "bartlett": (1.33, 71.9, 25.0), "hann": (1.50, 65.9, 16.7)}
+
+
+@pytest.mark.parametrize(("name", "printed"), HARRIS.items())
+def test_bandwidth_and_overlap_are_those_of_harris(name: str, printed: tuple[float, float, float]) -> None:
+    window = window_values(name, 4096)
+    assert noise_bandwidth(window) == pytest.approx(printed[0], abs=0.005)
+    quarter = np.sqrt(overlap_correlation(window, 1024))
+    assert 100 * quarter[0] == pytest.approx(printed[1], abs=0.06)
+    assert 100 * quarter[1] == pytest.approx(printed[2], abs=0.06)
+
+
+@pytest.mark.parametrize("name", ["hann", "hamming"])
+def test_cosine_windows_have_closed_forms(name: str) -> None:
+    # w = a - (1 - a) cos: sum w^2 = n (a^2 + b^2/2); at half overlap cos turns its sign: sum = n (a^2/2 - b^2/4), the mixed terms cancel.
+    # Harris prints 23.5 % for Hamming where this gives 23.4.
+    a = {"hann": 0.5, "hamming": 0.54}[name]
+    b, window = 1 - a, window_values(name, 1024)
+    assert noise_bandwidth(window) == pytest.approx((a**2 + b**2 / 2) / a**2, rel=1e-12)
+    expected = (a**2 / 2 - b**2 / 4) / (a**2 + b**2 / 2)
+    assert np.sqrt(overlap_correlation(window, 512)[0]) == pytest.approx(expected, rel=1e-10)
+
+
+def test_overlap_correlation_is_the_sum_written_out() -> None:
+    window = window_values("blackman", 32)
+    expected = (sum(window[n] * window[n + 12] for n in range(20)) / sum(value**2 for value in window)) ** 2
+    correlation = overlap_correlation(window, 12)
+    assert correlation.size == 2
+    assert correlation[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_window_s_parameter_stands_behind_its_name() -> None:
+    np.testing.assert_array_equal(window_values("tukey 0", 16), np.ones(16))
+    assert noise_bandwidth(window_values("kaiser 8.6", 4096)) == pytest.approx(1.72, abs=0.01)  # Kaiser-Bessel, Harris' alpha = 8.6 / pi
+    for wrong in ("hannn", "kaiser", "hann x", "tukey 1 2 3"):
+        with pytest.raises(ConfigError, match=f"unknown window '{wrong}'"):
+            window_values(wrong, 16)
+
+
+def test_without_overlap_every_block_counts() -> None:
+    assert overlap_correlation(np.ones(64), 64).size == 0
+    assert effective_averages(np.ones(64), 64, 7) == pytest.approx(7.0)
