@@ -1,0 +1,188 @@
+"""Journal bearings with a finite-length oil film, healthy or worn: static equilibrium and the eight linear coefficients.
+
+Axes: y horizontal, z up, theta from +y to +z, spin from y to z, the bottom at 270 deg. k_yz is force in y per displacement in z:
+K = -dF/dx and C = -dF/dx', F the force of the film on the journal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.bearings.journal_equilibrium import FilmState, film_at, film_equilibrium
+from labpipe.bearings.journal_film import Film
+from labpipe.bearings.journal_mesh import FilmMesh
+from labpipe.errors import ConfigError, FitError
+
+DEFAULT_MESH = FilmMesh(120, 30)
+MOST_CELLS_AROUND = 960
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class JournalBearing:
+    """A plain bearing; every length in [m], *clearance* radial, viscosity [Pa s].
+
+    wear_depth [m] is the deepest wear, wear_angle [rad] its place from the bottom, positive with the spin. cavitation_pressure
+    [Pa] is against the ambient pressure at both ends, zero or negative. ConfigError where a value has no meaning.
+    """
+
+    diameter: float
+    length: float
+    clearance: float
+    viscosity: float
+    wear_depth: float = 0.0
+    wear_angle: float = 0.0
+    cavitation_pressure: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("diameter", "length", "clearance", "viscosity"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ConfigError(f"the {name} of a journal bearing is positive, not {getattr(self, name):g}")
+        if not 0 <= self.wear_depth < 2 * self.clearance:
+            raise ConfigError(
+                f"a wear of {self.wear_depth * 1e6:g} um does not fit a clearance of {self.clearance * 1e6:g} um",
+                hint="from zero to less than twice the radial clearance",
+            )
+        if not abs(self.wear_angle) <= np.pi:
+            raise ConfigError(f"a wear angle of {np.degrees(self.wear_angle):g} deg is none", hint="from -180 to 180 deg from the bottom")
+        if not -np.inf < self.cavitation_pressure <= 0:
+            raise ConfigError(
+                f"a cavitation pressure of {self.cavitation_pressure:g} Pa is above the ambient pressure", hint="give zero or less"
+            )
+
+    def pressure_scale(self, speed: float) -> float:
+        """6 mu Omega (R / c)^2 [Pa]; *speed* [rad/s]."""
+        if not 0 < speed < np.inf:
+            raise ConfigError(f"an oil film needs a speed above zero, not {speed:g} rad/s")
+        return 6 * self.viscosity * speed * (self.diameter / (2 * self.clearance)) ** 2
+
+    def force_scale(self, speed: float) -> float:
+        """6 mu Omega (R / c)^2 R L [N]: the unit of force of the dimensionless film."""
+        return self.pressure_scale(speed) * self.diameter / 2 * self.length
+
+    def film(self, speed: float, mesh: FilmMesh) -> Film:
+        """The dimensionless film on a mesh."""
+        cavitation = self.cavitation_pressure / self.pressure_scale(speed)
+        return Film.of(mesh, self.diameter / self.length, self.wear_depth / self.clearance, self.wear_angle, cavitation)
+
+
+@dataclass(frozen=True)
+class JournalEquilibrium:
+    """A journal carried by its film: *load* (2,) [N] on the journal in y and z, *speed* [rad/s].
+
+    stiffness [N/m] and damping [N s/m] (2, 2) in the order yy yz; zy zz. *state* holds the dimensionless film, from which a
+    neighbouring equilibrium starts. error: estimated mesh error of the coefficients, part of the largest; None when not asked for.
+    """
+
+    bearing: JournalBearing
+    speed: float
+    load: tuple[float, float]
+    mesh: FilmMesh
+    state: FilmState
+    error: float | None = None
+
+    @property
+    def position(self) -> Array:
+        """Displacement of the journal's centre from the bearing's (2,) [m]."""
+        return self.state.displacement * self.bearing.clearance
+
+    @property
+    def eccentricity_ratio(self) -> float:
+        """Displacement of the journal over the radial clearance [-]; above 1 only inside a worn arc."""
+        return float(np.hypot(*self.state.displacement))
+
+    @property
+    def attitude(self) -> float:
+        """Angle from the load to the displacement of the journal, positive with the spin [rad]."""
+        turned = complex(*self.state.displacement) * complex(*self.load).conjugate()
+        return float(np.angle(turned))
+
+    @property
+    def sommerfeld(self) -> float:
+        """S = mu N L D / W (R / c)^2 with N in revolutions per second [-]."""
+        return self.bearing.force_scale(self.speed) / (6 * np.pi * float(np.hypot(*self.load)))
+
+    @property
+    def stiffness(self) -> Array:
+        """K = -dF/dx [N/m], (2, 2)."""
+        return self.state.stiffness * (self.bearing.force_scale(self.speed) / self.bearing.clearance)
+
+    @property
+    def damping(self) -> Array:
+        """C = -dF/dx' [N s/m], (2, 2), symmetric."""
+        return self.state.damping * (self.bearing.force_scale(self.speed) / (self.bearing.clearance * self.speed))
+
+    @property
+    def theta(self) -> Array:
+        """Angles of the cells [rad], (n_theta,)."""
+        return self.bearing.film(self.speed, self.mesh).grid.centre
+
+    @property
+    def axial(self) -> Array:
+        """Axial positions of the cells from mid width [m], (n_axial,)."""
+        return ((np.arange(self.mesh.across) + 0.5) / self.mesh.across - 0.5) * self.bearing.length
+
+    @property
+    def pressure(self) -> Array:
+        """Pressure against ambient [Pa], (n_theta, n_axial)."""
+        half = self.state.pressure * self.bearing.pressure_scale(self.speed)
+        return np.concatenate([half[:, ::-1], half], axis=1)
+
+    @property
+    def film_thickness(self) -> Array:
+        """Thickness of the film [m], (n_theta,)."""
+        return self.bearing.film(self.speed, self.mesh).thickness(self.state.displacement)[0] * self.bearing.clearance
+
+
+def journal_equilibrium(
+    bearing: JournalBearing,
+    load: tuple[float, float],
+    speed: float,
+    mesh: FilmMesh = DEFAULT_MESH,
+    near: JournalEquilibrium | None = None,
+) -> JournalEquilibrium:
+    """Where the journal runs under a static *load* (2,) [N] in y and z, at *speed* [rad/s], with its coefficients.
+
+    *near*: an equilibrium of a similar bearing on the same mesh, to start from. ConfigError for a load of zero, FitError when
+    there is no equilibrium.
+    """
+    if not 0 < np.hypot(*load) < np.inf:
+        raise ConfigError("a journal bearing needs a load to find its place", hint="give the static load in newtons")
+    start = near.state if near is not None and near.mesh == mesh else None
+    scaled = np.asarray(load, np.float64) / bearing.force_scale(speed)
+    state = film_equilibrium(bearing.film(speed, mesh), scaled, start)
+    return JournalEquilibrium(bearing, speed, (float(load[0]), float(load[1])), mesh, state)
+
+
+def film_force(bearing: JournalBearing, position: Array, velocity: Array, speed: float, mesh: FilmMesh = DEFAULT_MESH) -> Array:
+    """Force of the film on the journal (2,) [N] at a *position* (2,) [m] and *velocity* (2,) [m/s]; nothing is linearised."""
+    displacement = np.asarray(position) / bearing.clearance
+    state = film_at(bearing.film(speed, mesh), displacement, np.asarray(velocity) / (bearing.clearance * speed))
+    return state.force * bearing.force_scale(speed)
+
+
+def converged_equilibrium(
+    bearing: JournalBearing, load: tuple[float, float], speed: float, tolerance: float = 0.01, mesh: FilmMesh = DEFAULT_MESH
+) -> JournalEquilibrium:
+    """The equilibrium on the coarsest mesh, from *mesh* doubled up, whose coefficients err by less than *tolerance* (of the largest).
+
+    The error is estimated as a third of the change from half the cells each way (second order) and stated in the result.
+    FitError when the finest mesh allowed is not enough.
+    """
+    coarse = journal_equilibrium(bearing, load, speed, FilmMesh(mesh.around // 2, mesh.across // 2))
+    while mesh.around <= MOST_CELLS_AROUND:
+        fine = journal_equilibrium(bearing, load, speed, mesh)
+        error = _change(coarse, fine) / 3
+        if error <= tolerance:
+            return JournalEquilibrium(bearing, speed, fine.load, mesh, fine.state, error)
+        coarse, mesh = fine, FilmMesh(2 * mesh.around, 2 * mesh.across)
+    raise FitError(f"the oil film needs more than {MOST_CELLS_AROUND} cells around", hint=f"allow a larger error than {tolerance:g}")
+
+
+def _change(coarse: JournalEquilibrium, fine: JournalEquilibrium) -> float:
+    pairs = ((coarse.stiffness, fine.stiffness), (coarse.damping, fine.damping))
+    return max(float(np.max(np.abs(a - b)) / np.max(np.abs(b))) for a, b in pairs)

@@ -1,0 +1,122 @@
+"""Static equilibrium of the journal in its film: pressures and displacement by one Newton iteration, dimensionless."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.bearings.journal_band import FactoredFilm, factored
+from labpipe.bearings.journal_film import Film, film_equations
+from labpipe.bearings.journal_mesh import interpolation
+from labpipe.errors import FitError
+
+# Largest change of displacement (over clearance), or of pressure (over the highest), in the last step.
+TOLERANCE = 1e-7
+ROUGH_TOLERANCE = 1e-3
+MOST_STEPS = 40
+MOST_HALVINGS = 6
+# A step may close the film at most by this part of its thickness.
+LARGEST_CLOSING = 0.7
+# Thinnest film over clearance that is followed.
+THINNEST = 1e-6
+# First guess: this eccentricity ratio in the direction of the load.
+FIRST_ECCENTRICITY = 0.3
+NO_EQUILIBRIUM = "no equilibrium of the journal in its oil film was found"
+CHECK_LOAD = "the load may be too high for the film; check load, viscosity, speed and clearance"
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class FilmState:
+    """The journal in its film: displacement (2,), pressure (n_theta, n_half), force on the journal (2,), Newton steps taken.
+
+    stiffness = -dF/de and damping = -dF/d(e'/Omega), (2, 2), from the factors of the last step.
+    """
+
+    displacement: Array
+    pressure: Array
+    force: Array
+    stiffness: Array
+    damping: Array
+    steps: int
+
+
+def film_equilibrium(film: Film, load: Array, near: FilmState | None = None) -> FilmState:
+    """Where the film's force balances *load* (2,), over 6 mu Omega (R/c)^2 R L; *near*: the state of a similar film on the same mesh.
+
+    Without one, coarser meshes find the neighbourhood. Raises FitError when no equilibrium is found.
+    """
+    displacement, pressure = _first_guess(film, load) if near is None else (near.displacement, near.pressure)
+    return _balanced(film, load, displacement, pressure, TOLERANCE)
+
+
+def _first_guess(film: Film, load: Array) -> tuple[Array, Array]:
+    coarse = film.coarser()
+    if coarse is None:
+        return FIRST_ECCENTRICITY * load / np.hypot(*load), _ambient(film)
+    state = _rough_state(coarse, load, MOST_HALVINGS)
+    around, across = interpolation(coarse.mesh, film.mesh)
+    return state.displacement, around @ state.pressure @ across
+
+
+def _rough_state(film: Film, load: Array, halvings: int) -> FilmState:
+    """The state on a coarse mesh; where Newton's method fails from afar, from the state under half the load."""
+    try:
+        return _balanced(film, load, *_first_guess(film, load), ROUGH_TOLERANCE)
+    except FitError:
+        if halvings == 0:
+            raise
+    lighter = _rough_state(film, load / 2, halvings - 1)
+    return _balanced(film, load, lighter.displacement, lighter.pressure, ROUGH_TOLERANCE)
+
+
+def _ambient(film: Film) -> Array:
+    return np.zeros((film.mesh.around, film.mesh.across // 2))
+
+
+def _balanced(film: Film, load: Array, displacement: Array, pressure: Array, tolerance: float) -> FilmState:
+    still = np.zeros(2)
+    for step in range(1, MOST_STEPS + 1):
+        equations = film_equations(film, displacement, still, pressure)
+        factors = factored(equations, film.grid.curvature)
+        changes = -factors.solve(np.concatenate([equations.residual[None], equations.by_displacement]))
+        slopes = film.force_weights @ changes.sum(axis=2).T
+        change = -np.linalg.solve(slopes[:, 1:], load + film.force_weights @ pressure.sum(axis=1) + slopes[:, 0])
+        part = _allowed_part(film, displacement, change)
+        displacement = displacement + part * change
+        pressure = pressure + part * (changes[0] + change[0] * changes[1] + change[1] * changes[2])
+        if np.max(np.abs(change)) < tolerance:
+            force = film.force_weights @ pressure.sum(axis=1)
+            return FilmState(displacement, pressure, force, -slopes[:, 1:], _damping(film, factors), step)
+    raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)
+
+
+def film_at(film: Film, displacement: Array, velocity: Array, near: FilmState | None = None) -> FilmState:
+    """The film of a journal held at *displacement* (2,) and moving with *velocity* (2,) over c Omega."""
+    pressure = _ambient(film) if near is None else near.pressure
+    for step in range(1, MOST_STEPS + 1):
+        equations = film_equations(film, displacement, velocity, pressure)
+        factors = factored(equations, film.grid.curvature)
+        changes = -factors.solve(np.concatenate([equations.residual[None], equations.by_displacement]))
+        pressure = pressure + changes[0]
+        if np.max(np.abs(changes[0])) <= TOLERANCE * np.max(np.abs(pressure)):
+            force, slopes = (film.force_weights @ field.sum(axis=-1).T for field in (pressure, changes[1:]))
+            return FilmState(displacement, pressure, force, -slopes, _damping(film, factors), step)
+    raise FitError("the pressure in the oil film was not found", hint="check displacement and wear")
+
+
+def _damping(film: Film, factors: FactoredFilm) -> Array:
+    """-dF/d(e'/Omega): the squeeze term 2 dh/d(Omega t) through the same factors; symmetric, because they are."""
+    squeeze = np.broadcast_to(2 * film.grid.at_centre[:, :, None], (2, film.mesh.around, film.mesh.across // 2))
+    return film.force_weights @ factors.solve(squeeze).sum(axis=2).T
+
+
+def _allowed_part(film: Film, displacement: Array, change: Array) -> float:
+    _, face = film.thickness(displacement)
+    if np.min(face) < THINNEST:
+        raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)
+    closing = float(np.max(-(change @ film.grid.at_face) / face))
+    return min(1.0, LARGEST_CLOSING / closing) if closing > 0 else 1.0

@@ -1,0 +1,39 @@
+"""Wear of a journal bearing: the depth worn off the bore around a given angle (Dufrane et al. 1983, turned by an angle)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def wear_edges(depth: float, angle: float) -> tuple[float, float]:
+    """Where the wear starts and ends, theta_s, theta_f = 3 pi/2 + angle -+ arccos(1 - depth) [rad], theta_s in [0, 2 pi).
+
+    *depth*: deepest wear over radial clearance [-]; *angle* of the deepest point from the bottom, positive with the spin [rad].
+    Mendes et al. (2017) eq. 9, there modulo 2 pi.
+    """
+    half = float(np.arccos(1 - depth))
+    start = float(np.mod(1.5 * np.pi + angle - half, 2 * np.pi))
+    return start, start + 2 * half
+
+
+def worn_depth(theta: NDArray[np.floating], depth: float, angle: float) -> NDArray[np.floating]:
+    """Added film thickness max(0, depth - 1 - cos(theta - pi/2 - angle)) over radial clearance [-], like *theta* [rad]."""
+    added: NDArray[np.floating] = np.maximum(0.0, depth - 1 - np.cos(theta - np.pi / 2 - angle))
+    return added
+
+
+def mean_worn_depth(theta: NDArray[np.floating], depth: float, angle: float, width: float) -> NDArray[np.floating]:
+    """`worn_depth` averaged over an arc of *width* [rad] about every *theta*, exactly.
+
+    On a mesh the bare profile, with its kink at both edges, makes results jump as an edge moves from cell to cell; the mean over
+    one cell does not, and keeps the worn volume.
+    """
+    if depth <= 0:
+        return np.zeros_like(theta)
+    from_deepest = np.mod(theta - np.pi / 2 - angle, 2 * np.pi) - np.pi
+    half = np.arccos(1 - depth)
+    first = np.clip(from_deepest - width / 2, -half, half)
+    last = np.clip(from_deepest + width / 2, -half, half)
+    mean: NDArray[np.floating] = ((depth - 1) * (last - first) + np.sin(last) - np.sin(first)) / width
+    return np.maximum(mean, 0.0)
