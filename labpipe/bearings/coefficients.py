@@ -1,0 +1,74 @@
+"""What a bearing model answers, whatever its kind: stiffness and damping at its load and speed, and where its journal rests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.records.arrays import frozen_array
+from labpipe.records.finding import Finding
+
+TILTS = ("bx", "by", "bz")
+
+
+@dataclass(frozen=True)
+class Amount:
+    """One number of the rest position: its name, value in the SI unit, and that unit."""
+
+    name: str
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class BearingCoefficients:
+    """Stiffness and damping (n_dof, n_dof): force in the row's dof per displacement or velocity in the column's [SI units].
+
+    rest: the rest position; element_state: further arrays of it by name; lowest, highest: stiffness over one ball passage, where a
+    bearing has one; notes: further numbers about the model.
+    """
+
+    dofs: tuple[str, ...]
+    stiffness: NDArray[np.floating]
+    damping: NDArray[np.floating]
+    rest: tuple[Amount, ...] = ()
+    element_state: Mapping[str, NDArray[np.floating]] = field(default_factory=dict)
+    lowest: NDArray[np.floating] | None = None
+    highest: NDArray[np.floating] | None = None
+    notes: tuple[Amount, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = len(self.dofs)
+        for name in ("stiffness", "damping", "lowest", "highest"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen_array(getattr(self, name), np.float64, name, (n, n)))
+
+    def unit(self, row: int, column: int) -> str:
+        """Unit of a stiffness coefficient: N/m, N/rad (force per tilt, the same as moment per displacement N.m/m) or N.m/rad."""
+        tilts = (self.dofs[row] in TILTS) + (self.dofs[column] in TILTS)
+        return ("N/m", "N/rad", "N.m/rad")[tilts]
+
+    @property
+    def relative(self) -> NDArray[np.floating]:
+        """K_ij / sqrt(|K_ii K_jj|): what couples, whatever the units; zero where a diagonal term is zero."""
+        diagonal = np.sqrt(np.abs(np.diag(self.stiffness)))
+        scale = np.outer(diagonal, diagonal)
+        relative: NDArray[np.floating] = np.divide(self.stiffness, scale, out=np.zeros_like(scale), where=scale > 0)
+        return relative
+
+
+@dataclass(frozen=True)
+class BearingKind:
+    """A kind of bearing: the settings its file holds, and the model from any number of such settings (a sweep) to coefficients.
+
+    bare_units: units of entries that may stand as plain numbers.
+    """
+
+    settings: type
+    coefficients: Callable[[Sequence[Any]], list[BearingCoefficients]]
+    bare_units: Mapping[str, str] = field(default_factory=dict)

@@ -1,0 +1,87 @@
+"""Ball and roller bearings as kinds of bearing: from their settings to coefficients, a whole sweep at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from labpipe.bearings.coefficients import Amount, BearingCoefficients, BearingKind
+from labpipe.bearings.passage import Passage, ball_passage
+from labpipe.bearings.rolling import DOFS
+from labpipe.bearings.rolling_equilibrium import Equilibrium, equilibrium
+from labpipe.bearings.rolling_settings import LOAD_OF_DOF, BallBearingSettings, RollerBearingSettings, RollingSettings
+from labpipe.records.finding import Finding
+
+UNITS = ("m", "m", "m", "rad", "rad")
+LOAD_UNITS = ("N", "N", "N", "N.m", "N.m")
+
+
+def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
+    """Coefficients of every settings, in their order; those of one bearing and the same held dofs are solved together."""
+    groups: dict[object, list[int]] = {}
+    for number, entry in enumerate(settings):
+        groups.setdefault((entry.bearing(), entry.held), []).append(number)
+    found: dict[int, BearingCoefficients] = {}
+    for numbers in groups.values():
+        found.update(zip(numbers, _group([settings[n] for n in numbers]), strict=True))
+    return [found[number] for number in range(len(settings))]
+
+
+def _group(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
+    first = settings[0]
+    bearing, held = first.bearing(), first.held
+    loads = np.array([[getattr(entry.loads, load) or 0.0 for load in LOAD_OF_DOF.values()] for entry in settings])
+    moves = np.array([[getattr(entry.displacements, dof) or 0.0 for dof in DOFS] for entry in settings])
+    state = equilibrium(bearing, loads, moves, held, np.array([entry.cage_angle for entry in settings]))
+    passage = ball_passage(bearing, loads, moves, held)
+    return [_case(entry, state, passage, case) for case, entry in enumerate(settings)]
+
+
+def _case(settings: RollingSettings, state: Equilibrium, passage: Passage, case: int) -> BearingCoefficients:
+    k = state.stiffness[case]
+    at = state.contacts
+    rest = [Amount(name, float(q), unit) for name, q, unit in zip(DOFS, state.displacement[case], UNITS, strict=True)]
+    names = [f"load_{name}" for name in LOAD_OF_DOF.values()]
+    rest += [Amount(name, float(f), unit) for name, f, unit in zip(names, state.load[case], LOAD_UNITS, strict=True)]
+    rest.append(Amount("loaded_elements", float(np.sum(at.load[case] > 0)), "1"))
+    return BearingCoefficients(
+        DOFS,
+        k,
+        settings.damping_factor * k,
+        tuple(rest),
+        {
+            "element_angle": state.angles[case],
+            "element_load": at.load[case],
+            "element_deflection": at.deflection[case],
+            "contact_angle": state.contact_angle[case],
+        },
+        passage.lowest[case],
+        passage.highest[case],
+        _notes(settings),
+        tuple(_findings(state, case)),
+    )
+
+
+def _notes(settings: RollingSettings) -> tuple[Amount, ...]:
+    """The stiffness constant that was used, beside Hertz's from the geometry."""
+    bearing, hertz = settings.bearing(), settings.hertz_constant()
+    unit = "N/m^1.5" if bearing.is_ball else "N/m^(10/9)"
+    used = Amount("stiffness_constant", bearing.stiffness_constant, unit)
+    return (used,) if hertz is None else (used, Amount("stiffness_constant_hertz", hertz, unit))
+
+
+def _findings(state: Equilibrium, case: int) -> list[Finding]:
+    found = []
+    if state.mirrored[case]:
+        message = "elements carry at the opposite contact angle, across the groove: a bearing with one shoulder cannot carry this load"
+        found.append(Finding("mirrored", message))
+    if not state.determinate[case]:
+        number = int(np.sum(state.contacts.load[case] > 0))
+        message = f"{number} of {state.bearing.elements} elements carry: the rest position is not unique, the stiffness is singular"
+        found.append(Finding("indeterminate", message))
+    return found
+
+
+BALL = BearingKind(BallBearingSettings, rolling_coefficients, {"stiffness_constant": "N/m^1.5"})
+ROLLER = BearingKind(RollerBearingSettings, rolling_coefficients, {"stiffness_constant": "N/m^(10/9)"})

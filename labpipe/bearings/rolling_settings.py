@@ -1,0 +1,158 @@
+"""What a ball-bearing or roller-bearing file holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from labpipe.bearings.hertz import STEEL, BallGeometry, Material, roller_stiffness_constant
+from labpipe.bearings.rolling import RollingBearing
+from labpipe.errors import ConfigError
+from labpipe.records.settings import setting
+
+BALL, ROLLER = "ball-bearing", "roller-bearing"
+LOAD_OF_DOF = {"x": "x", "y": "y", "z": "z", "bx": "mx", "by": "my"}
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Loads of the shaft on the inner ring."""
+
+    x: float | None = setting("value", "radial load in x", unit="N", default=None)
+    y: float | None = setting("value", "radial load in y", unit="N", default=None)
+    z: float | None = setting("value", "axial load", unit="N", default=None)
+    mx: float | None = setting("value", "moment about x", unit="N.m", default=None)
+    my: float | None = setting("value", "moment about y", unit="N.m", default=None)
+
+
+@dataclass(frozen=True)
+class Displacements:
+    """Displacements of the inner ring that are held instead of the load in their direction."""
+
+    x: float | None = setting("value", "radial displacement in x", unit="m", default=None)
+    y: float | None = setting("value", "radial displacement in y", unit="m", default=None)
+    z: float | None = setting("value", "axial displacement", unit="m", default=None)
+    bx: float | None = setting("value", "tilt about x", unit="rad", default=None)
+    by: float | None = setting("value", "tilt about y", unit="rad", default=None)
+
+
+@dataclass(frozen=True)
+class BallGeometrySettings:
+    """Balls and grooves, from which Hertz's theory gives the stiffness constant."""
+
+    ball_diameter: float = setting("value", "ball diameter D", unit="m")
+    pitch_diameter: float = setting("value", "diameter of the circle of ball centres", unit="m")
+    inner_conformity: float = setting("value", "inner groove radius / ball diameter", unit="1", default=0.52)
+    outer_conformity: float = setting("value", "outer groove radius / ball diameter", unit="1", default=0.52)
+    youngs_modulus: float = setting("value", "Young's modulus of the rings", unit="Pa", default=STEEL.youngs_modulus)
+    poissons_ratio: float = setting("value", "Poisson's ratio of the rings", unit="1", default=STEEL.poissons_ratio)
+    ball_youngs_modulus: float | None = setting("value", "Young's modulus of the balls; default: the rings'", unit="Pa", default=None)
+    ball_poissons_ratio: float | None = setting("value", "Poisson's ratio of the balls; default: the rings'", unit="1", default=None)
+
+    @property
+    def rings(self) -> Material:
+        return Material(self.youngs_modulus, self.poissons_ratio)
+
+    @property
+    def balls(self) -> Material:
+        modulus, ratio = self.ball_youngs_modulus, self.ball_poissons_ratio
+        return Material(self.rings.youngs_modulus if modulus is None else modulus, self.rings.poissons_ratio if ratio is None else ratio)
+
+    def __post_init__(self) -> None:
+        self.at(0.0)
+        assert self.rings and self.balls
+
+    def at(self, contact_angle: float) -> BallGeometry:
+        """The geometry at a contact angle [rad]; ConfigError where it is impossible."""
+        return BallGeometry(self.ball_diameter, self.pitch_diameter, self.inner_conformity, self.outer_conformity, contact_angle)
+
+
+@dataclass(frozen=True)
+class RollingSettings:
+    """What balls and rollers have in common."""
+
+    kind: str = setting("choice", "which kind of bearing", choices=(BALL, ROLLER))
+    elements: int = setting("integer", "number of rolling elements")
+    name: str = setting("text", "name of the bearing", default="")
+    contact_angle: float = setting("value", "unloaded contact angle", unit="rad", default=0.0)
+    clearance: float = setting("value", "radial clearance, half the diametral one; negative: interference", unit="m", default=0.0)
+    cage_angle: float = setting("value", "angle of the first element from x", unit="rad", default=0.0)
+    damping_factor: float = setting("value", "beta of the stiffness-proportional damping C = beta K", unit="s", default=0.0)
+    pitch_radius: float | None = setting("value", "radius of the groove centres (balls) or roller centres", unit="m", default=None)
+    loads: Loads = setting("section", "loads; what is not given is zero", section=Loads, default=Loads())
+    displacements: Displacements = setting("section", "held displacements", section=Displacements, default=Displacements())
+
+    def __post_init__(self) -> None:
+        for dof, load in LOAD_OF_DOF.items():
+            if getattr(self.displacements, dof) is not None and getattr(self.loads, load) is not None:
+                raise ConfigError(f"displacements.{dof} and loads.{load} are both given", hint="one follows from the other: give one")
+        if self.damping_factor < 0:
+            raise ConfigError("damping_factor is negative")
+        self.bearing()
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """The dofs whose displacement is given."""
+        return tuple(dof for dof in LOAD_OF_DOF if getattr(self.displacements, dof) is not None)
+
+    def bearing(self) -> RollingBearing:
+        """The bearing; ConfigError where data are missing or impossible."""
+        raise NotImplementedError
+
+    def hertz_constant(self) -> float | None:
+        """K_n from geometry [N/m^n], or None where no geometry is given."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class BallBearingSettings(RollingSettings):
+    """A ball bearing: its constants, or the geometry they follow from; a constant that is given goes before the geometry's."""
+
+    stiffness_constant: float | None = setting("value", "K_n of Q = K_n delta^1.5", unit="N/m^1.5", default=None)
+    groove_distance: float | None = setting("value", "unloaded distance A0 of the groove centres", unit="m", default=None)
+    geometry: BallGeometrySettings | None = setting("section", "balls and grooves", section=BallGeometrySettings, default=None)
+
+    def bearing(self) -> RollingBearing:
+        shape = None if self.geometry is None else self.geometry.at(self.contact_angle)
+        return RollingBearing(
+            self.elements,
+            needed("stiffness_constant", self.stiffness_constant, self.hertz_constant()),
+            needed("pitch_radius", self.pitch_radius, None if shape is None else shape.groove_centre_radius),
+            self.contact_angle,
+            self.clearance,
+            needed("groove_distance", self.groove_distance, None if shape is None else shape.groove_distance),
+        )
+
+    def hertz_constant(self) -> float | None:
+        if self.geometry is None:
+            return None
+        return self.geometry.at(self.contact_angle).stiffness_constant(self.geometry.rings, self.geometry.balls)
+
+
+@dataclass(frozen=True)
+class RollerBearingSettings(RollingSettings):
+    """A roller bearing; tilts (and z at contact angle 0) are held at zero where neither load nor displacement is given."""
+
+    stiffness_constant: float | None = setting("value", "K_n of Q = K_n delta^(10/9)", unit="N/m^(10/9)", default=None)
+    roller_length: float | None = setting("value", "effective length of a steel roller", unit="m", default=None)
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        unsupported = ("bx", "by") if self.contact_angle else ("z", "bx", "by")
+        silent = [dof for dof in unsupported if getattr(self.loads, LOAD_OF_DOF[dof]) is None]
+        given = super().held
+        return tuple(dof for dof in LOAD_OF_DOF if dof in given or dof in silent)
+
+    def bearing(self) -> RollingBearing:
+        constant = needed("stiffness_constant", self.stiffness_constant, self.hertz_constant(), "roller_length")
+        return RollingBearing(self.elements, constant, needed("pitch_radius", self.pitch_radius, None), self.contact_angle, self.clearance)
+
+    def hertz_constant(self) -> float | None:
+        return None if self.roller_length is None else roller_stiffness_constant(self.roller_length)
+
+
+def needed(name: str, given: float | None, derived: float | None, source: str = "geometry") -> float:
+    """The given amount, else the derived one; ConfigError where there is neither."""
+    amount = derived if given is None else given
+    if amount is None:
+        raise ConfigError(f"{name}: is missing", hint=f"give it, or {source} from which it follows" if name != "pitch_radius" else "")
+    return amount

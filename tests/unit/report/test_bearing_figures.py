@@ -1,0 +1,51 @@
+"""The drawings of a bearing model show what the numbers say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.bearings.coefficients import BearingCoefficients
+from labpipe.bearings.rolling_kinds import rolling_coefficients
+from labpipe.bearings.rolling_settings import BallBearingSettings, Loads
+from labpipe.report.bearing_figures import stiffness_figure, sweep_figures
+
+
+def bearing(force: float) -> BearingCoefficients:
+    settings = BallBearingSettings(
+        "ball-bearing", 9, stiffness_constant=1.10e10, groove_distance=5.953e-4, pitch_radius=0.03, loads=Loads(y=-24.0, z=force)
+    )
+    return rolling_coefficients([settings])[0]
+
+
+def test_heat_map_says_value_and_unit_of_every_coefficient() -> None:
+    found = bearing(427.0)
+    (axes, _) = stiffness_figure("6208", found).drawing.axes
+    texts = [text.get_text() for text in axes.texts]
+    assert len(texts) == 25 and texts[0] == f"{found.stiffness[0, 0] / 1e3:.4g}\nkN/m" and texts[1] == "0"
+    assert texts[4] == f"{found.stiffness[0, 4]:.4g}\nN/rad"
+    np.testing.assert_allclose(axes.images[0].get_array(), found.relative)
+
+
+def test_sweep_curves_are_the_coefficients_in_panels_by_unit() -> None:
+    values = np.array([100.0, 400.0, 900.0])
+    found = [bearing(force) for force in values]
+    figures = sweep_figures("6208", "loads.z [N]", values, found)
+    assert list(figures) == ["stiffness"]
+    panels = figures["stiffness"].drawing.axes
+    assert [axes.get_ylabel() for axes in panels] == ["stiffness [kN/m]", "stiffness [N/rad]", "stiffness [N.m/rad]"]
+    lines = {line.get_label(): line for axes in panels for line in axes.get_lines()}
+    assert set(lines) == {"k x,x", "k y,y", "k y,z", "k z,z", "k x,by", "k y,bx", "k z,bx", "k bx,bx", "k by,by"}
+    assert lines["k z,z"].get_ydata() == pytest.approx([each.stiffness[2, 2] / 1e3 for each in found])
+    assert "range over one ball passage" in figures["stiffness"].caption
+
+
+def test_damping_has_its_figure_and_asymmetric_matrices_show_both_sides() -> None:
+    """A journal bearing's two dofs: k_yz and k_zy differ and are both drawn."""
+    stiffness = np.array([[2.0, 7.0], [-8.0, 1.0]]) * 1e6
+    found = [BearingCoefficients(("y", "z"), factor * stiffness, np.eye(2) * 1e3) for factor in (1.0, 2.0)]
+    figures = sweep_figures("journal", "speed [Hz]", np.array([10.0, 20.0]), found)
+    labels = [line.get_label() for line in figures["stiffness"].drawing.axes[0].get_lines()]
+    assert labels == ["k y,y", "k y,z", "k z,y", "k z,z"]
+    assert figures["damping"].drawing.axes[0].get_ylabel() == "damping [kN.s/m]"
+    assert "range" not in figures["stiffness"].caption
