@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from labpipe import __version__
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
-from labpipe.records.identification import Fit, FittedCurve, Goodness, Identification, Parameter, RuleOutcome
+from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness, Identification, Parameter, RuleOutcome
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 
 SCHEMA = "labpipe/identification/1"
@@ -87,6 +87,7 @@ def _fit_entry(fit: Fit) -> dict[str, Any]:
         "correlation": fit.correlation.tolist(),
         "warnings": [dataclasses.asdict(finding) for finding in fit.findings],
         "notes": list(fit.notes),
+        "candidates": [dataclasses.asdict(candidate) for candidate in fit.candidates],
         "curve": None if fit.curve is None else _curve_entry(fit.curve),
     }
 
@@ -103,6 +104,7 @@ def _fit(entry: dict[str, Any]) -> Fit:
         correlation=np.array(entry["correlation"], np.float64),
         findings=tuple(Finding(**warning) for warning in entry["warnings"]),
         notes=tuple(entry.get("notes", [])),
+        candidates=tuple(Candidate(**candidate) for candidate in entry.get("candidates", [])),
         curve=None if entry.get("curve") is None else _curve(entry["curve"]),
     )
 

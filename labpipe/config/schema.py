@@ -85,4 +85,8 @@ def _kind(setting: Setting) -> dict[str, Any]:
         "choice": {"enum": list(setting.choices)},
         "names": _TEXTS,
         "mass": {"type": ["string", "number", "array"]},
+        "values": {"anyOf": [_TEXT_OR_NUMBER, {"type": "array", "items": _TEXT_OR_NUMBER}]},
+        "matrix": {"type": "array", "items": {"type": "array", "items": _TEXT_OR_NUMBER}},
+        "coefficients": {"type": "object", "additionalProperties": _TEXT_OR_NUMBER},
+        "groups": {"type": "array"},
     }[setting.kind]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
+from labpipe.identify.settings import COEFFICIENT_UNITS
 from labpipe.marked_yaml import Marked
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.settings import Setting, Uncertain
@@ -105,13 +107,53 @@ def read_names(node: Marked, setting: Setting) -> tuple[str, ...]:
 def read_mass(node: Marked, setting: Setting) -> Any:
     """ "0.92 kg", a list (diagonal matrix), a list of lists (matrix), or `estimate`."""
     if isinstance(node.content, list):
-        return tuple(read_mass(entry, setting) for entry in node.content)
+        rows = node.content
+        return tuple(read_values(row, setting) if isinstance(row.content, list) else read_mass(row, setting) for row in rows)
     if node.text == "estimate":
         return "estimate"
     mass = read_value(node, setting)
     if mass < 0:
         raise UnitError(f"the mass '{node.text}' is negative")
     return mass
+
+
+def read_values(node: Marked, setting: Setting) -> tuple[float, ...]:
+    """One value or a list of values."""
+    nodes = node.content if isinstance(node.content, list) else [node]
+    return tuple(read_value(entry, setting) for entry in nodes)
+
+
+def read_matrix(node: Marked, setting: Setting) -> tuple[tuple[float, ...], ...]:
+    """A list of rows of equal length."""
+    if not isinstance(node.content, list) or not all(isinstance(row.content, list) for row in node.content):
+        raise UnitError(f"'{_shown(node)}' is not a matrix", f"write rows, for example [[2 {setting.unit}, 0], [0, 2 {setting.unit}]]")
+    rows = tuple(read_values(row, setting) for row in node.content)
+    if len({len(row) for row in rows}) != 1:
+        raise UnitError("the rows of the matrix are not equally long")
+    return rows
+
+
+def read_coefficients(node: Marked, setting: Setting) -> tuple[tuple[str, float], ...]:
+    """ {k_1_2: 0 N/m, c_1_2: 0 N.s/m} -> (("k_1_2", 0.0), ...); the first letter of a name says its unit."""
+    if not isinstance(node.content, dict):
+        raise UnitError(f"'{_shown(node)}' is not a mapping of coefficients", "write for example {k_1_3: 0 N/m}")
+    found = []
+    for name, entry in node.content.items():
+        unit = COEFFICIENT_UNITS.get(name[:1]) if name[1:2] in ("", "_") else None
+        if unit is None:
+            raise UnitError(f"'{name}' is no coefficient", "their names begin with k_, c_, m_ or b_")
+        found.append((name, read_value(entry, replace(setting, unit=unit))))
+    return tuple(found)
+
+
+def read_groups(node: Marked, setting: Setting) -> tuple[tuple[str, ...], ...]:
+    """A list of lists of names, or one list."""
+    entries = node.content
+    if not isinstance(entries, list) or not entries:
+        raise UnitError(f"'{_shown(node)}' is not a list of names", "write for example [[k_xx, k_yy], [c_xx, c_yy]]")
+    if all(isinstance(entry.content, list) for entry in entries):
+        return tuple(read_names(entry, setting) for entry in entries)
+    return (read_names(node, setting),)
 
 
 READERS = {
@@ -125,6 +167,10 @@ READERS = {
     "choice": read_choice,
     "names": read_names,
     "mass": read_mass,
+    "values": read_values,
+    "matrix": read_matrix,
+    "coefficients": read_coefficients,
+    "groups": read_groups,
 }
 
 

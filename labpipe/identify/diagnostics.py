@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.identify.corrections import is_direct
 from labpipe.identify.statistics import Estimate, condition_number
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Parameter
@@ -24,17 +25,18 @@ LOW_SNR = 10.0
 POOR_SHARE = 0.1
 
 
-def estimate_findings(estimate: Estimate, names: Sequence[str], n_equation: int, n_line: int) -> list[Finding]:
+def estimate_findings(estimate: Estimate, names: Sequence[str], n_line: int, estimator: str) -> list[Finding]:
     """Findings on the estimate itself: convergence, collinearity, few lines, model mismatch."""
     found: list[Finding] = []
     if not estimate.converged:
         message = f"the estimator did not converge in {estimate.iterations} iterations; its numbers are not a result"
         found.append(Finding("no-convergence", message))
     found.extend(_collinear(estimate.scaled_design, names))
+    n_equation = estimate.dof + len(names)
     if estimate.dof < FEW_DOF or n_equation < EQUATIONS_PER_PARAMETER * len(names):
         message = f"{n_line} lines give {n_equation} equations for {len(names)} parameters; widen the band or measure with finer spacing"
         found.append(Finding("few-lines", message))
-    found.extend(_mismatch(estimate))
+    found.extend(_mismatch(estimate, estimator))
     return found
 
 
@@ -74,14 +76,16 @@ def collinear_groups(scaled_design: NDArray[np.floating], names: Sequence[str]) 
     return [[name for name, inside in zip(names, involved, strict=True) if inside]] if np.any(involved) else []
 
 
-def _mismatch(estimate: Estimate) -> list[Finding]:
+def _mismatch(estimate: Estimate, estimator: str) -> list[Finding]:
     reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
     if reduced is None or p_value is None or p_value >= MISMATCH_P:
         return []
     factor = np.sqrt(reduced)
+    # Equation errors are biased and inefficient: their residual exceeds the noise for a right model as well.
+    cause = "the model lacks something" if estimator == "ml" else f"the model lacks something, or {estimator} is off; compare with ml"
     message = (
         f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom {reduced:.3g}, "
-        f"p = {p_value:.2g}): the model lacks something. Multiply the standard errors by {factor:.3g} at least, or narrow the band."
+        f"p = {p_value:.2g}): {cause}. Multiply the standard errors by {factor:.3g} at least, or narrow the band."
     )
     return [Finding("model-mismatch", message)]
 
@@ -93,15 +97,26 @@ def parameter_findings(parameters: Sequence[Parameter]) -> list[Finding]:
     if weak:
         message = f"{', '.join(weak)} cannot be told from zero at 95 %; a fit without them (`eliminate: true`) describes the data as well"
         found.append(Finding("insignificant", message))
-    negative = [p.name for p in parameters if p.name in ("k", "c", "m") and p.value < 0 and p.significant]
+    negative = [p.name for p in parameters if is_direct(p.name) and p.value < 0 and p.significant]
     if negative:
         found.append(
             Finding("unphysical", f"{', '.join(negative)} came out negative; check the mass, the sign of the channels and the band")
         )
-    over = [p for p in parameters if p.name == "zeta" and p.value > 1]
-    if over:
-        found.append(Finding("unphysical", f"zeta = {over[0].value:.3g} is above 1: there is no resonance in this fit, f_n means little"))
-    return found
+    return [*found, *_modal_findings(parameters)]
+
+
+def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:
+    """Damping ratios that no passive oscillator has, and models without oscillating modes."""
+    ratios = [p for p in parameters if p.name == "zeta" or p.name.startswith("zeta_")]
+    over = [
+        Finding("unphysical", f"{p.name} = {p.value:.3g} is above 1: there is no resonance in this fit, f_n means little")
+        for p in ratios
+        if p.value > 1
+    ]
+    unstable = [p.name for p in ratios if p.value < 0 and p.std_error is not None and p.value < -2 * p.std_error]
+    if unstable:
+        over.append(Finding("unphysical", f"{', '.join(unstable)} is negative: the identified system is unstable"))
+    return over
 
 
 def quality_findings(response: FrequencyResponse, rows: list[int], columns: list[int], lines: NDArray[np.bool_]) -> list[Finding]:

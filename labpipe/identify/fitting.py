@@ -2,28 +2,38 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.identify.corrections import Estimated, corrected, derived_parameters
-from labpipe.identify.diagnostics import estimate_findings, parameter_findings, quality_findings
+from labpipe.identify.amplitude import amplitude_fit
+from labpipe.identify.bootstrap import bootstrapped
+from labpipe.identify.comparison import candidates, comparison_findings
+from labpipe.identify.constraints import constrained
+from labpipe.identify.diagnostics import MISMATCH_P, estimate_findings, parameter_findings, quality_findings
+from labpipe.identify.instrumental import instrumental_variables
 from labpipe.identify.likelihood import maximum_likelihood
 from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.model import DynamicModel
-from labpipe.identify.models import MODELS, Setup
+from labpipe.identify.models import MODELS
+from labpipe.identify.proportional import ProportionalModel
 from labpipe.identify.regression import least_squares
+from labpipe.identify.reported import mismatch_factor, reported_parameters
 from labpipe.identify.settings import FitSettings
-from labpipe.identify.statistics import Estimate, condition_number, correlation, estimated, inflation_factors, student_limit
+from labpipe.identify.setup import Setup
+from labpipe.identify.statistics import Estimate, condition_number, correlation, student_limit
 from labpipe.records.identification import Fit, FittedCurve, Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.bands import EDGE, lines_in
 from labpipe.spectra.convert import receptance_factor
 
-Estimator = Callable[[Measured, DynamicModel], Estimate]
-ESTIMATORS: dict[str, Estimator] = {"ls": least_squares, "ml": maximum_likelihood}
+Estimator = Callable[[Measured, Any, str], Estimate]
+ESTIMATORS: dict[str, Estimator] = {"ls": least_squares, "iv": instrumental_variables, "ml": maximum_likelihood, "amplitude": amplitude_fit}
 
 Band = tuple[float, float]
 
@@ -36,14 +46,18 @@ def identify(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, .
     rows, columns = select_ports(response, settings.input, settings.output)
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
-    model = MODELS[settings.model](Setup(outputs, inputs, settings))
+    setup = Setup(outputs, inputs, settings)
+    model = constrained(MODELS[settings.model](setup), settings)
     fits = []
     for band, lines in _bands(response, settings):
         measured = measured_part(response, rows, columns, lines)
         try:
-            fits.append(_fit_band(response, settings, model, measured, band, (rows, columns, lines)))
+            fit = _fit_band(setup, model, measured, band)
         except FitError as error:
             raise FitError(f"band {band[0]:g}-{band[1]:g} Hz: {error.what}", where=error.where, hint=error.hint) from None
+        quality = quality_findings(response, rows, columns, lines)
+        curve = _curve(response, measured, fit.fitted)
+        fits.append(replace(fit.fit, findings=(*fit.fit.findings, *quality), curve=curve))
     return tuple(fits)
 
 
@@ -67,57 +81,63 @@ def _bands(response: FrequencyResponse, settings: FitSettings) -> list[tuple[Ban
     return [(band, lines_in(frequency, band) & (frequency < band[1] * (1 - EDGE))) for band in bands]
 
 
-def _fit_band(
-    response: FrequencyResponse,
-    settings: FitSettings,
-    model: DynamicModel,
-    measured: Measured,
-    band: Band,
-    chosen: tuple[list[int], list[int], NDArray[np.bool_]],
-) -> Fit:
-    estimator = ESTIMATORS[settings.estimator]
-    estimate = estimator(measured, model)
+@dataclass(frozen=True)
+class _BandFit:
+    """A fit and the receptance it gives on its lines."""
+
+    fit: Fit
+    fitted: NDArray[np.complexfloating]
+
+
+def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: Measured, band: Band) -> _BandFit:
+    settings = setup.settings
+    estimate = ESTIMATORS[settings.estimator](measured, model, settings.weight)
     dropped: list[str] = []
-    if settings.eliminate:
-        model, estimate, dropped = _eliminated(measured, model, estimate, estimator)
-    total = Estimated(model.names, model.units, estimate.values, estimate.covariance)
-    reported = corrected(total, settings)
-    parameters = (*_parameters(reported, estimate), *derived_parameters(total, settings, int(estimate.student_dof.min())))
-    findings = (
-        *estimate_findings(estimate, model.names, measured.n_equation, measured.omega.size),
-        *parameter_findings(parameters),
-        *quality_findings(response, *chosen),
-    )
-    return Fit(
+    if settings.eliminate and isinstance(model, DynamicModel):
+        model, estimate, dropped = _eliminated(measured, model, estimate, settings)
+    fitted = model.receptance(estimate.values, measured.omega)
+    parameters = reported_parameters(estimate, model, setup, mismatch_factor(estimate, MISMATCH_P))
+    notes = (*estimate.notes, *dropped)
+    if settings.bootstrap:
+        refit = functools.partial(_refit, setup, model)
+        parameters, note = bootstrapped(parameters, measured, fitted, refit, settings.bootstrap, settings.name)
+        notes = (*notes, note)
+    found = candidates(measured, setup) if settings.compare else ()
+    fit = Fit(
         name=settings.name,
         model=settings.model,
         estimator=settings.estimator,
         band_hz=band,
         lines=measured.omega.size,
-        equations=measured.n_equation,
+        equations=estimate.dof + len(model.names),
         dof=estimate.dof,
         gof=estimate.gof,
         parameters=parameters,
         condition_number=condition_number(estimate.scaled_design),
-        correlation=correlation(reported.covariance),
+        correlation=correlation(estimate.covariance),
         converged=estimate.converged,
         iterations=estimate.iterations,
-        findings=findings,
-        notes=(*estimate.notes, *dropped),
-        curve=_curve(response, measured, model, estimate),
+        findings=(
+            *estimate_findings(estimate, model.names, measured.omega.size, settings.estimator),
+            *parameter_findings(parameters),
+            *comparison_findings(found),
+        ),
+        notes=notes,
+        candidates=found,
     )
+    return _BandFit(fit, fitted)
 
 
-def _parameters(reported: Estimated, estimate: Estimate) -> list[Parameter]:
-    vifs = inflation_factors(estimate.scaled_design)
-    return [
-        estimated(name, unit, reported.value(name), reported.std_error(name), int(dof), float(vif))
-        for name, unit, vif, dof in zip(reported.names, reported.units, vifs, estimate.student_dof, strict=True)
-    ]
+def _refit(setup: Setup, model: DynamicModel | ProportionalModel, measured: Measured) -> tuple[Parameter, ...]:
+    """The parameters of one bootstrap repeat; FitError where the estimator does not converge."""
+    estimate = ESTIMATORS[setup.settings.estimator](measured, model, setup.settings.weight)
+    if not estimate.converged:
+        raise FitError("not converged")
+    return reported_parameters(estimate, model, setup, None)
 
 
 def _eliminated(
-    measured: Measured, model: DynamicModel, estimate: Estimate, estimator: Estimator
+    measured: Measured, model: DynamicModel, estimate: Estimate, settings: FitSettings
 ) -> tuple[DynamicModel, Estimate, list[str]]:
     """Backward elimination: the least significant parameter is set to zero and the fit repeated until all are significant."""
     notes: list[str] = []
@@ -131,11 +151,11 @@ def _eliminated(
         name = model.terms[weakest].name
         notes.append(f"{name} was dropped as insignificant (|t| = {t_ratios[weakest]:.2f}) and is taken as zero")
         model = model.without(name)
-        estimate = estimator(measured, model)
+        estimate = ESTIMATORS[settings.estimator](measured, model, settings.weight)
     return model, estimate, notes
 
 
-def _curve(response: FrequencyResponse, measured: Measured, model: DynamicModel, estimate: Estimate) -> FittedCurve:
+def _curve(response: FrequencyResponse, measured: Measured, fitted: NDArray[np.complexfloating]) -> FittedCurve:
     """Measured and fitted FRF in the measured form."""
     frequency = measured.omega / (2 * np.pi)
     factor = receptance_factor(response.form, frequency)[:, None, None]
@@ -146,7 +166,7 @@ def _curve(response: FrequencyResponse, measured: Measured, model: DynamicModel,
     return FittedCurve(
         frequency,
         measured.matrix * factor,
-        model.receptance(estimate.values, measured.omega) * factor,
+        fitted * factor,
         variance,
         tuple(port.label for port in measured.outputs),
         tuple(port.label for port in measured.inputs),

@@ -1,39 +1,89 @@
-"""A model linear in its parameters: dynamic stiffness Z(w) = sum_j p_j Z_j(w) + Z_0(w), forces B = sum_j p_j B_j + B_0."""
+"""A model linear in its parameters: dynamic stiffness Z(w) = Z_0(w) + sum_j p_j Z_j(w), forces B = B_0 + sum_j p_j B_j."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import FitError
 
+Parameters = NDArray[np.floating]
+
 
 @dataclass(frozen=True)
-class Term:
-    """One parameter of a model: where it enters K, C, M (each n_dof, n_dof) and the force matrix B (n_dof, n_input).
+class Matrices:
+    """What one parameter (or all that is given) puts into the equation of motion.
 
-    *droppable*: whether backward elimination may set it to zero.
+    stiffness K [N/m], damping C [N.s/m], mass M [kg], each (n_dof, n_dof); force B (n_dof, n_input) [1].
     """
 
-    name: str
-    unit: str
     stiffness: NDArray[np.floating]
     damping: NDArray[np.floating]
     mass: NDArray[np.floating]
     force: NDArray[np.floating]
+
+    def plus(self, other: Matrices, factor: float = 1.0) -> Matrices:
+        """The sum with *factor* times another one."""
+        return Matrices(
+            self.stiffness + factor * other.stiffness,
+            self.damping + factor * other.damping,
+            self.mass + factor * other.mass,
+            self.force + factor * other.force,
+        )
+
+
+def no_matrices(n_dof: int, n_input: int) -> Matrices:
+    """All zero."""
+    square = np.zeros((n_dof, n_dof))
+    return Matrices(square, square, square, np.zeros((n_dof, n_input)))
+
+
+@dataclass(frozen=True)
+class Term:
+    """One parameter of a model and where it enters.
+
+    *droppable*: whether backward elimination may set it to zero. *aliases*: further coefficients that are tied to its value.
+    """
+
+    name: str
+    unit: str
+    matrices: Matrices
     droppable: bool = True
+    aliases: tuple[str, ...] = ()
+
+
+class ResponseModel(Protocol):
+    """What an output-error fit needs: the FRF and its slopes, and a model linear in its parameters to start from."""
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def units(self) -> tuple[str, ...]: ...
+    @property
+    def linear(self) -> DynamicModel:
+        """The model linear in its parameters that holds this one as a special case."""
+        ...
+
+    def from_linear(self, values: Parameters) -> Parameters:
+        """Parameters near to those of `linear`, to start from."""
+        ...
+
+    def receptance(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]: ...
+    def jacobian(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]: ...
 
 
 @dataclass(frozen=True)
 class DynamicModel:
-    """Z(w) H(w) = B with Z = K + j w C - w^2 M; *known_mass* (n_dof, n_dof) and *known_force* (n_dof, n_input) are given."""
+    """Z(w) H(w) = B with Z = K + j w C - w^2 M; *given*: what is known of the matrices, *terms*: what is estimated."""
 
     name: str
     terms: tuple[Term, ...]
-    known_mass: NDArray[np.floating]
-    known_force: NDArray[np.floating]
+    given: Matrices
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -43,55 +93,94 @@ class DynamicModel:
     def units(self) -> tuple[str, ...]:
         return tuple(term.unit for term in self.terms)
 
+    @property
+    def linear(self) -> DynamicModel:
+        return self
+
+    def from_linear(self, values: Parameters) -> Parameters:
+        """The parameters as they are."""
+        return values
+
     def without(self, name: str) -> DynamicModel:
         """The model with one parameter fixed at zero."""
-        return replace(self, terms=tuple(term for term in self.terms if term.name != name))
+        return self.fixed(name, 0.0)
 
-    def stiffness_terms(self, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
-        """Z_j(w) of every parameter, (n_parameter, n_line, n_dof, n_dof); *omega* (n_line,) [rad/s]."""
-        w = omega[None, :, None, None]
-        k, c, m = (np.stack([getattr(term, kind) for term in self.terms])[:, None] for kind in ("stiffness", "damping", "mass"))
-        terms: NDArray[np.complexfloating] = k + 1j * w * c - w**2 * m
-        return terms
+    def fixed(self, name: str, value: float) -> DynamicModel:
+        """The model with one parameter given instead of estimated."""
+        (term,) = (term for term in self.terms if term.name == name)
+        others = tuple(other for other in self.terms if other is not term)
+        return replace(self, terms=others, given=self.given.plus(term.matrices, value))
 
-    def force_terms(self) -> NDArray[np.floating]:
-        """B_j of every parameter, (n_parameter, 1, n_dof, n_input)."""
-        return np.stack([term.force for term in self.terms])[:, None]
+    def tied(self, names: Sequence[str]) -> DynamicModel:
+        """The model with several parameters that have one value; it is named after the first."""
+        joined = [term for term in self.terms if term.name in names]
+        matrices = joined[0].matrices
+        for term in joined[1:]:
+            matrices = matrices.plus(term.matrices)
+        one = replace(joined[0], matrices=matrices, aliases=tuple(term.name for term in joined[1:]))
+        return replace(self, terms=tuple(one if term is joined[0] else term for term in self.terms if term not in joined[1:]))
 
-    def inertia(self, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
-        """Z_0(w) = -w^2 M_0, (n_line, n_dof, n_dof)."""
-        return (-(omega**2)[:, None, None] * self.known_mass).astype(np.complex128)
+    def whole(self, parameters: Parameters) -> Matrices:
+        """K, C, M and B of these parameters; of several cases in leading dimensions."""
+        return self.given.plus(Matrices(*(np.tensordot(parameters, stack, 1) for stack in self._stacks.values())))
 
-    def dynamic_stiffness(self, parameters: NDArray[np.floating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
-        """Z(w) [N/m], (n_line, n_dof, n_dof)."""
-        z: NDArray[np.complexfloating] = np.einsum("p,plab->lab", parameters, self.stiffness_terms(omega)) + self.inertia(omega)
-        return z
+    def dynamic_stiffness(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+        """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s]."""
+        return _dynamic_stiffness(self.whole(parameters), omega)
 
-    def forces(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
-        """B, (n_dof, n_input)."""
-        b: NDArray[np.floating] = np.einsum("p,plab->ab", parameters, self.force_terms()) + self.known_force
-        return b
-
-    def receptance(self, parameters: NDArray[np.floating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    def receptance(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
         """H(w) = Z^-1 B [m/N], (n_line, n_dof, n_input); FitError where Z is singular."""
-        b = np.broadcast_to(self.forces(parameters).astype(np.complex128), (omega.size, *self.known_force.shape))
-        try:
-            h: NDArray[np.complexfloating] = np.linalg.solve(self.dynamic_stiffness(parameters, omega), b)
-        except np.linalg.LinAlgError:
-            raise FitError("the dynamic stiffness of the model is singular at a line", hint="check the band and the mass") from None
-        return h
+        whole = self.whole(parameters)
+        return _solved(_dynamic_stiffness(whole, omega), whole.force.astype(np.complex128))
 
-    def jacobian(self, parameters: NDArray[np.floating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    def jacobian(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
         """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input)."""
-        z = self.dynamic_stiffness(parameters, omega)
-        h = self.receptance(parameters, omega)
-        jacobian: NDArray[np.complexfloating] = -np.linalg.solve(z[None], self.equation_terms(h, omega))
-        return jacobian
+        return self.filtered(parameters, -self.equation_terms(self.receptance(parameters, omega), omega), omega)
+
+    def filtered(
+        self, parameters: Parameters, sides: NDArray[np.complexfloating], omega: NDArray[np.floating]
+    ) -> NDArray[np.complexfloating]:
+        """Z^-1 times each of *sides* (n_side, n_line, n_dof, n_input): one factorisation per line for all of them."""
+        n_side, n_line, n_dof, n_input = sides.shape
+        joined = sides.transpose(1, 2, 0, 3).reshape(n_line, n_dof, n_side * n_input)
+        solved = _solved(self.dynamic_stiffness(parameters, omega), joined)
+        return solved.reshape(n_line, n_dof, n_side, n_input).transpose(2, 0, 1, 3)
 
     def equation_terms(self, h: NDArray[np.complexfloating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
         """Z_j H - B_j: the regressors of the equation of motion, (n_parameter, n_line, n_dof, n_input)."""
-        return self.stiffness_terms(omega) @ h[None] - self.force_terms()
+        terms = np.zeros((len(self.terms), *h.shape), np.complex128)
+        factors: dict[str, NDArray[np.inexact]] = {"stiffness": np.ones_like(omega), "damping": 1j * omega, "mass": -(omega**2)}
+        for kind, factor in factors.items():
+            stack = self._stacks[kind]
+            own = np.flatnonzero(np.any(stack != 0, axis=(1, 2)))
+            if own.size:
+                weighted = h * factor[:, None, None]
+                terms[own] += np.tensordot(stack[own], weighted, ((2,), (1,))).transpose(0, 2, 1, 3)
+        terms -= self._stacks["force"][:, None]
+        return terms
 
     def equation_known(self, h: NDArray[np.complexfloating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
         """B_0 - Z_0 H: the known side of the equation of motion, (n_line, n_dof, n_input)."""
-        return self.known_force.astype(np.complex128) - self.inertia(omega) @ h
+        return np.asarray(self.given.force - _dynamic_stiffness(self.given, omega) @ h, dtype=np.complex128)
+
+    @cached_property
+    def _stacks(self) -> dict[str, NDArray[np.floating]]:
+        """Each kind of matrix of all terms, (n_parameter, n_dof, n_dof or n_input)."""
+        stacks = {}
+        for kind in ("stiffness", "damping", "mass", "force"):
+            own = [getattr(term.matrices, kind) for term in self.terms]
+            stacks[kind] = np.stack(own) if own else np.zeros((0, *getattr(self.given, kind).shape))
+        return stacks
+
+
+def _dynamic_stiffness(matrices: Matrices, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    w = omega[:, None, None]
+    return np.asarray(matrices.stiffness - w**2 * matrices.mass + 1j * w * matrices.damping, dtype=np.complex128)
+
+
+def _solved(z: NDArray[np.complexfloating], sides: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:
+    try:
+        solved: NDArray[np.complexfloating] = np.linalg.solve(z, np.broadcast_to(sides, (z.shape[0], *sides.shape[-2:])))
+    except np.linalg.LinAlgError:
+        raise FitError("the dynamic stiffness of the model is singular at a line", hint="check the band and the mass") from None
+    return solved

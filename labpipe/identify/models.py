@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError
+from labpipe.identify.mdof import mdof
 from labpipe.identify.model import DynamicModel, Term
-from labpipe.identify.settings import ESTIMATE, FitSettings, Mass
+from labpipe.identify.settings import ESTIMATE, Mass
+from labpipe.identify.setup import Setup, angle_of, entry_term, given_matrices, labels
 from labpipe.records.response import Port
 from labpipe.records.rig import AXIS_ANGLES
 
@@ -18,25 +19,6 @@ from labpipe.records.rig import AXIS_ANGLES
 SMALLEST_SHARE = 1e-3
 # Responses count as perpendicular when the cosine of the angle between them is below this (0.06 deg).
 PERPENDICULAR = 1e-3
-
-
-@dataclass(frozen=True)
-class Setup:
-    """What a model needs to know of the measurement: its ports, and the fit's settings."""
-
-    outputs: tuple[Port, ...]
-    inputs: tuple[Port, ...]
-    settings: FitSettings
-
-
-def _term(name: str, kind: str, where: tuple[int, int], shape: tuple[int, int], droppable: bool = True) -> Term:
-    """A parameter that enters one place of one matrix; *shape* is (n_dof, n_input)."""
-    n_dof, n_input = shape
-    matrices = {key: np.zeros((n_dof, n_dof)) for key in ("stiffness", "damping", "mass")}
-    matrices["force"] = np.zeros((n_dof, n_input))
-    matrices[kind][where] = 1.0
-    unit = {"stiffness": "N/m", "damping": "N.s/m", "mass": "kg", "force": "1"}[kind]
-    return Term(name, unit, **matrices, droppable=droppable)
 
 
 def _scalar_mass(mass: Mass) -> float | None:
@@ -54,13 +36,13 @@ def sdof(setup: Setup) -> DynamicModel:
     """(k + j w c - w^2 m) Y = F: one mass on a spring and a damper (Lim et al. 2009, eq. 8-13)."""
     _need_ports(setup, "sdof", 1)
     if len(setup.inputs) != 1:
-        raise ConfigError(f"sdof takes one force, found {_labels(setup.inputs)}", hint="name it with `input`")
+        raise ConfigError(f"sdof takes one force, found {labels(setup.inputs)}", hint="name it with `input`")
     mass = _scalar_mass(setup.settings.mass)
     shape = (1, 1)
-    terms = [_term("k", "stiffness", (0, 0), shape), _term("c", "damping", (0, 0), shape)]
+    terms = [entry_term("k", "stiffness", [(0, 0)], shape), entry_term("c", "damping", [(0, 0)], shape)]
     if mass is None:
-        terms.append(_term("m", "mass", (0, 0), shape, droppable=False))
-    return DynamicModel("sdof", tuple(terms), np.array([[mass or 0.0]]), np.ones(shape))
+        terms.append(entry_term("m", "mass", [(0, 0)], shape, droppable=False))
+    return DynamicModel("sdof", tuple(terms), given_matrices(np.array([[mass or 0.0]]), np.ones(shape)))
 
 
 def rotor_2dof(setup: Setup) -> DynamicModel:
@@ -76,25 +58,25 @@ def rotor_2dof(setup: Setup) -> DynamicModel:
     mass = _known_mass(setup)
     shape = (2, len(setup.inputs))
     terms = [
-        _term(f"{letter}_{row}{column}", kind, (r, c), shape)
+        entry_term(f"{letter}_{row}{column}", kind, [(r, c)], shape)
         for letter, kind in (("k", "stiffness"), ("c", "damping"))
         for row, r in sorted(zip("xy", np.argsort(axes).tolist(), strict=True))
         for column, c in sorted(zip("xy", np.argsort(axes).tolist(), strict=True))
     ]
     force: NDArray[np.floating] = np.zeros(shape)
-    angles = [_angle(port) for port in setup.inputs]
+    angles = [angle_of(port) for port in setup.inputs]
     if len(angles) > 1 and None not in angles:
         force = _directions(setup.outputs, axes, [angle for angle in angles if angle is not None])
     else:
         terms.extend(_force_factors(setup.inputs, shape, axes))
-    return DynamicModel("rotor-2dof", tuple(terms), mass * np.eye(2), force)
+    return DynamicModel("rotor-2dof", tuple(terms), given_matrices(mass * np.eye(2), force))
 
 
 def _force_factors(inputs: tuple[Port, ...], shape: tuple[int, int], axes: list[int]) -> list[Term]:
     """b_x, b_y of every force; with the force's label where there are several."""
     suffixes = [""] if len(inputs) == 1 else [f"_{port.label}" for port in inputs]
     return [
-        _term(f"b_{'xy'[axis]}{suffix}", "force", (axes.index(axis), column), shape, droppable=False)
+        entry_term(f"b_{'xy'[axis]}{suffix}", "force", [(axes.index(axis), column)], shape, droppable=False)
         for column, suffix in enumerate(suffixes)
         for axis in (0, 1)
     ]
@@ -106,12 +88,12 @@ def rotor_2dof_direct(setup: Setup) -> DynamicModel:
     F_x = F cos(a), F_y = F sin(a). ConfigError when the force's direction is not known, or has no part along a response.
     """
     if len(setup.outputs) not in (1, 2):
-        raise ConfigError(f"rotor-2dof-direct takes one or two responses, found {_labels(setup.outputs)}", hint="name them with `output`")
+        raise ConfigError(f"rotor-2dof-direct takes one or two responses, found {labels(setup.outputs)}", hint="name them with `output`")
     mass = _known_mass(setup)
-    angles = [_angle(port) for port in setup.inputs]
+    angles = [angle_of(port) for port in setup.inputs]
     if None in angles:
         hint = "give its dof in the rig file as x, y or an angle such as '45 deg'"
-        raise ConfigError(f"the direction of the force {_labels(setup.inputs)} is not known", hint=hint)
+        raise ConfigError(f"the direction of the force {labels(setup.inputs)} is not known", hint=hint)
     axes = _axes(setup.outputs)
     force = _directions(setup.outputs, axes, [angle for angle in angles if angle is not None])
     shape = (len(axes), len(setup.inputs))
@@ -119,11 +101,11 @@ def rotor_2dof_direct(setup: Setup) -> DynamicModel:
         if np.max(np.abs(force[row])) < SMALLEST_SHARE:
             raise ConfigError(f"no force acts in direction {'xy'[axis]}", hint="choose the other `output`, or excite this direction")
     terms = [
-        _term(f"{letter}_{'xy'[axis] * 2}", kind, (row, row), shape)
+        entry_term(f"{letter}_{'xy'[axis] * 2}", kind, [(row, row)], shape)
         for row, axis in enumerate(axes)
         for letter, kind in (("k", "stiffness"), ("c", "damping"))
     ]
-    return DynamicModel("rotor-2dof-direct", tuple(terms), mass * np.eye(len(axes)), force)
+    return DynamicModel("rotor-2dof-direct", tuple(terms), given_matrices(mass * np.eye(len(axes)), force))
 
 
 def _known_mass(setup: Setup) -> float:
@@ -131,10 +113,6 @@ def _known_mass(setup: Setup) -> float:
     if mass is None:
         raise ConfigError(f"{setup.settings.model} needs the known mass", hint="for example mass: 0.92 kg, here or in the rig file")
     return mass
-
-
-def _angle(port: Port) -> float | None:
-    return port.angle if port.angle is not None else AXIS_ANGLES.get(port.dof)
 
 
 def _axes(outputs: tuple[Port, ...]) -> list[int]:
@@ -145,9 +123,9 @@ def _axes(outputs: tuple[Port, ...]) -> list[int]:
         named = [0, 1] if not other else [1 - other[0] if axis is None else axis for axis in named]
     axes = [axis for axis in named if axis is not None]
     if len(axes) < len(outputs):
-        raise ConfigError(f"response '{_labels(outputs)}' is neither x nor y", hint="give its dof in the rig file")
+        raise ConfigError(f"response '{labels(outputs)}' is neither x nor y", hint="give its dof in the rig file")
     if len(set(axes)) < len(axes):
-        raise ConfigError(f"the responses {_labels(outputs)} have one direction", hint="one along x and one along y are needed")
+        raise ConfigError(f"the responses {labels(outputs)} have one direction", hint="one along x and one along y are needed")
     return axes
 
 
@@ -158,23 +136,20 @@ def _directions(outputs: tuple[Port, ...], axes: list[int], angles: list[float])
     """
     own = [port.angle if port.angle is not None else axis * np.pi / 2 for port, axis in zip(outputs, axes, strict=True)]
     if len(own) == 2 and abs(np.cos(own[0] - own[1])) > PERPENDICULAR:
-        raise ConfigError(f"the responses {_labels(outputs)} are not perpendicular", hint="the model needs two directions at 90 deg")
+        raise ConfigError(f"the responses {labels(outputs)} are not perpendicular", hint="the model needs two directions at 90 deg")
     force = np.cos(np.subtract.outer(own, angles))
     return np.where(np.abs(force) < 1e-15, 0.0, force)
-
-
-def _labels(ports: tuple[Port, ...]) -> str:
-    return ", ".join(port.label for port in ports)
 
 
 def _need_ports(setup: Setup, model: str, n_output: int) -> None:
     if len(setup.outputs) != n_output:
         hint = "name it with `output`" if n_output == 1 else "name them with `output`"
-        raise ConfigError(f"{model} takes {n_output} response(s), found {_labels(setup.outputs)}", hint=hint)
+        raise ConfigError(f"{model} takes {n_output} response(s), found {labels(setup.outputs)}", hint=hint)
 
 
 MODELS: dict[str, Callable[[Setup], DynamicModel]] = {
     "sdof": sdof,
     "rotor-2dof": rotor_2dof,
     "rotor-2dof-direct": rotor_2dof_direct,
+    "mdof": mdof,
 }

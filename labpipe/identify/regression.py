@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
@@ -10,6 +12,7 @@ from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.statistics import Estimate, condition_number, determination, stacked
+from labpipe.identify.weights import has_noise, weight_doubt, whitened, whitener
 from labpipe.records.identification import Goodness
 
 BIAS_NOTE = (
@@ -18,27 +21,81 @@ BIAS_NOTE = (
 )
 
 
-def least_squares(measured: Measured, model: DynamicModel) -> Estimate:
+def least_squares(measured: Measured, model: DynamicModel, weight: str = "none") -> Estimate:
     """Equation-error estimate; rows of the equation of motion that share no parameter are separate regressions.
 
     Standard error = sqrt(residual variance * diag((W^T W)^-1)) with n - k real degrees of freedom (Lim et al. 2009, eq. 14-15, 25,
     with n - k for the printed n - 3). FitError when there are fewer equations than parameters.
     """
-    terms = model.equation_terms(measured.matrix, measured.omega)
-    known = model.equation_known(measured.matrix, measured.omega)
+    equation = regression(measured, model, weight)
     n_parameter = len(model.terms)
-    if measured.n_equation <= n_parameter:
-        raise FitError(f"{measured.n_equation} real equations cannot determine {n_parameter} parameters", hint="widen the band")
     values, covariance = np.zeros(n_parameter), np.zeros((n_parameter, n_parameter))
     own_dof = np.zeros(n_parameter, int)
-    for rows, own in _separate_regressions(terms):
-        values[own], covariance[np.ix_(own, own)] = _solve(terms[own][:, :, rows], known[:, rows])
-        own_dof[own] = 2 * known[:, rows].size - len(own)
-    residual = known - np.einsum("p,plab->lab", values, terms)
-    r2, adjusted = determination(known, residual, n_parameter)
-    design = _plain_design(measured, model, values, scaled_design(terms))
+    for rows, own in _separate_regressions(model):
+        side = equation.known[:, rows]
+        values[own], covariance[np.ix_(own, own)] = _solve(equation.terms[own][:, :, rows], side)
+        own_dof[own] = 2 * side.size - len(own)
+    r2, adjusted = determination(equation.known, equation.residual(values), n_parameter)
+    design = _plain_design(measured, model, values, scaled_design(equation.terms))
     dof = measured.n_equation - n_parameter
-    return Estimate(values, covariance, design, Goodness(r2, adjusted), dof, notes=(BIAS_NOTE,), own_dof=own_dof)
+    gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
+    return Estimate(values, covariance, design, gof, dof, notes=(BIAS_NOTE,), own_dof=own_dof)
+
+
+@dataclass(frozen=True)
+class Regression:
+    """The equation of motion as a regression: *terms* (n_parameter, n_line, n_dof, n_input), *known* (n_line, n_dof, n_input)."""
+
+    terms: NDArray[np.complexfloating]
+    known: NDArray[np.complexfloating]
+    line_weights: NDArray[np.floating]
+
+    def residual(self, values: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+        """What the equation leaves, (n_line, n_dof, n_input)."""
+        residual: NDArray[np.complexfloating] = self.known - np.tensordot(values, self.terms, 1)
+        return residual
+
+
+def regression(measured: Measured, model: DynamicModel, weight: str) -> Regression:
+    """The weighted equation of motion of the measured FRF; FitError when there are fewer equations than parameters."""
+    if measured.n_equation <= len(model.terms):
+        raise FitError(f"{measured.n_equation} real equations cannot determine {len(model.terms)} parameters", hint="widen the band")
+    weights = line_weights(measured, weight)
+    terms = model.equation_terms(measured.matrix, measured.omega)
+    known = model.equation_known(measured.matrix, measured.omega)
+    if weight != "none":
+        terms, known = terms * weights[:, None, None], known * weights[:, None, None]
+    return Regression(terms, known, weights)
+
+
+def line_weights(measured: Measured, weight: str) -> NDArray[np.floating]:
+    """none: 1. noise: |H| / s per line, for the noise s of H becomes s |Z| = s / |H| in the equation of motion; (n_line,)."""
+    if weight == "none":
+        return np.ones(measured.omega.size)
+    if not has_noise(measured):
+        raise FitError("the noise of the FRF is not known, so lines cannot weigh by it", hint="leave `weight` out")
+    assert measured.covariance is not None
+    size = np.sqrt(np.sum(np.abs(measured.matrix) ** 2, axis=(1, 2)))
+    noise = np.sqrt(np.einsum("lii->l", measured.covariance).real)
+    if np.any(noise == 0):
+        raise FitError("a line of the FRF has no noise, so lines cannot weigh by it", hint="leave `weight` out")
+    weights: NDArray[np.floating] = size / noise
+    return weights / float(np.max(weights))
+
+
+def output_chi_square(
+    measured: Measured, model: DynamicModel, values: NDArray[np.floating], dof: int
+) -> tuple[float | None, float | None]:
+    """(chi-square per degree of freedom, its p-value) of measured - fitted FRF; None where the noise is not known well enough."""
+    if not has_noise(measured):
+        return None, None
+    try:
+        doubt = weight_doubt(measured, dof)
+        residual = whitened(whitener(measured), measured.matrix - model.receptance(values, measured.omega))
+    except FitError:
+        return None, None
+    reduced = float(residual @ residual) / dof / doubt.excess
+    return (reduced, doubt.p_value(reduced, dof)) if np.isfinite(reduced) else (None, None)
 
 
 def _plain_design(
@@ -64,16 +121,21 @@ def scaled_design(terms: NDArray[np.complexfloating]) -> NDArray[np.floating]:
 
 
 def solve_scaled(columns: NDArray[np.floating], known: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Least-squares solution and (W^T W)^-1, columns scaled to length 1 in between so that units do not matter."""
+    """Least-squares solution and (W^T W)^-1, columns scaled to length 1 in between so that units do not matter.
+
+    The singular values are those of the triangular factor: far fewer rows than the regression has.
+    """
+    n = columns.shape[1]
     scale = np.linalg.norm(columns, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    left, singular, right = linalg.svd(columns / scale, full_matrices=False)
+    triangle: NDArray[np.floating] = np.asarray(np.linalg.qr(np.column_stack([columns / scale, known]), mode="r"))
+    left, singular, right = linalg.svd(triangle[:n, :n])
     if singular[-1] <= singular[0] * np.finfo(float).eps * max(columns.shape):
         raise FitError(
             "the excitation leaves parameters undetermined: columns of the regression are linearly dependent",
             hint="excite a second force direction, or use a model with fewer parameters",
         )
-    values = right.T @ ((left.T @ known) / singular) / scale
+    values = right.T @ ((left.T @ triangle[:n, n]) / singular) / scale
     inverse = (right.T / singular**2) @ right / np.outer(scale, scale)
     return values, inverse
 
@@ -91,12 +153,13 @@ def _solve(terms: NDArray[np.complexfloating], known: NDArray[np.complexfloating
     return values, variance * inverse
 
 
-def _separate_regressions(terms: NDArray[np.complexfloating]) -> list[tuple[list[int], list[int]]]:
+def _separate_regressions(model: DynamicModel) -> list[tuple[list[int], list[int]]]:
     """(rows of the equation of motion, parameters) of every group of rows that shares parameters."""
-    acts = np.any(terms != 0, axis=(1, 3))
+    n_dof = model.given.mass.shape[0]
+    acts = [np.any(np.hstack([m.stiffness, m.damping, m.mass, m.force]) != 0, axis=1) for m in (term.matrices for term in model.terms)]
     groups: list[tuple[list[int], list[int]]] = []
-    for row in range(acts.shape[1]):
-        rows, own = [row], set(np.flatnonzero(acts[:, row]).tolist())
+    for row in range(n_dof):
+        rows, own = [row], {number for number, places in enumerate(acts) if places[row]}
         for other in [group for group in groups if own & set(group[1])]:
             groups.remove(other)
             rows, own = [*other[0], *rows], own | set(other[1])

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from labpipe.errors import ConfigError
 from labpipe.records.settings import Uncertain, setting
 
-MODELS = ("sdof", "rotor-2dof", "rotor-2dof-direct")
-ESTIMATORS = ("ls", "ml")
+MODELS = ("sdof", "rotor-2dof", "rotor-2dof-direct", "mdof")
+ESTIMATORS = ("ls", "iv", "ml", "amplitude")
+WEIGHTS = ("none", "noise")
+DAMPINGS = ("viscous", "proportional")
 
 Mass = float | tuple[float, ...] | tuple[tuple[float, ...], ...] | str
 ESTIMATE = "estimate"
+# The unit of a coefficient by the first letter of its name.
+COEFFICIENT_UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg", "b": "1"}
 
 
 @dataclass(frozen=True)
@@ -43,4 +48,27 @@ class FitSettings:
     subtract: Support | None = setting("section", "support to subtract", section=Support, default=None)
     share: int = setting("integer", "equal bearings in parallel that share the load", default=1)
     eliminate: bool = setting("flag", "drop insignificant parameters one by one", default=False)
+    symmetric: bool = setting("flag", "mdof: K, C and M are symmetric", default=False)
+    lumped_mass: bool = setting("flag", "mdof with mass: estimate: the mass matrix is diagonal", default=False)
+    scale_mass: bool = setting("flag", "mdof: the given mass is known but for a factor, which is estimated", default=False)
+    damping: str = setting("choice", "viscous, or proportional: C = alpha M + beta K", choices=DAMPINGS, default="viscous")
+    fixed: tuple[tuple[str, float], ...] = setting("coefficients", "coefficients that are given, by name", default=())
+    tied: tuple[tuple[str, ...], ...] = setting("groups", "lists of coefficients that have one value", default=())
+    weight: str = setting("choice", "ls, iv, amplitude: all lines weigh alike, or by their noise", choices=WEIGHTS, default="none")
+    bootstrap: int = setting("integer", "repeats of the fit on resampled noise, for intervals beyond first order", default=0)
+    compare: bool = setting("flag", "hold the model against simpler and richer ones", default=False)
     name: str = ""
+
+    def __post_init__(self) -> None:
+        if self.weight != "none" and self.estimator == "ml":
+            raise ConfigError("'weight' is not for ml, which always weighs by the noise", hint="leave it out")
+        if self.damping == "proportional" and self.estimator != "ml":
+            raise ConfigError(f"proportional damping is not linear in its parameters, {self.estimator} cannot fit it", hint="estimator: ml")
+        if self.damping == "proportional" and self.eliminate:
+            raise ConfigError("'eliminate' does not go with proportional damping", hint="leave one of them out")
+        if self.estimator == "amplitude" and self.model != "sdof":
+            raise ConfigError("the amplitude fit is for sdof only", hint="estimator: ml")
+        if self.model != "mdof" and (self.symmetric or self.lumped_mass or self.scale_mass):
+            raise ConfigError("'symmetric', 'lumped_mass' and 'scale_mass' are for mdof only", hint="leave them out")
+        if self.scale_mass and self.mass == ESTIMATE:
+            raise ConfigError("'scale_mass' needs the mass to be scaled", hint="for example mass: [1 kg, 2 kg]")

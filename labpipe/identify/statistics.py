@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,7 @@ def determination(known: NDArray[np.complexfloating], residual: NDArray[np.compl
     return r2, 1 - (1 - r2) * (n - 1) / max(n - n_parameter, 1)
 
 
+@functools.cache
 def student_limit(dof: int) -> float:
     """The two-sided 95 % Student quantile."""
     return float(stats.t.ppf(0.975, max(dof, 1)))

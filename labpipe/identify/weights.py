@@ -15,6 +15,7 @@ from scipy import stats
 
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
+from labpipe.identify.statistics import stacked
 
 # Below this relative standard deviation an FRF holds rounding errors, which are no measured noise to weigh by.
 NOISE_FREE = 1e-10
@@ -102,6 +103,14 @@ def whitener(measured: Measured) -> NDArray[np.complexfloating]:
         raise FitError(f"the covariance of the {n} FRFs is singular at {_first(measured, singular[:, None])}", hint=hint)
     weights: NDArray[np.complexfloating] = np.linalg.inv(np.linalg.cholesky(scaled)) / std[:, None, :]
     return weights
+
+
+def whitened(whitener: NDArray[np.complexfloating], values: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+    """(..., n_line, n_output, n_input) -> (..., n_equation): uncorrelated, each real part of variance 1."""
+    flat = values.reshape(*values.shape[:-2], -1)
+    white = np.matmul(whitener, np.moveaxis(flat, -2, 0).reshape(flat.shape[-2], -1, flat.shape[-1]).swapaxes(1, 2))
+    lines = np.moveaxis(white, 2, 0).reshape(*values.shape[:-3], -1)
+    return np.sqrt(2.0) * stacked(lines)
 
 
 def _first(measured: Measured, at: NDArray[np.bool_]) -> str:

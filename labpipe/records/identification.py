@@ -18,6 +18,7 @@ class Parameter:
 
     *std_error*, *t_ratio*, *ci95* are None where none can be given (at a bound, not determined). *significant*: |t| exceeds the
     two-sided 95 % Student quantile. *vif*: variance inflation factor. *derived*: computed from the others (f_n, zeta, ...).
+    *std_error_inflated*: std_error times the root of chi-square per degree of freedom, where the residual exceeds the noise.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Parameter:
     vif: float | None = None
     derived: bool = False
     at_bound: bool = False
+    std_error_inflated: float | None = None
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,22 @@ class Goodness:
     r2_adjusted: float
     chi2_reduced: float | None = None
     chi2_p: float | None = None
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A model held against others on the same lines: *parameters* estimated, chi-square of its residual, and what it would cost.
+
+    aic = chi-square + 2 parameters, less is better; p_value: chance of so large an improvement by the richest model if this one,
+    which it contains, is right (None for the richest one, and where it does not contain this one).
+    """
+
+    name: str
+    parameters: int
+    chi2: float
+    dof: int
+    aic: float
+    p_value: float | None = None
 
 
 @dataclass(frozen=True)
@@ -80,6 +98,7 @@ class Fit:
     test: str = ""
     notes: tuple[str, ...] = ()
     curve: FittedCurve | None = None
+    candidates: tuple[Candidate, ...] = ()
 
     @property
     def centre_hz(self) -> float:

@@ -17,6 +17,10 @@ KINDS = (
     "choice",  # one of `choices`
     "names",  # one text or a list of texts -> tuple
     "mass",  # "0.92 kg", a list (diagonal), a matrix, or `estimate`
+    "values",  # one value or a list of values -> tuple
+    "matrix",  # list of rows -> tuple of tuples
+    "coefficients",  # {k_1_2: 0 N/m} -> (("k_1_2", 0.0), ...)
+    "groups",  # lists of names -> tuple of tuples
     "section",  # a nested dataclass
 )
 

@@ -72,3 +72,32 @@ def symmetric_response() -> Responder:
         return with_noise(frequency, np.stack([one, one], 1)[:, :, None], (X, Y), (F45,), std, rng)
 
     return respond
+
+
+# The three-dof benchmark of Knaapen (1997), eq. 4.18-4.20: springs between masses of 1, 2 and 3 kg, B = 0.1 K.
+MASS = np.diag([1.0, 2.0, 3.0])
+STIFFNESS = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
+DAMPING = 0.1 * STIFFNESS
+DOFS = tuple(Port(str(n), str(n), str(n)) for n in (1, 2, 3))
+FORCES = tuple(Port(f"f{n}", f"f{n}", str(n)) for n in (1, 2, 3))
+
+
+@pytest.fixture
+def three_dof_response() -> Responder:
+    """Receptances of the benchmark, by default its 25 lines 0.01 to 2.41 rad/s; *stiffness* etc. replace its matrices."""
+
+    def respond(
+        std: float = 0.0,
+        rng: np.random.Generator | None = None,
+        omega: np.ndarray | None = None,
+        stiffness: np.ndarray = STIFFNESS,
+        damping: np.ndarray = DAMPING,
+        columns: tuple[int, ...] = (0, 1, 2),
+        scale: float = 1.0,
+    ) -> FrequencyResponse:
+        w = 0.01 + 0.1 * np.arange(25) if omega is None else omega
+        z = stiffness + 1j * w[:, None, None] * damping - w[:, None, None] ** 2 * MASS
+        matrix = scale * np.linalg.inv(z)[:, :, list(columns)]
+        return with_noise(w / (2 * np.pi), matrix, DOFS, tuple(FORCES[n] for n in columns), std * scale, rng)
+
+    return respond

@@ -1,0 +1,70 @@
+"""Bootstrap: the fit repeated on the fitted FRF with noise drawn anew from the measured covariance."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import FitError
+from labpipe.identify.measured import Measured
+from labpipe.identify.weights import has_noise
+from labpipe.records.identification import Parameter
+
+FEWEST_REPEATS = 50
+# More failed repeats than this share, and the intervals would speak for the lucky ones only.
+MOST_FAILED = 0.05
+
+Refit = Callable[[Measured], tuple[Parameter, ...]]
+
+
+def bootstrapped(
+    parameters: tuple[Parameter, ...], measured: Measured, fitted: NDArray[np.complexfloating], refit: Refit, repeats: int, name: str
+) -> tuple[tuple[Parameter, ...], str]:
+    """Parameters with the scatter of *repeats* refits as standard error and its 2.5-97.5 % range as interval, and a note.
+
+    *fitted* (n_line, n_output, n_input) [m/N]. The seed follows from the fit's *name*, so a run can be repeated. FitError when the
+    noise is not known, the repeats are too few, or refits fail.
+    """
+    if repeats < FEWEST_REPEATS:
+        raise FitError(f"bootstrap: {repeats} repeats give no 95 % interval", hint=f"take {FEWEST_REPEATS} at least, 200 is usual")
+    if not has_noise(measured):
+        raise FitError("bootstrap needs the noise of the FRF, which is not known", hint="leave `bootstrap` out")
+    rng = np.random.default_rng(zlib.crc32(name.encode()))
+    found = [values for _ in range(repeats) if (values := _refitted(refit, _redrawn(measured, fitted, rng)))]
+    if len(found) < (1 - MOST_FAILED) * repeats:
+        raise FitError(f"bootstrap: {repeats - len(found)} of {repeats} refits failed", hint="widen the band")
+    note = f"Standard errors and intervals come from {len(found)} refits on noise drawn from the FRF's covariance (bootstrap)."
+    scattered = [_with_scatter(own, [values[own.name] for values in found if own.name in values]) for own in parameters]
+    return tuple(scattered), note
+
+
+def _redrawn(measured: Measured, fitted: NDArray[np.complexfloating], rng: np.random.Generator) -> Measured:
+    """The fitted FRF with circular noise of the measured covariance."""
+    assert measured.covariance is not None
+    n = measured.covariance.shape[1]
+    values, vectors = np.linalg.eigh(measured.covariance)
+    white = (rng.standard_normal((2, values.shape[0], n)) * np.sqrt(np.maximum(values, 0.0) / 2))
+    noise = np.einsum("lab,lb->la", vectors, white[0] + 1j * white[1])
+    return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
+
+
+def _refitted(refit: Refit, measured: Measured) -> dict[str, float]:
+    """Parameter values by name; empty where the refit fails."""
+    try:
+        return {parameter.name: parameter.value for parameter in refit(measured)}
+    except FitError:
+        return {}
+
+
+def _with_scatter(parameter: Parameter, values: list[float]) -> Parameter:
+    if parameter.std_error is None or len(values) < FEWEST_REPEATS * (1 - MOST_FAILED):
+        return parameter
+    low, high = np.percentile(values, [2.5, 97.5])
+    error = float(np.std(values, ddof=1))
+    t_ratio = None if parameter.t_ratio is None else parameter.value / error
+    significant = None if parameter.significant is None else bool(low > 0 or high < 0)
+    return replace(parameter, std_error=error, ci95=(float(low), float(high)), t_ratio=t_ratio, significant=significant)

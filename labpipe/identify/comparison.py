@@ -1,0 +1,129 @@
+"""Which structure do the data ask for? The model of a fit held against simpler and richer ones on the same lines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from scipy import stats
+
+from labpipe.errors import ConfigError, FitError
+from labpipe.identify.constraints import constrained
+from labpipe.identify.likelihood import maximum_likelihood
+from labpipe.identify.measured import Measured
+from labpipe.identify.models import MODELS
+from labpipe.identify.settings import ESTIMATE, FitSettings
+from labpipe.identify.setup import Setup
+from labpipe.identify.weights import has_noise, weight_doubt
+from labpipe.records.finding import Finding
+from labpipe.records.identification import Candidate
+
+# A model this much worse in AIC than the best has practically no support (Burnham and Anderson 2002, sec. 2.6).
+NO_SUPPORT = 10.0
+
+
+@dataclass(frozen=True)
+class _Variant:
+    """A model to compare: its name, how it differs, and the names of the richer variants that contain it."""
+
+    name: str
+    settings: FitSettings
+    inside: tuple[str, ...] = ()
+
+
+def candidates(measured: Measured, setup: Setup) -> tuple[Candidate, ...]:
+    """Every variant fitted by ml, the best by AIC = chi-square + 2 parameters first; none where the noise is not known.
+
+    p_value: chance of so large a fall of chi-square to the richest variant that contains this one, if this one is right
+    (likelihood ratio, chi-square with as many degrees of freedom as parameters were added).
+    """
+    if not has_noise(measured):
+        return ()
+    variants = _variants(setup.settings)
+    found = {variant.name: _fitted(measured, replace(setup, settings=variant.settings), variant.name) for variant in variants}
+    fitted = {name: candidate for name, candidate in found.items() if candidate is not None}
+    inside = {variant.name: [fitted[name] for name in variant.inside if name in fitted] for variant in variants}
+    tested = [_tested(candidate, inside[name]) for name, candidate in fitted.items()]
+    return tuple(sorted(tested, key=lambda candidate: candidate.aic))
+
+
+def comparison_findings(found: tuple[Candidate, ...]) -> tuple[Finding, ...]:
+    """A warning where another model than the one asked for (named first by `this`) is much better supported."""
+    own = next((candidate for candidate in found if candidate.name.startswith(THIS)), None)
+    if own is None or own.aic - found[0].aic < NO_SUPPORT:
+        return ()
+    message = (
+        f"the data ask for another model: '{found[0].name}' with {found[0].parameters} parameters has AIC {found[0].aic:.4g}, this one "
+        f"with {own.parameters} parameters {own.aic:.4g}"
+    )
+    return (Finding("other-model", message),)
+
+
+THIS = "this model"
+
+
+def _variants(settings: FitSettings) -> list[_Variant]:
+    """What a person would try: with and without cross terms, mass, symmetry, proportional damping."""
+    plain = replace(settings, estimator="ml", weight="none", eliminate=False, sliding=None)
+    return [_Variant(f"{THIS}: {_described(plain)}", plain, tuple(v.name for v in _richer(plain))), *_richer(plain), *_simpler(plain)]
+
+
+def _richer(settings: FitSettings) -> list[_Variant]:
+    found = []
+    if settings.model == "rotor-2dof-direct":
+        found.append(replace(settings, model="rotor-2dof"))
+    if settings.model == "mdof" and settings.symmetric:
+        found.append(replace(settings, symmetric=False))
+    if settings.damping == "proportional":
+        found.append(replace(settings, damping="viscous"))
+    if settings.model in ("sdof", "mdof") and settings.mass != ESTIMATE:
+        found.append(replace(settings, mass=ESTIMATE, scale_mass=False))
+    return [_Variant(_described(other), other) for other in found]
+
+
+def _simpler(settings: FitSettings) -> list[_Variant]:
+    this = f"{THIS}: {_described(settings)}"
+    found = []
+    if settings.model == "rotor-2dof":
+        found.append(replace(settings, model="rotor-2dof-direct"))
+    if settings.model == "mdof" and not settings.symmetric:
+        found.append(replace(settings, symmetric=True))
+    if settings.model in ("mdof", "rotor-2dof") and settings.damping == "viscous":
+        found.append(replace(settings, damping="proportional"))
+    if settings.model == "mdof" and settings.mass == ESTIMATE and not settings.lumped_mass:
+        found.append(replace(settings, lumped_mass=True))
+    return [_Variant(_described(other), other, (this,)) for other in found]
+
+
+def _described(settings: FitSettings) -> str:
+    parts = [settings.model]
+    if settings.model == "mdof":
+        parts.append("symmetric" if settings.symmetric else "general")
+    if settings.damping == "proportional":
+        parts.append("proportional damping")
+    if settings.mass == ESTIMATE:
+        parts.append("lumped mass estimated" if settings.lumped_mass else "mass estimated")
+    return ", ".join(parts)
+
+
+def _fitted(measured: Measured, setup: Setup, name: str) -> Candidate | None:
+    """The variant's fit; None where it does not suit these ports, or the data cannot support it."""
+    try:
+        model = constrained(MODELS[setup.settings.model](setup), setup.settings)
+        estimate = maximum_likelihood(measured, model)
+        doubt = weight_doubt(measured, estimate.dof)
+    except (ConfigError, FitError):
+        return None
+    reduced = estimate.gof.chi2_reduced
+    if not estimate.converged or reduced is None:
+        return None
+    # Differences between models are judged like parameters: by the weights' lost efficiency, not by the residual's expectation.
+    chi2 = reduced * estimate.dof * doubt.excess / doubt.inflation
+    return Candidate(name, len(model.names), chi2, estimate.dof, chi2 + 2 * len(model.names))
+
+
+def _tested(candidate: Candidate, richer: list[Candidate]) -> Candidate:
+    if not richer:
+        return candidate
+    richest = max(richer, key=lambda other: other.parameters)
+    gained, added = candidate.chi2 - richest.chi2, richest.parameters - candidate.parameters
+    return replace(candidate, p_value=float(stats.chi2.sf(gained, added))) if added > 0 else candidate

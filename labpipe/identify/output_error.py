@@ -1,0 +1,47 @@
+"""The weighted output error of a model: residual, its slopes and its square, in real numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import FitError
+from labpipe.identify.measured import Measured
+from labpipe.identify.model import ResponseModel
+from labpipe.identify.weights import whitened
+
+
+@dataclass(frozen=True)
+class OutputError:
+    """Measured minus modelled FRF, whitened by *whitener* (n_line, n, n) [N/m]."""
+
+    measured: Measured
+    model: ResponseModel
+    whitener: NDArray[np.complexfloating]
+
+    @property
+    def size(self) -> float:
+        """Length of the whitened measured FRF."""
+        return float(np.linalg.norm(self.whitened(self.measured.matrix)))
+
+    def whitened(self, values: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+        """(..., n_line, n_output, n_input) -> (..., n_equation)."""
+        return whitened(self.whitener, values)
+
+    def residual(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
+        """(n_equation,), of variance 1 for a right model."""
+        return self.whitened(self.measured.matrix - self.model.receptance(parameters, self.measured.omega))
+
+    def chi2(self, parameters: NDArray[np.floating]) -> float:
+        """Sum of the squared residual; infinite where the model has no finite response."""
+        try:
+            residual = self.residual(parameters)
+        except FitError:
+            return np.inf
+        return float(residual @ residual) if np.all(np.isfinite(residual)) else np.inf
+
+    def jacobian(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
+        """d residual / d p, (n_equation, n_parameter)."""
+        return -self.whitened(self.model.jacobian(parameters, self.measured.omega)).T
