@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse, Port
+from labpipe.spectra.matrices import without_rounding
 
 # [x, y] = A [f, b]: forward turns from x to y, backward the other way.
 FROM_DIRECTIONAL = np.array([[1, 1], [-1j, 1j]])
@@ -30,7 +31,7 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
     right = from_xy @ FROM_DIRECTIONAL
     # vec(L H R) = (L kron R^T) vec(H) in row-major order.
     turn = np.kron(left, right.T)
-    covariance = None if response.covariance is None else turn @ response.covariance @ turn.conj().T
+    covariance = None if response.covariance is None else without_rounding(turn @ response.covariance @ turn.conj().T)
     ports = tuple(Port(label, label, label) for label in FORWARD_BACKWARD)
     return dataclasses.replace(
         response,
@@ -56,3 +57,17 @@ def _directions(ports: tuple[Port, ...], what: str) -> NDArray[np.floating]:
     if abs(np.linalg.det(directions)) < SMALLEST_ANGLE:
         raise DataError(f"the two {what} {ports[0].label} and {ports[1].label} stand in one direction")
     return directions
+
+
+def two_sided(response: FrequencyResponse) -> tuple[NDArray[np.floating], NDArray[np.complexfloating]]:
+    """Frequency from -f_max to f_max [Hz], (2 n,), and H_ff and H_fb over it, (2 n, 2) [unit of the response].
+
+    Of a real system H_ff(-w) = conj H_bb(w) and H_fb(-w) = conj H_bf(w) (Lee, Vibration Analysis of Rotors, 1993): the backward
+    row is the forward row at negative frequencies. A line at 0 Hz stands twice, as -0 and 0. DataError for a response that is not
+    directional.
+    """
+    labels = tuple(port.label for port in (*response.outputs, *response.inputs))
+    if labels != (*FORWARD_BACKWARD, *FORWARD_BACKWARD):
+        raise DataError("a two-sided view needs forward and backward terms", hint="directional: true")
+    negative = response.matrix[::-1, 1, ::-1].conj()
+    return np.concatenate([-response.frequency[::-1], response.frequency]), np.concatenate([negative, response.matrix[:, 0]])

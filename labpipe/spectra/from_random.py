@@ -56,7 +56,7 @@ def _welch_average(source: SampleSource, settings: FrfSettings) -> CrossSpectra:
         raise DataError(f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'", hint="lengthen `block`")
     step = max(1, round(n_sample * (1 - settings.overlap)))
     lines = line_range(n_sample, source.sample_rate, settings.band)
-    average = WelchAverage(window_values(settings.window, n_sample), step, len(source.channels), lines)
+    average = WelchAverage(window_values(settings.window, n_sample), step, len(source.channels), lines, settings.detrend)
     for block in checked_blocks(source):
         average.add(block)
     return average.spectra(source.sample_rate)

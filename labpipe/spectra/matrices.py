@@ -25,3 +25,11 @@ def inverse(matrix: Matrix) -> Matrix:
     for (row, column), minor in (((0, 0), d), ((0, 1), -b), ((1, 0), -c), ((1, 1), a)):
         adjugate[..., row, column] = minor / determinant
     return adjugate
+
+
+def without_rounding(covariance: Matrix) -> Matrix:
+    """The Hermitian part of a covariance, its diagonal real and not below zero."""
+    covariance = (covariance + hermitian(covariance)) / 2
+    diagonal = np.einsum("...ii->...i", covariance)
+    diagonal[...] = np.maximum(diagonal.real, 0.0)
+    return covariance

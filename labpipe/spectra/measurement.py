@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -9,11 +10,14 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse
+from labpipe.spectra.directional import directional
 from labpipe.spectra.from_periodic import periodic_parts
 from labpipe.spectra.from_random import random_parts
+from labpipe.spectra.masks import mask_findings, masked_bands
 from labpipe.spectra.parts import Parts
 from labpipe.spectra.ports import Layout, find_layout
 from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.synchronous import cleaned
 
 EXCITATIONS: dict[str, Callable[[Sequence[SampleSource], FrfSettings, Layout], Parts]] = {
     "periodic": periodic_parts,
@@ -32,12 +36,15 @@ def measure(
     """
     _check_rates(sources)
     layout = find_layout(sources)
+    bands = masked_bands(sources, settings)
+    settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
+    sources = cleaned(sources, settings.remove)
     parts = EXCITATIONS[settings.excitation](sources, settings, layout)
-    findings = (*_source_findings(sources), *parts.findings)
+    findings = (*_source_findings(sources), *mask_findings(bands), *parts.findings)
     turn = layout.undelayed(parts.frequency)
     flat = turn.reshape(turn.shape[0], -1)
     covariance = None if parts.covariance is None else parts.covariance * (flat[:, :, None] * flat[:, None, :].conj())
-    return FrequencyResponse(
+    response = FrequencyResponse(
         frequency=parts.frequency,
         matrix=parts.matrix * turn,
         outputs=layout.outputs,
@@ -54,6 +61,7 @@ def measure(
         findings=findings,
         conditions=dict(conditions or {}),
     )
+    return directional(response) if settings.directional else response
 
 
 def _check_rates(sources: Sequence[SampleSource]) -> None:

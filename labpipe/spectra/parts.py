@@ -37,7 +37,7 @@ def lines_left(frequency: NDArray[np.floating], settings: FrfSettings) -> NDArra
     """The lines of the settings' band outside its gaps; DataError when none is left."""
     chosen = lines_in(frequency, settings.band, settings.exclude)
     if not np.any(chosen):
-        raise DataError("no line of the band is left", hint="`exclude` takes them all")
+        raise DataError("no line of the band is left", hint="`exclude` and `mask` take them all")
     return chosen
 
 

@@ -7,8 +7,63 @@ from dataclasses import dataclass
 from labpipe.errors import ConfigError
 from labpipe.records.settings import setting
 
-EXCITATIONS = ("periodic", "random")
+EXCITATIONS = ("periodic", "random", "impact")
 ESTIMATORS = ("H1", "H2", "Hv")
+DETRENDS = ("constant", "linear", "none")
+
+
+@dataclass(frozen=True)
+class ShaftLines:
+    """The lines of a turning shaft: its speed or the channel that tells it, and how many harmonics count."""
+
+    speed: float | None = setting("value", "shaft speed, e.g. 50 Hz or 3000 rpm", unit="Hz", default=None)
+    tacho: str | None = setting("text", "channel with the tacho's pulses, instead of a speed", default=None)
+    pulses: int = setting("integer", "pulses of the tacho per revolution", default=1)
+    harmonics: int = setting("integer", "multiples of the speed that count, from 1x", default=1)
+
+    def __post_init__(self) -> None:
+        if (self.speed is None) == (self.tacho is None):
+            raise ConfigError("one of 'speed' and 'tacho' is needed", hint="speed: 50 Hz, or tacho: CHANNEL")
+        if self.speed is not None and self.speed <= 0:
+            raise ConfigError("'speed' must be positive")
+        for count in ("pulses", "harmonics"):
+            if getattr(self, count) < 1:
+                raise ConfigError(f"'{count}' must be at least 1")
+
+
+@dataclass(frozen=True)
+class MaskSettings(ShaftLines):
+    """Lines left out of the response: the shaft's speed and its harmonics."""
+
+    width: float | None = setting("value", "left out to either side; default: 2 lines (random) or half a line", unit="Hz", default=None)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.width is not None and self.width < 0:
+            raise ConfigError("'width' must not be negative")
+
+
+@dataclass(frozen=True)
+class ImpactSettings:
+    """How the hits of a hammer are found, windowed and judged; levels as shares of the hit's peak."""
+
+    trigger: float = setting("value", "a hit begins where the force exceeds this share of the largest hit", unit="1", default=0.1)
+    pretrigger: float = setting("value", "share of the block that lies before the hit", unit="1", default=0.02)
+    force_window: float | None = setting("value", "length of the force window from the hit on; default: none", unit="s", default=None)
+    decay: float | None = setting("value", "time constant of the exponential window; default: none", unit="s", default=None)
+    double_hit: float = setting("value", "a second push above this share of the peak is a double hit", unit="1", default=0.1)
+    reject: tuple[int, ...] = setting("names", "numbers of hits that are left out, counted from 1", default=())
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "reject", tuple(_hit_number(number) for number in self.reject))
+        for share in ("trigger", "double_hit"):
+            if not 0 < getattr(self, share) < 1:
+                raise ConfigError(f"'{share}' must lie between 0 and 100 %")
+        if not 0 <= self.pretrigger < 1:
+            raise ConfigError("'pretrigger' must be at least 0 and below 100 %")
+        for length in ("force_window", "decay"):
+            if getattr(self, length) is not None and getattr(self, length) <= 0:
+                raise ConfigError(f"'{length}' must be positive")
 
 
 @dataclass(frozen=True)
@@ -19,16 +74,22 @@ class FrfSettings:
     period: float | None = setting("value", "length of one period of a periodic excitation", unit="s", default=None)
     skip: int = setting("integer", "transient periods dropped at the start (periodic)", default=1)
     smooth: int = setting("integer", "noise is averaged over this many lines to either side (periodic)", default=5)
-    block: float | None = setting("value", "length of one block (random)", unit="s", default=None)
+    block: float | None = setting("value", "length of one block (random, impact)", unit="s", default=None)
     window: str = setting("text", "window of random data: any name of scipy.signal.get_window", default="hann")
     overlap: float = setting("value", "overlap of neighbouring blocks (random)", unit="1", default=0.5)
-    estimator: str = setting("choice", "estimator of random data", choices=ESTIMATORS, default="H1")
+    detrend: str = setting("choice", "trend taken out of every block (random)", choices=DETRENDS, default="constant")
+    estimator: str = setting("choice", "estimator of random data and hits", choices=ESTIMATORS, default="H1")
     band: tuple[float, float] | None = setting("band", "frequencies kept", unit="Hz", default=None)
-    exclude: tuple[tuple[float, float], ...] = setting("bands", "bands left out, for example around 1x", unit="Hz", default=())
-    directional: bool = setting("flag", "forward and backward terms; not available yet", default=False)
+    exclude: tuple[tuple[float, float], ...] = setting("bands", "bands left out", unit="Hz", default=())
+    mask: MaskSettings | None = setting("section", "lines of the shaft speed left out", section=MaskSettings, default=None)
+    remove: ShaftLines | None = setting(
+        "section", "synchronous part taken out of all channels by averaging over revolutions (random)", section=ShaftLines, default=None
+    )
+    impact: ImpactSettings = setting("section", "hits of a hammer", section=ImpactSettings, default=ImpactSettings())
+    directional: bool = setting("flag", "the response in forward and backward terms (two responses, two forces)", default=False)
 
     def __post_init__(self) -> None:
-        needed = {"periodic": "period", "random": "block"}[self.excitation]
+        needed = {"periodic": "period", "random": "block", "impact": "block"}[self.excitation]
         length = getattr(self, needed)
         if length is None:
             raise ConfigError(f"'{needed}' is missing", hint=f"{self.excitation} excitation needs it, e.g. {needed}: 1 s")
@@ -39,5 +100,16 @@ class FrfSettings:
                 raise ConfigError(f"'{count}' must not be negative")
         if not 0 <= self.overlap < 1:
             raise ConfigError("'overlap' must be at least 0 and below 100 %")
-        if self.directional:
-            raise ConfigError("'directional' is not available in this version", hint="leave it out")
+        if self.remove is not None and self.excitation != "random":
+            what = f"'remove' works on random excitation, not on {self.excitation}"
+            raise ConfigError(what, hint="leave the lines out with `mask`")
+
+
+def _hit_number(text: str | int) -> int:
+    try:
+        number = int(text)
+    except ValueError:
+        number = 0
+    if number < 1:
+        raise ConfigError(f"'{text}' is not the number of a hit", hint="the first hit is 1")
+    return number

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.spectra.matrices import Matrix, hermitian, inverse
+from labpipe.spectra.matrices import Matrix, hermitian, inverse, without_rounding
 
 
 def covariance_of_random(spectra: Matrix, response: Matrix, instruments: Matrix, averages: float) -> Matrix:
@@ -31,7 +31,7 @@ def covariance_of_random(spectra: Matrix, response: Matrix, instruments: Matrix,
     spread = spread.transpose(0, 3, 4, 1, 2)
     covariance = residual[:, :, None, :, None] * (spread / max(averages - n_input, 1.0))
     n = n_output * n_input
-    return _without_rounding(covariance.reshape(n_frequency, n, n))
+    return without_rounding(covariance.reshape(n_frequency, n, n))
 
 
 def covariance_of_periodic(response: Matrix, force_inverse: Matrix, noise: Matrix) -> Matrix:
@@ -47,12 +47,4 @@ def covariance_of_periodic(response: Matrix, force_inverse: Matrix, noise: Matri
     residual = np.einsum("foa,efab,fpb->efop", weights, noise, weights.conj())
     covariance = np.einsum("efop,fei,fej->foipj", residual, force_inverse, force_inverse.conj())
     n = n_output * n_input
-    return _without_rounding(covariance.reshape(n_line, n, n))
-
-
-def _without_rounding(covariance: Matrix) -> Matrix:
-    """The Hermitian part, its diagonal not below zero."""
-    covariance = (covariance + hermitian(covariance)) / 2
-    diagonal = np.einsum("fii->fi", covariance)
-    diagonal[...] = np.maximum(diagonal.real, 0.0)
-    return covariance
+    return without_rounding(covariance.reshape(n_line, n, n))

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from labpipe.errors import ConfigError, DataError
+from labpipe.spectra.settings import DETRENDS
 from labpipe.spectra.windows import effective_averages
 
-DETRENDS = ("constant", "linear", "none")
 # Segments transformed together [samples, segments]: enough to keep the overhead small, few enough to stay in the cache and, for
 # very long blocks, in memory. Products of small matrices are fastest with about this many segments.
 CACHED_SAMPLES = 1 << 18

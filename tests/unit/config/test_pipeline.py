@@ -94,8 +94,8 @@ def test_rules_may_be_several_and_stand_at_their_place(folder: Path) -> None:
         ("rig: rig.yaml\nrecordings: {file: a.csv, channels: {g: {dof: y}}}\n" + FRF, "channels.g: the rig has no such channel"),
         ("rig: rig.yaml\ntests: [{name: a, recordings: a.csv}, {name: a, recordings: b.csv}]\n" + FRF, "a second test named 'a'"),
         (
-            "rig: rig.yaml\nrecordings: a.csv\nfrf: {excitation: periodic, period: 1 s, directional: true}\n",
-            "'directional' is not available",
+            "rig: rig.yaml\nrecordings: a.csv\nfrf: {excitation: periodic, period: 1 s, mask: {harmonics: 3}}\n",
+            "one of 'speed' and 'tacho' is needed",
         ),
         ("calibrate: {g: {table: none.csv, x: a, y: b}}\n", "calibrate.g.table: no such file 'none.csv'"),
     ],

@@ -1,0 +1,117 @@
+"""How a shaft turned while it was recorded: from a given speed or from the pulses of a tacho."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import DataError
+from labpipe.records.recording import SampleSource
+from labpipe.spectra.reading import READ_SAMPLES
+from labpipe.spectra.settings import ShaftLines
+
+# A pulse begins where the tacho has risen through the upper of these shares of its range, having been below the lower one.
+LOW_SHARE, HIGH_SHARE = 0.4, 0.6
+
+# Revolutions over which a speed is averaged.
+STRETCH = 10
+
+
+@dataclass(frozen=True)
+class ShaftMotion:
+    """Revolutions [1] counted at times [s], both increasing; the shaft turns evenly between them, and beyond the ends."""
+
+    times: NDArray[np.floating]
+    revolutions: NDArray[np.floating]
+
+    def angle(self, time: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Shaft angle at *time* [s], same shape [rad], zero at the first pulse (or at the start for a given speed)."""
+        inner = np.interp(time, self.times, self.revolutions)
+        first, last = self.speeds[[0, -1]]
+        before = np.minimum(time - self.times[0], 0.0) * first
+        after = np.maximum(time - self.times[-1], 0.0) * last
+        turned: NDArray[np.floating] = 2 * np.pi * (inner + before + after)
+        return turned
+
+    @property
+    def speeds(self) -> NDArray[np.floating]:
+        """Speed of every stretch between counted times, (n,) [Hz]."""
+        found: NDArray[np.floating] = np.diff(self.revolutions) / np.diff(self.times)
+        return found
+
+    @property
+    def speed_range(self) -> tuple[float, float]:
+        """Slowest and fastest speed [Hz] over stretches of STRETCH revolutions: single pulses are known to a sample only."""
+        ends = np.linspace(self.revolutions[0], self.revolutions[-1], max(2, int(np.ptp(self.revolutions) / STRETCH) + 1))
+        speeds = np.diff(ends) / np.diff(np.interp(ends, self.revolutions, self.times))
+        return float(speeds.min()), float(speeds.max())
+
+
+def steady(speed: float, duration: float) -> ShaftMotion:
+    """A shaft that turns at *speed* [Hz] for *duration* [s]."""
+    return ShaftMotion(np.array([0.0, duration]), np.array([0.0, speed * duration]))
+
+
+def shaft_motion(source: SampleSource, lines: ShaftLines) -> ShaftMotion:
+    """The shaft's motion in a recording; DataError when the tacho channel is not there or shows too few pulses."""
+    if lines.tacho is None:
+        assert lines.speed is not None
+        return steady(lines.speed, source.n_sample / source.sample_rate)
+    pulses = tacho_pulses(source, lines.tacho)
+    if pulses.size < 2:
+        hint = "check the channel and its range"
+        raise DataError(f"the tacho '{lines.tacho}' of '{source.name}' shows {pulses.size} pulse(s), 2 are needed", hint=hint)
+    return ShaftMotion(pulses, np.arange(pulses.size) / lines.pulses)
+
+
+def tacho_pulses(source: SampleSource, channel: str) -> NDArray[np.floating]:
+    """Times [s] at which the tacho rises through the middle of its range, between samples by straight lines.
+
+    A rise counts once the signal has been in the lower and then in the upper part of the range, so that noise at the middle makes
+    no pulses. The recording is read twice: for its range, then for its pulses.
+    """
+    names = [record.name for record in source.channels]
+    if channel not in names:
+        raise DataError(f"recording '{source.name}' has no channel '{channel}'", hint=f"channels: {', '.join(names)}")
+    column = names.index(channel)
+    low, high = np.inf, -np.inf
+    for block in source.blocks(READ_SAMPLES):
+        low, high = min(low, float(block[:, column].min())), max(high, float(block[:, column].max()))
+    if not high > low:
+        raise DataError(f"the tacho '{channel}' of '{source.name}' does not vary")
+    counter = _PulseCounter(low, high)
+    for block in source.blocks(READ_SAMPLES):
+        counter.add(block[:, column])
+    return np.array(counter.positions) / source.sample_rate
+
+
+class _PulseCounter:
+    """Rises through the middle of a range in samples from the start, fed block by block."""
+
+    def __init__(self, low: float, high: float) -> None:
+        span = high - low
+        self._low, self._middle, self._high = low + LOW_SHARE * span, low + span / 2, low + HIGH_SHARE * span
+        self._last = np.empty(0)
+        self._armed = False
+        self._crossing = np.nan
+        self._n_sample = 0
+        self.positions: list[float] = []
+
+    def add(self, column: NDArray[np.floating]) -> None:
+        samples = np.concatenate([self._last, column])
+        start = self._n_sample - self._last.size
+        rises = np.flatnonzero((samples[:-1] < self._middle) & (samples[1:] >= self._middle))
+        crossings = start + rises + (self._middle - samples[rises]) / (samples[rises + 1] - samples[rises])
+        level = np.where(samples >= self._high, 1, np.where(samples <= self._low, -1, 0))
+        for sample in np.flatnonzero(np.diff(level, prepend=0) != 0):
+            if level[sample] < 0:
+                self._armed = True
+            elif level[sample] > 0 and self._armed:
+                self._armed = False
+                before = np.searchsorted(rises, sample) - 1
+                self.positions.append(float(crossings[before] if before >= 0 else self._crossing))
+        self._crossing = float(crossings[-1]) if crossings.size else self._crossing
+        self._last = samples[-1:].copy()
+        self._n_sample += column.size

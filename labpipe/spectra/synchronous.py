@@ -1,0 +1,145 @@
+"""The part of a recording that repeats with the shaft: found by averaging over revolutions, and taken out of all channels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from labpipe.errors import DataError
+from labpipe.records.finding import Finding
+from labpipe.records.recording import Channel, SampleSource
+from labpipe.spectra.reading import READ_SAMPLES, checked_blocks
+from labpipe.spectra.settings import ShaftLines
+from labpipe.spectra.shaft import STRETCH, ShaftMotion, shaft_motion, steady
+
+
+@dataclass(frozen=True)
+class WithoutSynchronous:
+    """A recording less its synchronous part; satisfies SampleSource. amplitude (n_harmonic, n_channel) complex, 0-to-peak [SI]."""
+
+    source: SampleSource
+    motion: ShaftMotion
+    amplitude: NDArray[np.complexfloating]
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        return self.source.channels
+
+    @property
+    def sample_rate(self) -> float:
+        return self.source.sample_rate
+
+    @property
+    def n_sample(self) -> int:
+        return self.source.n_sample
+
+    @property
+    def name(self) -> str:
+        return self.source.name
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        return (*self.source.findings, *_removed(self.source.channels, self.motion, self.amplitude))
+
+    def blocks(self, n_sample: int) -> Iterator[NDArray[np.floating]]:
+        """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]: x - Re sum_h X_h exp(j h theta)."""
+        start = 0
+        for block in self.source.blocks(n_sample):
+            turns = _turns(self.motion, start, block.shape[0], self.sample_rate, self.amplitude.shape[0])
+            yield block - turns.real @ self.amplitude.real + turns.imag @ self.amplitude.imag
+            start += block.shape[0]
+
+
+def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynchronous:
+    """The recording less its first harmonics of the shaft speed, whose amplitudes are fitted to the whole recording.
+
+    Time-synchronous averaging is the least-squares fit of all multiples of the speed (McFadden 1987); here of those asked for.
+    A given speed is refined first, since 0.01 Hz turn 1x around within 100 s. DataError for less than two revolutions.
+    """
+    motion = shaft_motion(source, lines)
+    duration = source.n_sample / source.sample_rate
+    turned = np.diff(motion.angle(np.array([0.0, duration])))[0] / (2 * np.pi)
+    if turned < 2:
+        raise DataError(f"recording '{source.name}' holds less than two revolutions", hint="give the speed in Hz or rpm")
+    amplitude = _fitted(source, motion, lines.harmonics)
+    if lines.speed is not None:
+        refined = steady(_refined(source, motion, lines.speed), duration)
+        better = _fitted(source, refined, lines.harmonics)
+        # Where the responses hold no 1x to go by, the given speed explains more.
+        if np.sum(_shares(source, better)) > np.sum(_shares(source, amplitude)):
+            motion, amplitude = refined, better
+    # The tacho itself and other references stay as they were recorded.
+    return WithoutSynchronous(source, motion, amplitude * [channel.role != "reference" for channel in source.channels])
+
+
+def _shares(source: SampleSource, amplitude: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+    """Power of the fitted harmonics of every response in shares of the first block's power, so that units do not matter."""
+    outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
+    power = next(iter(source.blocks(READ_SAMPLES)))[:, outputs].var(axis=0)
+    return np.sum(np.abs(amplitude[:, outputs]) ** 2, axis=0) / np.where(power > 0, power, 1.0)
+
+
+def _turns(motion: ShaftMotion, start: int, n_sample: int, sample_rate: float, n_harmonic: int) -> NDArray[np.complexfloating]:
+    """exp(j h theta) of h = 1 ... n_harmonic, (n_sample, n_harmonic)."""
+    angle = motion.angle((start + np.arange(n_sample)) / sample_rate)
+    return np.exp(1j * angle[:, None] * np.arange(1, n_harmonic + 1))
+
+
+def _fitted(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> NDArray[np.complexfloating]:
+    """Least squares of x = c + Re sum_h X_h exp(j h theta) over the whole recording, (n_harmonic, n_channel)."""
+    n = 2 * n_harmonic + 1
+    normal, right = np.zeros((n, n)), np.zeros((n, len(source.channels)))
+    start = 0
+    for block in checked_blocks(source):
+        turns = _turns(motion, start, block.shape[0], source.sample_rate, n_harmonic)
+        columns = np.column_stack([np.ones(block.shape[0]), turns.real, -turns.imag])
+        normal += columns.T @ columns
+        right += columns.T @ block
+        start += block.shape[0]
+    solution = np.linalg.solve(normal, right)
+    return solution[1 : n_harmonic + 1] + 1j * solution[n_harmonic + 1 :]
+
+
+def _refined(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
+    """The speed [Hz] near *speed* at which 1x keeps its phase: d phi per STRETCH, every response weighted with its own power."""
+    stretch = min(max(1, round(STRETCH / speed * source.sample_rate)), source.n_sample // 2)
+    window = signal.windows.hann(stretch, sym=False)
+    outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
+    amplitudes, rest, start = [], np.empty((0, len(outputs))), 0
+    for block in source.blocks(READ_SAMPLES):
+        samples = np.concatenate([rest, block[:, outputs]])
+        n_whole = samples.shape[0] // stretch
+        turns = _turns(motion, start, n_whole * stretch, source.sample_rate, 1).conj().reshape(n_whole, stretch)
+        pieces = samples[: n_whole * stretch].reshape(n_whole, stretch, len(outputs))
+        amplitudes.append(np.einsum("s,ks,ksc->kc", window, turns, pieces - pieces.mean(axis=1, keepdims=True)))
+        rest, start = samples[n_whole * stretch :], start + n_whole * stretch
+    joined = np.concatenate(amplitudes)
+    size = np.linalg.norm(joined, axis=0)
+    joined = joined / np.where(size > 0, size, 1.0)
+    turn = np.angle(np.sum(joined[1:] * joined[:-1].conj()))
+    return speed + float(turn) / (2 * np.pi * stretch / source.sample_rate)
+
+
+def _removed(channels: Sequence[Channel], motion: ShaftMotion, amplitude: NDArray[np.complexfloating]) -> tuple[Finding, ...]:
+    """What was taken out, in words: the amplitudes of every channel, 0-to-peak."""
+    low, high = motion.speed_range
+    speed = f"{low:.6g} Hz" if high - low < 1e-9 * high else f"{low:.6g}-{high:.6g} Hz"
+    return tuple(
+        Finding(
+            "synchronous-removed",
+            f"channel {channel.name}: the part synchronous with {speed} was taken out, "
+            + ", ".join(f"{order}x {abs(value):.3g} {channel.unit}" for order, value in enumerate(own, 1))
+            + " 0-to-peak",
+        )
+        for channel, own in zip(channels, amplitude.T, strict=True)
+        if channel.role != "reference"
+    )
+
+
+def cleaned(sources: Sequence[SampleSource], lines: ShaftLines | None) -> list[SampleSource]:
+    """The recordings as they are, or each without its synchronous part."""
+    return list(sources) if lines is None else [without_synchronous(source, lines) for source in sources]

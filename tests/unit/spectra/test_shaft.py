@@ -1,0 +1,97 @@
+"""The shaft's motion from a given speed and from tacho pulses of known times."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ConfigError, DataError
+from labpipe.records.recording import Channel, Recording
+from labpipe.spectra.settings import MaskSettings, ShaftLines
+from labpipe.spectra.shaft import ShaftMotion, shaft_motion, steady, tacho_pulses
+
+RATE = 1000.0
+TACHO = Channel("tacho", "voltage", "reference", "tacho")
+
+
+def pulse_train(revolutions: np.ndarray, noise: np.ndarray | float = 0.0, offset: float = 2.0) -> Recording:
+    """5 V while the shaft is in the first tenth of a revolution; edges rise within two samples, so that they lie between samples."""
+    share = revolutions % 1.0
+    speed = np.gradient(revolutions)
+    edge = np.clip(np.where(share > 0.5, share - 1, share) / speed / 2, -0.5, 0.5) + 0.5
+    falling = np.clip((0.1 - share) / speed / 2, -0.5, 0.5) + 0.5
+    samples = offset + 5 * np.where(share > 0.5, edge, np.minimum(edge, falling)) + noise
+    return Recording((TACHO,), samples[:, None], RATE, "run")
+
+
+def test_pulses_lie_where_the_revolutions_begin(rng: np.random.Generator) -> None:
+    time = np.arange(4000) / RATE
+    revolutions = 9.37 * time + 0.4
+    pulses = tacho_pulses(pulse_train(revolutions), "tacho")
+    expected = (np.arange(1, pulses.size + 1) - 0.4) / 9.37
+    np.testing.assert_allclose(pulses, expected, atol=1e-9)
+    noisy = tacho_pulses(pulse_train(revolutions, 0.2 * rng.normal(size=4000)), "tacho")
+    assert noisy.size == pulses.size
+    np.testing.assert_allclose(noisy, expected, atol=1e-3)
+
+
+def test_pulses_over_block_borders_are_found_once() -> None:
+    # 200,000 samples are read in several blocks.
+    time = np.arange(200_000) / RATE
+    pulses = tacho_pulses(pulse_train(20.01 * time + 0.5), "tacho")
+    np.testing.assert_allclose(np.diff(pulses), 1 / 20.01, atol=1e-9)
+
+
+def test_a_run_up_is_followed() -> None:
+    # phi = 5 t + t^2 revolutions: speed 5 + 2 t.
+    time = np.arange(10_000) / RATE
+    motion = shaft_motion(pulse_train(5 * time + time**2 + 0.25), ShaftLines(tacho="tacho"))
+    middle = (motion.times[1:] + motion.times[:-1]) / 2
+    np.testing.assert_allclose(motion.speeds, 5 + 2 * middle, rtol=1e-6)
+    inside = (time > motion.times[0]) & (time < motion.times[-1])
+    turned = motion.angle(time)[inside] / (2 * np.pi) + 0.75  # the first pulse is at 1.0 - 0.25 revolutions
+    # Straight lines between pulses miss the parabola by at most dt^2 / 4 revolutions.
+    assert np.max(np.abs(turned - (5 * time + time**2)[inside])) < np.max(np.diff(motion.times)) ** 2 / 4 + 1e-9
+
+
+def test_the_speed_range_is_not_that_of_single_pulses(rng: np.random.Generator) -> None:
+    times = np.arange(200) / 25.0 + 1e-3 * rng.uniform(-1, 1, 200)
+    low, high = ShaftMotion(times, np.arange(200.0)).speed_range
+    # 1 ms at either end of 10 revolutions of 40 ms: 0.5 % at most.
+    assert 25 / 1.005 < low < 25.0 < high < 25 / 0.995
+
+
+def test_several_pulses_per_revolution() -> None:
+    time = np.arange(4000) / RATE
+    motion = shaft_motion(pulse_train(12 * time + 0.3), ShaftLines(tacho="tacho", pulses=4))
+    np.testing.assert_allclose(motion.speeds, 3.0, rtol=1e-6)
+
+
+def test_a_given_speed_turns_evenly_beyond_its_ends() -> None:
+    np.testing.assert_allclose(steady(2.0, 1.0).angle(np.array([-1.0, 0.0, 0.25, 3.0])), 2 * np.pi * np.array([-2.0, 0.0, 0.5, 6.0]))
+
+
+def test_what_is_no_tacho_is_refused() -> None:
+    still = Recording((TACHO,), np.zeros((100, 1)), RATE, "still")
+    with pytest.raises(DataError, match="tacho 'tacho' of 'still' does not vary"):
+        tacho_pulses(still, "tacho")
+    with pytest.raises(DataError, match=r"no channel 'key'.*channels: tacho"):
+        tacho_pulses(still, "key")
+    with pytest.raises(DataError, match="shows 1 pulse"):
+        shaft_motion(pulse_train(np.linspace(0.5, 1.4, 1000)), ShaftLines(tacho="tacho"))
+
+
+@pytest.mark.parametrize(
+    ("given", "fault"),
+    [({}, "one of 'speed' and 'tacho'"), ({"speed": 1.0, "tacho": "t"}, "one of"), ({"speed": 0.0}, "'speed' must be positive")],
+)
+def test_the_speed_is_given_in_one_way(given: dict[str, object], fault: str) -> None:
+    with pytest.raises(ConfigError, match=fault):
+        ShaftLines(**given)
+
+
+def test_counts_and_widths_are_checked() -> None:
+    with pytest.raises(ConfigError, match="'harmonics' must be at least 1"):
+        ShaftLines(speed=50.0, harmonics=0)
+    with pytest.raises(ConfigError, match="'width' must not be negative"):
+        MaskSettings(speed=50.0, width=-1.0)
