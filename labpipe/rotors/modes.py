@@ -1,0 +1,108 @@
+"""Eigenvalues of a rotor on its bearings: modes, the Campbell diagram, stability and the onset speed of instability."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, optimize
+
+from labpipe.errors import FitError
+from labpipe.rotors.assembly import RotorMatrices, supported_rotor
+from labpipe.rotors.parts import Rotor, Support
+
+# Growth rates [1/s] below this are rounding, of undamped modes for example.
+GROWTH_TOLERANCE = 1e-3
+# Eigenvalues with less imaginary part, against the modulus, do not oscillate: rounding splits double real roots by this much.
+LEAST_OSCILLATION = 1e-3
+
+Array = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
+# Bearings as a function of the spin speed [rad/s].
+SupportsAtSpeed = Callable[[float], Iterable[Support]]
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Oscillating modes at one spin speed [rad/s], by rising damped frequency.
+
+    eigenvalues (n_mode,) [1/s] with positive imaginary part; shapes (n_mode, n_node, 2), y and z, largest deflection 1.
+    """
+
+    speed: float
+    eigenvalues: ComplexArray
+    shapes: ComplexArray
+
+    @property
+    def damped_frequency(self) -> Array:
+        """Im(lambda) / 2 pi [Hz]: the frequency at which the mode rings."""
+        return self.eigenvalues.imag / (2 * np.pi)
+
+    @property
+    def natural_frequency(self) -> Array:
+        """|lambda| / 2 pi [Hz]."""
+        return np.abs(self.eigenvalues) / (2 * np.pi)
+
+    @property
+    def damping_ratio(self) -> Array:
+        """zeta = -Re(lambda) / |lambda| [-]; negative for an unstable mode."""
+        return -self.eigenvalues.real / np.abs(self.eigenvalues)
+
+    @property
+    def whirl(self) -> Array:
+        """From -1 (circular backward) over 0 (a straight line) to +1 (circular forward), (n_mode,), over all nodes."""
+        forward, backward = (np.sum(np.abs(self.shapes @ [1, turn]) ** 2, axis=1) for turn in (1j, -1j))
+        return (forward - backward) / (forward + backward)
+
+
+def eigenvalues(matrices: RotorMatrices, speed: float) -> tuple[ComplexArray, ComplexArray]:
+    """All eigenvalues [1/s] and displacement shapes (n_dof, 2 n_dof) of M q'' + (C + Omega G) q' + K q = 0."""
+    n = matrices.mass.shape[0]
+    inverse = linalg.cho_factor(matrices.mass)
+    upper = np.concatenate([np.zeros((n, n)), np.eye(n)], axis=1)
+    lower = -linalg.cho_solve(inverse, np.concatenate([matrices.stiffness, matrices.at_speed(speed)], axis=1))
+    roots, vectors = linalg.eig(np.concatenate([upper, lower]))
+    return roots, vectors[:n]
+
+
+def modes(rotor: Rotor, supports: Iterable[Support], speed: float) -> Modes:
+    """The oscillating modes of a rotor at a spin *speed* [rad/s]."""
+    roots, vectors = eigenvalues(supported_rotor(rotor, supports), speed)
+    kept = np.flatnonzero(roots.imag > LEAST_OSCILLATION * np.abs(roots))
+    kept = kept[np.argsort(roots[kept].imag)]
+    shapes = np.stack([vectors[0::4, kept], vectors[1::4, kept]], axis=-1).swapaxes(0, 1)
+    flat = shapes.reshape(kept.size, -1)
+    largest = flat[np.arange(kept.size), np.argmax(np.abs(flat), axis=1)]
+    return Modes(speed, roots[kept], shapes / largest[:, None, None])
+
+
+def campbell(rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float]) -> list[Modes]:
+    """Modes at every spin speed [rad/s], for a Campbell diagram; the bearings are asked for their coefficients at each."""
+    return [modes(rotor, supports(speed), speed) for speed in speeds]
+
+
+def growth_rate(rotor: Rotor, supports: Iterable[Support], speed: float) -> float:
+    """Largest real part of the eigenvalues [1/s]; positive means unstable."""
+    roots, _ = eigenvalues(supported_rotor(rotor, supports), speed)
+    return float(np.max(roots.real))
+
+
+def onset_speed(rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float], tolerance: float = 1e-3) -> float | None:
+    """Spin speed [rad/s] at which the rotor becomes unstable, between the first pair of *speeds* around it; None when it stays stable.
+
+    FitError when the rotor is unstable already at the first speed.
+    """
+
+    def excess(speed: float) -> float:
+        return growth_rate(rotor, supports(speed), speed) - GROWTH_TOLERANCE
+
+    stable = None
+    for speed in speeds:
+        if excess(speed) > 0:
+            if stable is None:
+                raise FitError(f"the rotor is unstable already at {speed:g} rad/s", hint="start the search at a lower speed")
+            return float(optimize.brentq(excess, stable, speed, xtol=tolerance))
+        stable = speed
+    return None

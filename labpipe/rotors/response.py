@@ -1,0 +1,62 @@
+"""Steady vibration of a rotor on its bearings: frequency response between chosen places, and response to unbalance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import FitError
+from labpipe.rotors.assembly import RotorMatrices, supported_rotor
+from labpipe.rotors.parts import Rotor, Support
+
+Array = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
+
+
+def dynamic_stiffness(matrices: RotorMatrices, omega: Array, speed: float | Array) -> ComplexArray:
+    """Z(w) = K - w^2 M + j w (C + Omega G), (n_line, n_dof, n_dof) [N/m]; *omega* (n_line,) and *speed* in [rad/s]."""
+    w = np.asarray(omega, np.float64)[:, None, None]
+    spin = np.broadcast_to(speed, np.shape(omega))[:, None, None]
+    static = matrices.stiffness - w**2 * matrices.mass
+    z: ComplexArray = static + 1j * w * (matrices.damping + spin * matrices.gyroscopic)
+    return z
+
+
+def solved(stiffness: ComplexArray, forces: ComplexArray | Array) -> ComplexArray:
+    """Displacements under *forces*; FitError at a resonance without damping."""
+    try:
+        displacements: ComplexArray = np.linalg.solve(stiffness, forces)
+    except np.linalg.LinAlgError:
+        raise FitError("the rotor has a resonance without damping on a line", hint="move the line or add damping") from None
+    return displacements
+
+
+def frequency_response(
+    rotor: Rotor, supports: Iterable[Support], frequency: Array, speed: float, outputs: list[int], inputs: list[int]
+) -> ComplexArray:
+    """Receptance H [m/N], (n_line, n_output, n_input), at *frequency* (n_line,) [Hz]; dof numbers as `Rotor.dofs` gives them."""
+    matrices = supported_rotor(rotor, supports)
+    forces = np.zeros((matrices.mass.shape[0], len(inputs)))
+    forces[inputs, np.arange(len(inputs))] = 1
+    z = dynamic_stiffness(matrices, 2 * np.pi * np.asarray(frequency), speed)
+    return solved(z, np.broadcast_to(forces, (z.shape[0], *forces.shape)))[:, outputs]
+
+
+def unbalance_response(
+    rotor: Rotor, supports: Iterable[Support], speed: Array, unbalance: Mapping[int, complex], outputs: list[int]
+) -> ComplexArray:
+    """Displacements [m], 0-to-peak phasors, (n_speed, n_output), at spin *speed* (n_speed,) [rad/s].
+
+    *unbalance* [kg m] by node, its angle from the y axis at time zero: F_y = u Omega^2, F_z = -j u Omega^2, so that the force turns
+    from y to z. The same bearings serve all speeds.
+    """
+    speed = np.asarray(speed, np.float64)
+    matrices = supported_rotor(rotor, supports)
+    forces = np.zeros((speed.size, matrices.mass.shape[0], 1), np.complex128)
+    for node, amount in unbalance.items():
+        y, z = rotor.dofs(node)
+        forces[:, y, 0] += amount * speed**2
+        forces[:, z, 0] += -1j * amount * speed**2
+    return solved(dynamic_stiffness(matrices, speed, speed), forces)[:, outputs, 0]
