@@ -23,7 +23,12 @@ from labpipe.spectra.windows import window_values
 
 
 def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
-    spectra = [_welch_average(source, settings) for source in sources]
+    """The response from Welch's averages of all recordings."""
+    return parts_of_spectra([_welch_average(source, settings) for source in sources], settings, layout)
+
+
+def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, layout: Layout) -> Parts:
+    """The response from the averaged spectra of every recording, weighted by their blocks."""
     n_block = sum(spectrum.n_block for spectrum in spectra)
     chosen = lines_left(spectra[0].frequency, settings)
     n_input = len(layout.inputs)

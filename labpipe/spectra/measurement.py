@@ -11,6 +11,7 @@ from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.directional import directional
+from labpipe.spectra.from_impact import impact_parts
 from labpipe.spectra.from_periodic import periodic_parts
 from labpipe.spectra.from_random import random_parts
 from labpipe.spectra.masks import mask_findings, masked_bands
@@ -22,6 +23,7 @@ from labpipe.spectra.synchronous import cleaned
 EXCITATIONS: dict[str, Callable[[Sequence[SampleSource], FrfSettings, Layout], Parts]] = {
     "periodic": periodic_parts,
     "random": random_parts,
+    "impact": impact_parts,
 }
 
 

@@ -1,0 +1,118 @@
+"""Recordings of hammer hits -> FRF matrix averaged over the good hits, with coherence and covariance."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from labpipe.errors import DataError
+from labpipe.records.finding import Finding
+from labpipe.records.recording import SampleSource
+from labpipe.spectra.bands import line_range
+from labpipe.spectra.damping import covariance_without_damping, without_added_damping
+from labpipe.spectra.from_random import parts_of_spectra
+from labpipe.spectra.hits import Hit, check_single_force, exponential_window, find_hits, force_window
+from labpipe.spectra.matrices import without_rounding
+from labpipe.spectra.parts import Parts, lines_left
+from labpipe.spectra.ports import Layout
+from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.welch import CrossSpectra
+
+# The response has died away when its last tenth is below this share of its largest tenth.
+DIED_AWAY = 0.05
+
+
+def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
+    """The response averaged over all good hits of the recordings; DataError when a recording has none."""
+    spectra: list[CrossSpectra] = []
+    findings: list[Finding] = []
+    number = 1
+    for source in sources:
+        average = _HitAverage(source, settings)
+        for hit in find_hits(source, average.force, average.n_sample, settings.impact, number):
+            average.add(hit)
+            number = hit.number + 1
+        spectra.append(average.spectra())
+        findings.extend(average.findings)
+    # The window's damping is taken out with all neighbouring lines at hand; gaps come afterwards.
+    parts = parts_of_spectra(spectra, dataclasses.replace(settings, exclude=()), layout)
+    if settings.impact.decay is not None:
+        parts = _undamped(parts, settings.impact.decay)
+    return _selected(dataclasses.replace(parts, findings=(*findings, *parts.findings)), lines_left(parts.frequency, settings))
+
+
+class _HitAverage:
+    """Sums of X_a X_b* over the good hits of one recording, and what is to be said of the others."""
+
+    def __init__(self, source: SampleSource, settings: FrfSettings) -> None:
+        assert settings.block is not None
+        self._source, self._settings = source, settings
+        self.force = check_single_force(source)
+        self.n_sample = round(settings.block * source.sample_rate)
+        self._lines = line_range(self.n_sample, source.sample_rate, settings.band)
+        n_channel = len(source.channels)
+        self._sum = np.zeros((self._lines.stop - self._lines.start, n_channel, n_channel), np.complex128)
+        self._n_hit = self._n_found = 0
+        self._slow: set[str] = set()
+        self.findings: list[Finding] = []
+
+    def add(self, hit: Hit) -> None:
+        self._n_found += 1
+        if hit.fault:
+            at = hit.start / self._source.sample_rate
+            message = f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {self._named(hit.fault)}"
+            self.findings.append(Finding("hit-rejected", message))
+            return
+        amplitude = fft.rfft(self._windowed(hit), axis=0)[self._lines]
+        self._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()
+        self._n_hit += 1
+
+    def _named(self, fault: str) -> str:
+        what, _, column = fault.rpartition(" ")
+        return f"{what} '{self._source.channels[int(column) - 1].name}'" if column.isdigit() else fault
+
+    def _windowed(self, hit: Hit) -> NDArray[np.floating]:
+        rate, impact = self._source.sample_rate, self._settings.impact
+        samples = hit.samples.copy()
+        if impact.force_window is not None:
+            trigger = round(impact.pretrigger * self.n_sample)
+            samples[:, self.force] *= force_window(self.n_sample, trigger, impact.force_window * rate)
+        if impact.decay is not None:
+            samples *= exponential_window(self.n_sample, impact.decay * rate)[:, None]
+        self._note_slow(samples)
+        return samples
+
+    def _note_slow(self, samples: NDArray[np.floating]) -> None:
+        tenths = np.array([np.sqrt(np.mean(part**2, axis=0)) for part in np.array_split(samples, 10)])
+        ringing = tenths[-1] > DIED_AWAY * tenths.max(axis=0)
+        self._slow.update(c.name for c, slow in zip(self._source.channels, ringing, strict=True) if slow and c.role == "output")
+
+    def spectra(self) -> CrossSpectra:
+        """The average over the good hits; DataError when there is none."""
+        if not self._n_hit:
+            found = f"{self._n_found} hit(s) found, none of them good" if self._n_found else "no hit whose block is complete"
+            raise DataError(f"recording '{self._source.name}': {found}", hint="see `impact`, and the hits in the recording")
+        if self._slow:
+            names = ", ".join(sorted(self._slow))
+            message = f"the response {names} has not died away at the end of the block; lengthen `block` or give `decay`"
+            self.findings.append(Finding("not-died-away", message))
+        frequency = np.arange(self._lines.start, self._lines.stop) * (self._source.sample_rate / self.n_sample)
+        return CrossSpectra(frequency, self._sum * (1.0 / self._n_hit), self._n_hit, float(self._n_hit))
+
+
+def _undamped(parts: Parts, decay: float) -> Parts:
+    matrix = without_added_damping(parts.frequency, parts.matrix, decay)
+    covariance = parts.covariance
+    if covariance is not None:
+        covariance = without_rounding(covariance_without_damping(parts.matrix, matrix, covariance))
+    return dataclasses.replace(parts, matrix=matrix, covariance=covariance)
+
+
+def _selected(parts: Parts, chosen: NDArray[np.bool_]) -> Parts:
+    """The parts on the chosen lines."""
+    arrays = {name: getattr(parts, name) for name in ("frequency", "matrix", "covariance", "coherence", "multiple_coherence")}
+    return dataclasses.replace(parts, **{name: values[chosen] for name, values in arrays.items() if values is not None})
