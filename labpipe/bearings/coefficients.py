@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from labpipe.records.arrays import frozen_array
 from labpipe.records.finding import Finding
+from labpipe.records.response import FrequencyResponse
 
 TILTS = ("bx", "by", "bz")
 
@@ -29,7 +30,7 @@ class BearingCoefficients:
     """Stiffness and damping (n_dof, n_dof): force in the row's dof per displacement or velocity in the column's [SI units].
 
     rest: the rest position; element_state: further arrays of it by name; lowest, highest: stiffness over one ball passage, where a
-    bearing has one; notes: further numbers about the model.
+    bearing has one; notes: further numbers about the model; shaft: of the rigid shaft on the bearing, where the file describes one.
     """
 
     dofs: tuple[str, ...]
@@ -40,6 +41,7 @@ class BearingCoefficients:
     lowest: NDArray[np.floating] | None = None
     highest: NDArray[np.floating] | None = None
     notes: tuple[Amount, ...] = ()
+    shaft: tuple[Amount, ...] = ()
     findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
@@ -66,9 +68,11 @@ class BearingCoefficients:
 class BearingKind:
     """A kind of bearing: the settings its file holds, and the model from any number of such settings (a sweep) to coefficients.
 
-    bare_units: units of entries that may stand as plain numbers.
+    bare_units: units of entries that may stand as plain numbers; response: the theoretical frequency response that settings and their
+    coefficients give, or None where the file describes no shaft.
     """
 
     settings: type
     coefficients: Callable[[Sequence[Any]], list[BearingCoefficients]]
     bare_units: Mapping[str, str] = field(default_factory=dict)
+    response: Callable[[Any, BearingCoefficients], FrequencyResponse | None] | None = None

@@ -8,10 +8,12 @@ import numpy as np
 
 from labpipe.bearings.coefficients import Amount, BearingCoefficients, BearingKind
 from labpipe.bearings.passage import Passage, ball_passage
-from labpipe.bearings.rolling import DOFS
+from labpipe.bearings.rolling import DOFS, Matrix
 from labpipe.bearings.rolling_equilibrium import Equilibrium, equilibrium
 from labpipe.bearings.rolling_settings import LOAD_OF_DOF, BallBearingSettings, RollerBearingSettings, RollingSettings
+from labpipe.bearings.rolling_shaft import modes, sdof_stiffness, theoretical_response
 from labpipe.records.finding import Finding
+from labpipe.records.response import FrequencyResponse
 
 UNITS = ("m", "m", "m", "rad", "rad")
 LOAD_UNITS = ("N", "N", "N", "N.m", "N.m")
@@ -59,6 +61,7 @@ def _case(settings: RollingSettings, state: Equilibrium, passage: Passage, case:
         passage.lowest[case],
         passage.highest[case],
         _notes(settings),
+        _shaft(settings, k),
         tuple(_findings(state, case)),
     )
 
@@ -69,6 +72,27 @@ def _notes(settings: RollingSettings) -> tuple[Amount, ...]:
     unit = "N/m^1.5" if bearing.is_ball else "N/m^(10/9)"
     used = Amount("stiffness_constant", bearing.stiffness_constant, unit)
     return (used,) if hertz is None else (used, Amount("stiffness_constant_hertz", hertz, unit))
+
+
+def _shaft(settings: RollingSettings, stiffness: Matrix) -> tuple[Amount, ...]:
+    """Natural frequencies and damping ratios of the shaft, and what one-dof fits of its direct transfer functions find beside K_ii."""
+    if settings.shaft is None:
+        return ()
+    found = modes(settings.shaft.body, stiffness)
+    amounts = [Amount(f"f_{n + 1}", float(f), "Hz") for n, f in enumerate(found.frequency)]
+    if settings.damping_factor > 0:
+        amounts += [Amount(f"zeta_{n + 1}", float(zeta), "1") for n, zeta in enumerate(found.damping_ratio(settings.damping_factor))]
+    fitted = sdof_stiffness(settings.shaft.body, stiffness)
+    units = ("N/m", "N/m", "N/m", "N.m/rad", "N.m/rad")
+    return (*amounts, *(Amount(f"sdof_k_{dof}", float(k), unit) for dof, k, unit in zip(DOFS, fitted, units, strict=True)))
+
+
+def rolling_response(settings: RollingSettings, found: BearingCoefficients) -> FrequencyResponse | None:
+    """The theoretical transfer matrix of the file's shaft on the bearing; None where there is no shaft."""
+    if settings.shaft is None:
+        return None
+    frequency = np.linspace(*settings.shaft.band, settings.shaft.lines)
+    return theoretical_response(settings.shaft.body, found.stiffness, frequency, settings.damping_factor)
 
 
 def _findings(state: Equilibrium, case: int) -> list[Finding]:
@@ -83,5 +107,5 @@ def _findings(state: Equilibrium, case: int) -> list[Finding]:
     return found
 
 
-BALL = BearingKind(BallBearingSettings, rolling_coefficients, {"stiffness_constant": "N/m^1.5"})
-ROLLER = BearingKind(RollerBearingSettings, rolling_coefficients, {"stiffness_constant": "N/m^(10/9)"})
+BALL = BearingKind(BallBearingSettings, rolling_coefficients, {"stiffness_constant": "N/m^1.5"}, rolling_response)
+ROLLER = BearingKind(RollerBearingSettings, rolling_coefficients, {"stiffness_constant": "N/m^(10/9)"}, rolling_response)

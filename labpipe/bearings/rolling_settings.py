@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from labpipe.bearings.hertz import STEEL, BallGeometry, Material, roller_stiffness_constant
 from labpipe.bearings.rolling import RollingBearing
+from labpipe.bearings.rolling_shaft import RigidShaft
 from labpipe.errors import ConfigError
 from labpipe.records.settings import setting
 
@@ -67,6 +68,26 @@ class BallGeometrySettings:
 
 
 @dataclass(frozen=True)
+class ShaftSettings:
+    """A rigid shaft whose centre of mass is at the bearing's centre, for natural frequencies and the theoretical transfer matrix."""
+
+    mass: float = setting("value", "mass of the shaft", unit="kg")
+    inertia_x: float = setting("value", "moment of inertia about x", unit="kg.m^2")
+    inertia_y: float | None = setting("value", "moment of inertia about y; default: as about x", unit="kg.m^2", default=None)
+    band: tuple[float, float] = setting("band", "frequencies of the transfer matrix", unit="Hz", default=(5.0, 3000.0))
+    lines: int = setting("integer", "frequency lines in the band", default=1200)
+
+    def __post_init__(self) -> None:
+        if self.lines < 2:
+            raise ConfigError("lines must be at least 2")
+        assert self.body
+
+    @property
+    def body(self) -> RigidShaft:
+        return RigidShaft(self.mass, self.inertia_x, self.inertia_x if self.inertia_y is None else self.inertia_y)
+
+
+@dataclass(frozen=True)
 class RollingSettings:
     """What balls and rollers have in common."""
 
@@ -80,6 +101,8 @@ class RollingSettings:
     pitch_radius: float | None = setting("value", "radius of the groove centres (balls) or roller centres", unit="m", default=None)
     loads: Loads = setting("section", "loads; what is not given is zero", section=Loads, default=Loads())
     displacements: Displacements = setting("section", "held displacements", section=Displacements, default=Displacements())
+
+    shaft: ShaftSettings | None = setting("section", "a rigid shaft on the bearing", section=ShaftSettings, default=None)
 
     def __post_init__(self) -> None:
         for dof, load in LOAD_OF_DOF.items():

@@ -47,9 +47,11 @@ def bearing(
             target.write_text(text, encoding="utf-8")
     if output is not None:
         with output_folder(output) as folder:
-            write_bearing(file, name, found, folder)
+            names = write_bearing(file, name, found, folder)
     if not quiet:
         echo_bearing(name, file.kind_name, found)
+        if output is not None:
+            click.echo(f"written to {output}: {', '.join(names)}")
 
 
 def _sweep(bearing_path: Path, sweep_text: str, output: Path, overrides: tuple[str, ...], quiet: bool) -> None:

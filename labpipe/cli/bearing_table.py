@@ -27,9 +27,11 @@ def echo_bearing(name: str, kind: str, found: BearingCoefficients) -> None:
         _echo_matrix("damping", found, found.damping, None)
     loads = tuple(amount for amount in found.rest if amount.name.startswith("load_"))
     rest = tuple(amount for amount in found.rest if amount not in loads)
-    for title, amounts in (("loads", loads), ("rest position", rest), ("model", found.notes)):
+    for title, amounts in (("loads", loads), ("rest position", rest), ("model", found.notes), ("shaft", found.shaft)):
         if amounts:
-            click.echo(f"{title}: {', '.join(_amount(amount, amounts) for amount in amounts)}")
+            click.echo(f"{title}: {', '.join(_amount(amount, _rounding(amounts)) for amount in amounts)}")
+    if found.shaft:
+        click.echo("(sdof_k: what a one-dof fit finds at the dof's main peak; coupled dofs move along, so it is not the diagonal term)")
     _echo_passage(found)
     for finding in found.findings:
         click.echo(f"warning {finding.code}: {finding.message}")
@@ -48,11 +50,15 @@ def _echo_matrix(title: str, found: BearingCoefficients, matrix: NDArray[np.floa
         click.echo(f"  {dof:<4}" + "".join(f"{number:>12}" for number in numbers))
 
 
-def _amount(amount: Amount, all_amounts: Sequence[Amount]) -> str:
-    """Name, value and unit; what is rounding beside the others is zero."""
+def _rounding(amounts: Sequence[Amount]) -> float:
+    """Below this a load or displacement is rounding beside the others; zero for numbers of other kinds."""
+    return STRUCTURAL_ZERO * max((abs(each.value) for each in amounts if each.unit in ("m", "rad", "N", "N.m")), default=0.0)
+
+
+def _amount(amount: Amount, least: float) -> str:
+    """Name, value and unit; zero below *least* [SI]."""
     unit = display_unit(amount.unit)
-    largest = max((abs(other.value) for other in all_amounts if other.unit != "1"), default=0.0)
-    value = amount.value if abs(amount.value) > STRUCTURAL_ZERO * largest else 0.0
+    value = amount.value if abs(amount.value) > least else 0.0
     return f"{amount.name.removeprefix('load_')} {to_display(value, unit):.5g}{'' if unit == '1' else f' {unit_text(unit)}'}"
 
 

@@ -16,6 +16,7 @@ from labpipe.bearings.coefficients import BearingCoefficients, BearingKind
 from labpipe.config.faults import Faults
 from labpipe.config.reader import read_settings
 from labpipe.errors import ConfigError, LabpipeError
+from labpipe.formats.frf_csv import write_frf_csv
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.registry import Registry, nearest
 from labpipe.stages.sweep import Sweep
@@ -100,6 +101,8 @@ def bearing_entry(file: BearingFile, name: str, found: BearingCoefficients) -> d
         "model": {amount.name: amount.value for amount in found.notes},
         "warnings": [{"code": finding.code, "message": finding.message} for finding in found.findings],
     }
+    if found.shaft:
+        entry["shaft"] = {amount.name: amount.value for amount in found.shaft}
     if found.lowest is not None and found.highest is not None:
         entry["passage"] = {"stiffness_min": found.lowest.tolist(), "stiffness_max": found.highest.tolist()}
     return entry
@@ -110,13 +113,17 @@ def bearing_json(entry: dict[str, Any]) -> str:
 
 
 def write_bearing(file: BearingFile, name: str, found: BearingCoefficients, output: OutputFolder) -> list[str]:
-    """bearing.json and the heat map of the stiffness matrix; the names of the files."""
+    """bearing.json, the heat map of the stiffness matrix and, of a shaft, its transfer matrix as FRF table; the names of the files."""
     from labpipe.report.bearing_figures import stiffness_figure
     from labpipe.report.drawing import svg_text
 
     output.write_path("bearing.json").write_text(bearing_json(bearing_entry(file, name, found)), encoding="utf-8")
     output.write_path("stiffness.svg").write_text(svg_text(stiffness_figure(name, found).drawing), encoding="utf-8")
-    return ["bearing.json", "stiffness.svg"]
+    response = file.kind.response and file.kind.response(file.settings(), found)
+    if response is None:
+        return ["bearing.json", "stiffness.svg"]
+    write_frf_csv(output.write_path("transfer.csv"), response)
+    return ["bearing.json", "stiffness.svg", "transfer.csv"]
 
 
 def write_sweep(name: str, sweep: Sweep, found: list[BearingCoefficients], output: OutputFolder) -> list[str]:

@@ -53,7 +53,26 @@ def test_every_bearing_of_the_catalogue_has_an_answer(path: Path, labpipe, tmp_p
     assert np.allclose(k, k.T, rtol=1e-9, atol=1e-9 * np.abs(k).max()) and np.all(np.diag(k) >= 0)
     comment = "".join(line for line in path.read_text().splitlines() if line.startswith("#"))
     assert any(word in comment for word in ("printed by", "published", "worked example of")), "its source is not named"
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["bearing.json", "stiffness.svg"]
+    files = ["bearing.json", "stiffness.svg", *(["transfer.csv"] if "shaft:" in path.read_text() else [])]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == files and "written to" in ended.out
+
+
+def test_the_shaft_s_frequencies_and_the_fit_of_its_theoretical_curve(labpipe, root: Path, tmp_path: Path) -> None:
+    """Knaapen's shaft on the 6208 (METHODS: 63.09 63.11 413.50 1486.0 1486.1 Hz); identify fits transfer.csv as a measured response."""
+    ended = labpipe(
+        "bearing", root / "configs/bearings/nsk-6208.yaml", "--set", "damping_factor=1e-6 s", "-o", tmp_path, "--json", tmp_path / "k.json"
+    )
+    assert "f_1 63.092 Hz" in ended.out and "zeta_1 0.000198" in ended.out and "sdof_k: what a one-dof fit finds" in ended.out
+    entry = json.loads((tmp_path / "k.json").read_text())
+    shaft = entry["shaft"]
+    assert [shaft[f"f_{n}"] for n in range(1, 6)] == pytest.approx([63.09, 63.11, 413.50, 1486.0, 1486.1], rel=2e-4)
+    fits = "radial: {model: sdof, estimator: ls, input: x, output: x, mass: estimate, band: 1400-1560 Hz}"
+    (tmp_path / "p.yaml").write_text(f"title: Theory\nfrfs: transfer.csv\nidentify:\n  {fits}\n")
+    assert labpipe("identify", "-c", tmp_path / "p.yaml", "-o", tmp_path / "o").code == 0
+    (fit,) = json.loads((tmp_path / "o/identification.json").read_text())["fits"]
+    assert fit["parameters"][0]["value"] == pytest.approx(shaft["sdof_k_x"], rel=2e-3)
+    assert shaft["sdof_k_x"] / entry["stiffness"][0][0] == pytest.approx(1.0104, abs=2e-4)
+    assert shaft["sdof_k_bx"] / entry["stiffness"][3][3] == pytest.approx(0.26, abs=0.005)
 
 
 def test_the_file_of_the_interface_gives_the_printed_matrix(ball: Path, labpipe) -> None:
@@ -166,6 +185,9 @@ def test_the_same_input_gives_the_same_bytes(ball: Path, labpipe, tmp_path: Path
         ("loads:", "geometry: {ball_diameter: 12 mm}\nloads:", ["ball.yaml:8:1: geometry.pitch_diameter: is missing"]),
         ("loads:", "geometry: {ball_diameter: 9 mm, pitch_diameter: 9 mm}\nloads:", ["ball.yaml:8:1: geometry: the ball diameter must"]),
         ("loads:", "damping_factor: -1 s\nloads:", ["damping_factor is negative"]),
+        ("loads:", "shaft: {mass: 2 kg}\nloads:", ["ball.yaml:8:1: shaft.inertia_x: is missing; moment of inertia about x"]),
+        ("loads:", "shaft: {mass: 0 kg, inertia_x: 1 kg.m^2}\nloads:", ["ball.yaml:8:1: shaft: the shaft's mass must be above zero"]),
+        ("loads:", "shaft: {mass: 1 kg, inertia_x: 1 kg.m^2, lines: 1}\nloads:", ["ball.yaml:8:1: shaft: lines must be at least 2"]),
         ("loads: {", "loads: [", ["not valid YAML"]),
     ],
 )

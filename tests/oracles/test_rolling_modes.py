@@ -57,7 +57,7 @@ def test_the_one_dof_fit_of_the_theory_s_own_curve() -> None:
             radial.extend(ratio[:2])
             tilt.extend(ratio[3:] if name == "6208" else [])
             assert ratio[2] == pytest.approx(1, abs=0.02)
-    assert 0.255 < min(tilt) and max(tilt) < 0.275
+    assert min(tilt) > 0.255 and max(tilt) < 0.275
     assert round(100 * min(radial)) == 101 and max(radial) == pytest.approx(1.29, rel=0.01)
 
 

@@ -9,14 +9,16 @@ import pytest
 
 from labpipe.bearings.coefficients import BearingCoefficients
 from labpipe.bearings.rolling_equilibrium import equilibrium, load_vector
-from labpipe.bearings.rolling_kinds import BALL, ROLLER, rolling_coefficients
+from labpipe.bearings.rolling_kinds import BALL, ROLLER, rolling_coefficients, rolling_response
 from labpipe.bearings.rolling_settings import (
     BallBearingSettings,
     BallGeometrySettings,
     Displacements,
     Loads,
     RollerBearingSettings,
+    ShaftSettings,
 )
+from labpipe.bearings.rolling_shaft import sdof_stiffness
 from labpipe.errors import ConfigError, DataError
 
 GIVEN = BallBearingSettings(
@@ -123,6 +125,21 @@ def test_findings_name_what_must_not_be_overlooked(angular) -> None:  # type: ig
     assert [finding.code for finding in rolling_coefficients([mirrored])[0].findings] == ["mirrored"]
     (finding,) = rolling_coefficients([loose])[0].findings
     assert finding.code == "indeterminate" and finding.message.startswith("1 of 9 elements carry")
+
+
+def test_a_shaft_has_its_frequencies_and_its_response() -> None:
+    shaft = ShaftSettings(2.45, 1.24e-2, band=(10.0, 110.0), lines=11)
+    settings = replace(GIVEN, shaft=shaft, damping_factor=1e-5)
+    (found,) = rolling_coefficients([settings])
+    amounts = {each.name: each.value for each in found.shaft}
+    assert amounts["f_1"] == pytest.approx(63.09, abs=0.01) and amounts["zeta_1"] == pytest.approx(np.pi * 1e-5 * amounts["f_1"])
+    np.testing.assert_allclose(amounts["sdof_k_z"], sdof_stiffness(shaft.body, found.stiffness)[2])
+    response = rolling_response(settings, found)
+    np.testing.assert_allclose(response.frequency, np.linspace(10, 110, 11))
+    dynamic = np.linalg.inv(response.matrix[3])
+    w = 2 * np.pi * 40
+    np.testing.assert_allclose(dynamic, found.stiffness * (1 + 1j * w * 1e-5) - w**2 * np.diag(shaft.body.inertias), rtol=1e-6, atol=1e-2)
+    assert rolling_response(GIVEN, found) is None and rolling_coefficients([GIVEN])[0].shaft == ()
 
 
 def test_units_and_relative_coupling() -> None:
