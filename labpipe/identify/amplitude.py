@@ -11,7 +11,7 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.identify.levenberg import minimise
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
-from labpipe.identify.regression import solve_scaled
+from labpipe.identify.regression import solve_scaled, triangle_of
 from labpipe.identify.statistics import Estimate
 from labpipe.identify.weights import has_noise, weight_doubt
 from labpipe.records.identification import Goodness
@@ -76,9 +76,9 @@ def amplitude_fit(measured: Measured, model: DynamicModel, weight: str = "none")
         minimum = minimise(problem, values)
         values, converged, steps = minimum.values, minimum.converged, minimum.steps
         covariance = solve_scaled(problem.jacobian(values), problem.residual(values))[1]
-    jacobian = problem.jacobian(values)
+    design = triangle_of(problem.jacobian(values))
     gof = _goodness(problem, values, dof)
-    return Estimate(values, covariance, jacobian / np.linalg.norm(jacobian, axis=0), gof, dof, converged, steps, (NOTE,))
+    return Estimate(values, covariance, design, gof, dof, converged, steps, (NOTE,))
 
 
 def _amplitude_noise(measured: Measured) -> NDArray[np.floating] | None:

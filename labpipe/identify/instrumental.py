@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
-from labpipe.identify.regression import Regression, least_squares, output_chi_square, regression, scaled_design
-from labpipe.identify.statistics import Estimate, determination, stacked
+from labpipe.identify.regression import Regression, equation_solution, output_chi_square, regression, scaled_design, triangle_of
+from labpipe.identify.statistics import Estimate, determination, stacked, stacked_terms
 from labpipe.identify.weights import has_noise
 from labpipe.records.identification import Goodness
 
@@ -31,11 +31,10 @@ def instrumental_variables(measured: Measured, model: DynamicModel, weight: str 
     a fit whose instruments are too weak. Standard errors: the sandwich (V^T A)^-1 (V^T Omega V) (A^T V)^-1.
     """
     equation = regression(measured, model, weight)
-    values = least_squares(measured, model, weight).values
-    values, settled, iterations = _iterate(measured, model, equation, values)
+    values, settled, iterations = _iterate(measured, model, equation, equation_solution(equation, model)[0])
     fitted_terms = model.equation_terms(model.receptance(values, measured.omega), measured.omega)
     instruments = _weighted_columns(fitted_terms, equation)
-    correlation = weakest_correlation(instruments, _columns(equation.terms))
+    correlation = weakest_correlation(instruments, stacked_terms(equation.terms))
     converged = settled and correlation >= WEAKEST_INSTRUMENTS
     covariance = _sandwich(measured, model, equation, instruments, values)
     dof = measured.n_equation - len(model.terms)
@@ -49,14 +48,14 @@ def _iterate(
     measured: Measured, model: DynamicModel, equation: Regression, values: NDArray[np.floating]
 ) -> tuple[NDArray[np.floating], bool, int]:
     """(estimate, settled, iterations)."""
-    columns, side = _columns(equation.terms), stacked(equation.known.reshape(-1))
+    columns, side = stacked_terms(equation.terms), stacked(equation.known.reshape(-1))
     # In units of the regressors' lengths parameters of different dimension compare.
-    size = np.linalg.norm(columns, axis=1)
+    size = np.sqrt(np.einsum("pe,pe->p", columns, columns))
     last: NDArray[np.complexfloating] | None = None
     for iteration in range(1, MAX_ITERATIONS + 1):
         response = model.receptance(values, measured.omega)
         instruments = _weighted_columns(model.equation_terms(response, measured.omega), equation)
-        new = _solve(instruments, columns, side)
+        new = _solve(instruments, columns, side, size)
         settled = _change(new * size, values * size) < TOLERANCE or (last is not None and _change(response, last) < TOLERANCE)
         values, last = new, response
         if settled:
@@ -64,12 +63,13 @@ def _iterate(
     return values, False, MAX_ITERATIONS
 
 
-def _solve(instruments: NDArray[np.floating], columns: NDArray[np.floating], side: NDArray[np.floating]) -> NDArray[np.floating]:
-    """(V^T A)^-1 V^T b, columns scaled to length 1 in between."""
-    own, scale = np.linalg.norm(instruments, axis=1), np.linalg.norm(columns, axis=1)
-    product = (instruments @ columns.T) / np.outer(own, scale)
+def _solve(
+    instruments: NDArray[np.floating], columns: NDArray[np.floating], side: NDArray[np.floating], size: NDArray[np.floating]
+) -> NDArray[np.floating]:
+    """(V^T A)^-1 V^T b, both sides scaled by the *size* of the regressors in between."""
+    product = (instruments @ columns.T) / np.outer(size, size)
     try:
-        values: NDArray[np.floating] = np.linalg.solve(product, (instruments @ side) / own) / scale
+        values: NDArray[np.floating] = np.linalg.solve(product, (instruments @ side) / size) / size
     except np.linalg.LinAlgError:
         raise FitError("the instruments of iv are linearly dependent", hint="excite a second force direction, or use ml") from None
     if not np.all(np.isfinite(values)):
@@ -78,9 +78,14 @@ def _solve(instruments: NDArray[np.floating], columns: NDArray[np.floating], sid
 
 
 def weakest_correlation(instruments: NDArray[np.floating], columns: NDArray[np.floating]) -> float:
-    """Smallest canonical correlation between the spaces of instruments and of regressors, both (n_parameter, n_equation)."""
-    bases = [np.linalg.qr((rows / np.linalg.norm(rows, axis=1)[:, None]).T)[0] for rows in (instruments, columns)]
-    return float(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[-1])
+    """Smallest canonical correlation between the spaces of instruments and of regressors, both (n_parameter, n_equation).
+
+    With V = Q_v R_v and A = Q_a R_a it is the smallest singular value of Q_v^T Q_a = R_v^-T V^T A R_a^-1.
+    """
+    sizes = [np.sqrt(np.einsum("pe,pe->p", rows, rows)) for rows in (instruments, columns)]
+    half = np.linalg.solve(triangle_of(instruments.T).T, instruments @ columns.T / np.outer(*sizes))
+    between = np.linalg.solve(triangle_of(columns.T).T, half.T)
+    return float(np.linalg.svd(between, compute_uv=False)[-1])
 
 
 def _sandwich(
@@ -89,7 +94,7 @@ def _sandwich(
     """Covariance of the estimate from the noise of the FRF, or, where it is not known, from the residual line by line (White)."""
     scores = _known_scores if has_noise(measured) else _residual_scores
     middle = scores(measured, model, equation, instruments, values)
-    bread = np.linalg.pinv(instruments @ _columns(equation.terms).T)
+    bread = np.linalg.pinv(instruments @ stacked_terms(equation.terms).T)
     covariance: NDArray[np.floating] = bread @ middle @ bread.T
     return covariance
 
@@ -124,12 +129,8 @@ def _residual_scores(
 
 
 def _weighted_columns(terms: NDArray[np.complexfloating], equation: Regression) -> NDArray[np.floating]:
-    return _columns(terms * equation.line_weights[:, None, None])
-
-
-def _columns(terms: NDArray[np.complexfloating]) -> NDArray[np.floating]:
-    """Regressors (n_parameter, n_line, ...) as rows of real numbers, (n_parameter, n_equation)."""
-    return stacked(terms.reshape(terms.shape[0], -1))
+    weights = equation.line_weights
+    return stacked_terms(terms if np.all(weights == 1) else terms * weights[:, None, None])
 
 
 def _change(new: NDArray[np.inexact], old: NDArray[np.inexact]) -> float:

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
 from labpipe.errors import FitError
 from labpipe.identify.levenberg import Minimum, minimise
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import ResponseModel
 from labpipe.identify.output_error import OutputError
-from labpipe.identify.regression import solve_scaled
+from labpipe.identify.regression import solve_scaled, triangle_of
 from labpipe.identify.starts import Start, starts
 from labpipe.identify.statistics import Estimate, determination
 from labpipe.identify.weights import WeightDoubt, equal_weights, has_noise, weight_doubt, whitener
@@ -49,7 +47,7 @@ def maximum_likelihood(measured: Measured, model: ResponseModel, weight: str = "
     values, converged, iterations = best.values, best.converged, best.steps
     jacobian, residual = problem.jacobian(values), problem.residual(values)
     _, inverse = solve_scaled(jacobian, residual)
-    design = jacobian / np.linalg.norm(jacobian, axis=0)
+    design = triangle_of(jacobian)
     reduced = float(residual @ residual) / dof
     r2, adjusted = determination(measured.matrix, measured.matrix - model.receptance(values, measured.omega), n_parameter)
     notes: tuple[str, ...] = (f"ml: started from {start.name}.",)

@@ -148,16 +148,21 @@ class DynamicModel:
 
     def equation_terms(self, h: NDArray[np.complexfloating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
         """Z_j H - B_j: the regressors of the equation of motion, (n_parameter, n_line, n_dof, n_input)."""
-        terms = np.zeros((len(self.terms), *h.shape), np.complex128)
+        n_line, n_dof, n_input = h.shape
+        # Lines last but one: every product below is one contiguous matrix product.
+        terms = np.zeros((len(self.terms), n_dof, n_line, n_input), np.complex128)
+        by_dof = np.ascontiguousarray(h.transpose(1, 0, 2))
         factors: dict[str, NDArray[np.inexact]] = {"stiffness": np.ones_like(omega), "damping": 1j * omega, "mass": -(omega**2)}
         for kind, factor in factors.items():
             stack = self._stacks[kind]
             own = np.flatnonzero(np.any(stack != 0, axis=(1, 2)))
             if own.size:
-                weighted = h * factor[:, None, None]
-                terms[own] += np.tensordot(stack[own], weighted, ((2,), (1,))).transpose(0, 2, 1, 3)
-        terms -= self._stacks["force"][:, None]
-        return terms
+                moved = (by_dof * factor[:, None]).reshape(n_dof, -1).astype(np.complex128, copy=False)
+                terms[own] += (stack[own].reshape(-1, n_dof).astype(np.complex128) @ moved).reshape(own.size, n_dof, n_line, n_input)
+        force = self._stacks["force"]
+        if np.any(force):
+            terms -= force[:, :, None]
+        return terms.transpose(0, 2, 1, 3)
 
     def equation_known(self, h: NDArray[np.complexfloating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
         """B_0 - Z_0 H: the known side of the equation of motion, (n_line, n_dof, n_input)."""

@@ -11,10 +11,12 @@ from scipy import linalg
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
-from labpipe.identify.statistics import Estimate, condition_number, determination, stacked
+from labpipe.identify.statistics import Estimate, condition_number, determination, stacked, stacked_terms
 from labpipe.identify.weights import has_noise, weight_doubt, whitened, whitener
 from labpipe.records.identification import Goodness
 
+# Condition number up to which products of columns keep eight digits and more.
+WELL_CONDITIONED = 1e4
 BIAS_NOTE = (
     "ls: the standard errors come from the equation's residual; the bias that noise in the measured FRF causes is not in them "
     "(the FRF stands among the regressors). The estimator ml has no such bias."
@@ -29,17 +31,26 @@ def least_squares(measured: Measured, model: DynamicModel, weight: str = "none")
     """
     equation = regression(measured, model, weight)
     n_parameter = len(model.terms)
+    values, covariance, own_dof = equation_solution(equation, model)
+    r2, adjusted = determination(equation.known, equation.residual(values), n_parameter)
+    design = _plain_design(measured, model, values, scaled_design(equation.terms))
+    dof = measured.n_equation - n_parameter
+    gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
+    return Estimate(values, covariance, design, gof, dof, notes=(BIAS_NOTE,), own_dof=own_dof)
+
+
+def equation_solution(
+    equation: Regression, model: DynamicModel
+) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.int_]]:
+    """(estimate, its covariance, degrees of freedom of each parameter's own regression)."""
+    n_parameter = len(model.terms)
     values, covariance = np.zeros(n_parameter), np.zeros((n_parameter, n_parameter))
     own_dof = np.zeros(n_parameter, int)
     for rows, own in _separate_regressions(model):
         side = equation.known[:, rows]
         values[own], covariance[np.ix_(own, own)] = _solve(equation.terms[own][:, :, rows], side)
         own_dof[own] = 2 * side.size - len(own)
-    r2, adjusted = determination(equation.known, equation.residual(values), n_parameter)
-    design = _plain_design(measured, model, values, scaled_design(equation.terms))
-    dof = measured.n_equation - n_parameter
-    gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
-    return Estimate(values, covariance, design, gof, dof, notes=(BIAS_NOTE,), own_dof=own_dof)
+    return values, covariance, own_dof
 
 
 @dataclass(frozen=True)
@@ -113,36 +124,59 @@ def _plain_design(
 
 
 def scaled_design(terms: NDArray[np.complexfloating]) -> NDArray[np.floating]:
-    """Regressors (n_parameter, n_line, ...) as a real matrix (n_equation, n_parameter) with columns of length 1."""
-    columns = stacked(terms.reshape(terms.shape[0], -1)).T
-    scale = np.linalg.norm(columns, axis=0)
-    scaled: NDArray[np.floating] = columns / np.where(scale > 0, scale, 1.0)
-    return scaled
+    """Triangular factor of regressors (n_parameter, n_line, ...) taken as real columns of length 1, (n_parameter, n_parameter).
+
+    It has their singular values and right vectors, which is all that diagnostics need.
+    """
+    return triangle_of(stacked_terms(terms).T)
+
+
+def triangle_of(columns: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Triangular factor R of *columns* (n_equation, n_parameter) scaled to length 1."""
+    return _factorised(columns)[1]
+
+
+def _factorised(columns: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating], bool]:
+    """(lengths of the columns, R of the columns scaled by them, whether R came from their products).
+
+    Products of columns (Cholesky) cost a fraction of Householder's QR and are as good while the condition number is far below
+    1 / sqrt(rounding); beyond that QR takes over.
+    """
+    products = columns.T @ columns
+    scale = np.sqrt(np.diag(products))
+    scale = np.where(scale > 0, scale, 1.0)
+    try:
+        triangle: NDArray[np.floating] = np.linalg.cholesky(products / np.outer(scale, scale)).T
+        if np.linalg.cond(triangle) < WELL_CONDITIONED:
+            return scale, triangle, True
+    except np.linalg.LinAlgError:
+        pass
+    return scale, np.asarray(np.linalg.qr(columns / scale, mode="r")), False
 
 
 def solve_scaled(columns: NDArray[np.floating], known: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Least-squares solution and (W^T W)^-1, columns scaled to length 1 in between so that units do not matter.
-
-    The singular values are those of the triangular factor: far fewer rows than the regression has.
-    """
+    """Least-squares solution and (W^T W)^-1, columns scaled to length 1 in between so that units do not matter."""
     n = columns.shape[1]
-    scale = np.linalg.norm(columns, axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
-    triangle: NDArray[np.floating] = np.asarray(np.linalg.qr(np.column_stack([columns / scale, known]), mode="r"))
-    left, singular, right = linalg.svd(triangle[:n, :n])
+    scale, triangle, by_products = _factorised(columns)
+    left, singular, right = linalg.svd(triangle)
     if singular[-1] <= singular[0] * np.finfo(float).eps * max(columns.shape):
         raise FitError(
             "the excitation leaves parameters undetermined: columns of the regression are linearly dependent",
             hint="excite a second force direction, or use a model with fewer parameters",
         )
-    values = right.T @ ((left.T @ triangle[:n, n]) / singular) / scale
     inverse = (right.T / singular**2) @ right / np.outer(scale, scale)
-    return values, inverse
+    if by_products:
+        # Corrected seminormal equations (Bjoerck 1987): one refinement makes them as accurate as QR.
+        values = inverse @ (columns.T @ known)
+        return values + inverse @ (columns.T @ (known - columns @ values)), inverse
+    side = np.asarray(np.linalg.qr(np.column_stack([columns / scale, known]), mode="r"))[:n, n]
+    # The last column shares the signs of its own factorisation, whose first columns are R up to rounding.
+    return right.T @ ((left.T @ side) / singular) / scale, inverse
 
 
 def _solve(terms: NDArray[np.complexfloating], known: NDArray[np.complexfloating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """One regression: estimates and their covariance from its own residual variance."""
-    columns = stacked(terms.reshape(terms.shape[0], -1)).T
+    columns = stacked_terms(terms).T
     side = stacked(known.reshape(-1))
     if side.size <= columns.shape[1]:
         message = f"{side.size} real equations cannot determine the {columns.shape[1]} parameters of a direction"

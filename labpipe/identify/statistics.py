@@ -16,9 +16,9 @@ from labpipe.records.identification import Goodness, Parameter
 class Estimate:
     """What an estimator gives: parameters, their covariance, and what the fit leaves.
 
-    values (n_parameter,); covariance (n_parameter, n_parameter); scaled_design (n_equation, n_parameter): real design or Jacobian
-    with columns of length 1; dof: real equations - parameters; own_dof (n_parameter,): the same of the regression that gave each
-    parameter, where a fit consists of several (ls: one per direction), else None.
+    values (n_parameter,); covariance (n_parameter, n_parameter); scaled_design (n_parameter, n_parameter): triangular factor of the
+    real design or Jacobian with columns of length 1; dof: real equations - parameters; own_dof (n_parameter,): the same of the
+    regression that gave each parameter, where a fit consists of several (ls: one per direction), else None.
     """
 
     values: NDArray[np.floating]
@@ -99,3 +99,10 @@ def correlation(covariance: NDArray[np.floating]) -> NDArray[np.floating]:
 def stacked(values: NDArray[np.complexfloating]) -> NDArray[np.floating]:
     """Real and imaginary parts one below the other along the last axis."""
     return np.concatenate([values.real, values.imag], axis=-1)
+
+
+def stacked_terms(terms: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+    """Regressors (n_parameter, n_line, n_dof, n_input) as rows of real numbers, (n_parameter, n_equation); one copy, no more."""
+    rows = np.empty((terms.shape[0], 2, *terms.shape[1:]))
+    rows[:, 0], rows[:, 1] = terms.real, terms.imag
+    return rows.reshape(terms.shape[0], -1)
