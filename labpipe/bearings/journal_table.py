@@ -1,0 +1,199 @@
+"""Coefficients of a worn journal bearing as a smooth table over wear and operating point, with exact derivatives.
+
+An identification asks for coefficients thousands of times. A bearing of given L / D under a load of fixed direction has, scaled,
+K c / W and C c Omega / W that depend on sqrt(depth / c), the angle of wear, ln S (Sommerfeld) and p_cav L D / W only; the table is a
+tensor product of cubic splines over them. The root of the depth spreads shallow wear; the splines are even in it, so that at
+zero depth the angle has no influence and the derivative by depth vanishes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import NdBSpline, make_interp_spline
+
+from labpipe.bearings.journal import DEFAULT_MESH, JournalBearing, JournalEquilibrium, journal_equilibrium
+from labpipe.bearings.journal_mesh import FilmMesh
+from labpipe.errors import ConfigError, FitError
+
+AXES = ("wear depth", "wear angle", "Sommerfeld number", "cavitation pressure")
+# In the order of the derivatives.
+PARAMETERS = ("wear_depth", "wear_angle", "viscosity", "clearance", "cavitation_pressure")
+# Root of depth over clearance below which the limit of the derivative at zero depth is taken.
+LEAST_ROOT = 1e-4
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class TableRange:
+    """Ranges and numbers of nodes: depth from zero to *depth* [m], angle +-*angle* [rad], viscosity by a factor up and down, clearance
+    likewise, cavitation pressures down to *cavitation_pressure* [Pa] (zero: no axis). A factor of 1 on both: no Sommerfeld axis.
+    """
+
+    depth: float = 50e-6
+    angle: float = np.pi / 9
+    viscosity_factor: float = 1.0
+    clearance_factor: float = 1.0
+    cavitation_pressure: float = 0.0
+    n_depth: int = 25
+    n_angle: int = 9
+    n_sommerfeld: int = 4
+    n_cavitation: int = 5
+
+    def __post_init__(self) -> None:
+        if not (self.depth > 0 and 0 < self.angle < np.pi / 2):
+            raise ConfigError("a table of wear needs a largest depth and an angle below 90 deg")
+        if min(self.viscosity_factor, self.clearance_factor) < 1 or self.cavitation_pressure > 0:
+            raise ConfigError("a table's factors are 1 or more and its cavitation pressure zero or less")
+        if min(self.n_depth, self.n_angle, self.n_sommerfeld, self.n_cavitation) < 4:
+            raise ConfigError("cubic splines need at least four nodes along every axis of the table")
+
+    @property
+    def sommerfeld_factor(self) -> float:
+        """S goes with mu / c^2."""
+        return self.viscosity_factor * self.clearance_factor**2
+
+
+@dataclass(frozen=True)
+class TableCoefficients:
+    """stiffness [N/m], damping [N s/m], (2, 2); their derivatives by PARAMETERS in SI units, (5, 2, 2) each."""
+
+    stiffness: Array
+    damping: Array
+    stiffness_slopes: Array
+    damping_slopes: Array
+
+
+@dataclass(frozen=True)
+class JournalTable:
+    """Scaled coefficients K c / W and C c Omega / W over the axes in use; made by `journal_table`.
+
+    active: numbers of the AXES with more than one node; low, high (4,): ranges, equal where there is one node; spline: K, then C.
+    """
+
+    bearing: JournalBearing
+    load: tuple[float, float]
+    active: tuple[int, ...]
+    low: Array
+    high: Array
+    spline: NdBSpline
+
+    def coefficients(self, bearing: JournalBearing, speed: float, size: float | None = None) -> TableCoefficients:
+        """Coefficients of a bearing whose wear, viscosity, clearance or cavitation pressure differ from the table's own.
+
+        *size* [N] of the load, in the table's direction, the table's own unless given; *speed* [rad/s]. FitError outside the table.
+        """
+        weight = float(np.hypot(*self.load)) if size is None else size
+        point, slopes = _place(bearing, weight, speed)
+        at = self._inside(point)
+        values = self.spline(at)[0]
+        by_axis = np.zeros((len(AXES), 8))
+        for number, axis in enumerate(self.active):
+            by_axis[axis] = self.spline(at, nu=[int(n == number) for n in range(len(self.active))])[0]
+        scale = weight / bearing.clearance * np.repeat([1, 1 / speed], 4)
+        by_parameter = (slopes @ by_axis) * scale
+        by_parameter[PARAMETERS.index("clearance")] -= values * scale / bearing.clearance
+        split = (values * scale).reshape(2, 2, 2), by_parameter.reshape(-1, 2, 2, 2)
+        return TableCoefficients(split[0][0], split[0][1], split[1][:, 0], split[1][:, 1])
+
+    def _inside(self, point: Array) -> Array:
+        slack = 1e-9 * (1 + np.abs(self.high))
+        for axis in np.flatnonzero((point < self.low - slack) | (point > self.high + slack)):
+            raise FitError(f"the {AXES[axis]} lies outside the table of bearing coefficients", hint="make the table wider")
+        return np.clip(point, self.low, self.high)[None, list(self.active)]
+
+
+def _place(bearing: JournalBearing, weight: float, speed: float) -> tuple[Array, Array]:
+    """Coordinates (4,) in the table and their derivatives by PARAMETERS, (5, 4)."""
+    c, mu = bearing.clearance, bearing.viscosity
+    root = float(np.sqrt(bearing.wear_depth / c))
+    mean_pressure = weight / (bearing.length * bearing.diameter)
+    sommerfeld = bearing.force_scale(speed) / (6 * np.pi * weight)
+    slopes = np.zeros((len(PARAMETERS), len(AXES)))
+    slopes[0, 0] = 1 / (2 * max(root, LEAST_ROOT) * c)
+    slopes[1, 1] = 1
+    slopes[2, 2] = 1 / mu
+    slopes[3, [0, 2]] = -root / (2 * c), -2 / c
+    slopes[4, 3] = 1 / mean_pressure
+    return np.array([root, bearing.wear_angle, np.log(sommerfeld), bearing.cavitation_pressure / mean_pressure]), slopes
+
+
+def journal_table(
+    bearing: JournalBearing,
+    load: tuple[float, float],
+    speed: float,
+    ranges: TableRange | None = None,
+    mesh: FilmMesh = DEFAULT_MESH,
+    workers: int = 1,
+) -> JournalTable:
+    """The table of a *bearing* under a *load* (2,) [N] at *speed* [rad/s]; its wear and cavitation pressure are not used.
+
+    *workers* processes share the work; one process makes the same table.
+    """
+    ranges = ranges or TableRange()
+    nodes = _nodes(bearing, float(np.hypot(*load)), speed, ranges)
+    lines = [(bearing, load, speed, mesh, root, nodes[1], s, p) for root, s, p in product(nodes[0], nodes[2], nodes[3])]
+    if workers > 1:
+        with ProcessPoolExecutor(workers) as pool:
+            rows = list(pool.map(_line, lines, chunksize=max(1, len(lines) // (4 * workers))))
+    else:
+        rows = [_line(line) for line in lines]
+    values = np.array(rows).reshape(*(axis.size for axis in (nodes[0], nodes[2], nodes[3], nodes[1])), 8)
+    return _fitted(bearing, load, nodes, np.moveaxis(values, 3, 1))
+
+
+def _nodes(bearing: JournalBearing, weight: float, speed: float, ranges: TableRange) -> tuple[Array, Array, Array, Array]:
+    mean_pressure = weight / (bearing.length * bearing.diameter)
+    own = np.log(bearing.force_scale(speed) / (6 * np.pi * weight))
+    half = np.log(ranges.sommerfeld_factor)
+    deepest = np.sqrt(ranges.depth * ranges.clearance_factor / bearing.clearance)
+    return (
+        np.linspace(0, deepest, ranges.n_depth),
+        np.linspace(-ranges.angle, ranges.angle, ranges.n_angle),
+        np.linspace(own - half, own + half, ranges.n_sommerfeld) if half > 0 else np.array([own]),
+        np.linspace(ranges.cavitation_pressure / mean_pressure, 0, ranges.n_cavitation) if ranges.cavitation_pressure else np.zeros(1),
+    )
+
+
+def _line(line: tuple[JournalBearing, tuple[float, float], float, FilmMesh, float, Array, float, float]) -> Array:
+    """Scaled coefficients (n_angle, 8) along the angle of wear, each equilibrium started from the one before."""
+    bearing, load, speed, mesh, root, angles, log_sommerfeld, cavitation = line
+    weight = float(np.hypot(*load))
+    viscosity = bearing.viscosity * np.exp(log_sommerfeld) * 6 * np.pi * weight / bearing.force_scale(speed)
+    pressure = cavitation * weight / (bearing.length * bearing.diameter)
+    equilibrium: JournalEquilibrium | None = None
+    rows = []
+    for angle in angles if root > 0 else angles[:1]:
+        worn = dataclasses.replace(
+            bearing,
+            viscosity=float(viscosity),
+            wear_depth=float(root**2 * bearing.clearance),
+            wear_angle=float(angle),
+            cavitation_pressure=float(pressure),
+        )
+        equilibrium = journal_equilibrium(worn, load, speed, mesh, equilibrium)
+        stiffness, damping = equilibrium.stiffness, equilibrium.damping * speed
+        rows.append(np.concatenate([stiffness.ravel(), damping.ravel()]) * bearing.clearance / weight)
+    return np.broadcast_to(rows, (angles.size, 8)) if root == 0 else np.array(rows)
+
+
+def _fitted(bearing: JournalBearing, load: tuple[float, float], nodes: tuple[Array, ...], values: Array) -> JournalTable:
+    """Splines through *values* (n_depth, n_angle, n_sommerfeld, n_cavitation, 8), reflected at zero depth."""
+    active = tuple(axis for axis in range(len(AXES)) if nodes[axis].size > 1)
+    values = values.reshape(*(nodes[axis].size for axis in active), 8)
+    places = [nodes[axis] for axis in active]
+    low, high = (np.array([place[end] for place in nodes]) for end in (0, -1))
+    places[0] = np.concatenate([-places[0][:0:-1], places[0]])
+    values = np.concatenate([values[:0:-1], values])
+    knots = []
+    for number, place in enumerate(places):
+        along = make_interp_spline(place, np.moveaxis(values, number, 0), 3)
+        knots.append(along.t)
+        values = np.moveaxis(along.c, 0, number)
+    return JournalTable(bearing, load, active, low, high, NdBSpline(tuple(knots), np.ascontiguousarray(values), 3))
