@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.response import FrequencyResponse
+from labpipe.spectra.matrices import hermitian, without_rounding
 
 DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
@@ -53,3 +54,18 @@ def dynamic_stiffness(response: FrequencyResponse) -> NDArray[np.complexfloating
         return np.linalg.inv(receptance.matrix)
     except np.linalg.LinAlgError:
         raise DataError("the FRF matrix is singular at a line, so it has no dynamic stiffness") from None
+
+
+def dynamic_stiffness_covariance(response: FrequencyResponse) -> NDArray[np.complexfloating] | None:
+    """Covariance of vec(Z), row-major, (n_frequency, n, n) [(N/m)^2]: dZ = -Z dH Z, so cov = T cov_H T^H with T = Z kron Z^T.
+
+    To first order in the errors of H; None when the response has no covariance. Raises as dynamic_stiffness does.
+    """
+    stiffness = dynamic_stiffness(response)
+    if response.covariance is None:
+        return None
+    covariance = converted(response, "receptance").covariance
+    assert covariance is not None
+    n = stiffness.shape[1]
+    turn = np.einsum("fab,fcd->fadbc", stiffness, stiffness).reshape(-1, n * n, n * n)
+    return without_rounding(turn @ covariance @ hermitian(turn))

@@ -25,8 +25,8 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
     turned to x and y first. An isotropic rotor has H_fb = H_bf = 0. Coherence does not carry over. Raises DataError when there
     are not two responses and two forces in known, different directions.
     """
-    to_xy = np.linalg.inv(_directions(response.outputs, "responses"))
-    from_xy = np.linalg.inv(_directions(response.inputs, "forces").T)
+    to_xy = np.linalg.inv(directions(response.outputs, "responses"))
+    from_xy = np.linalg.inv(directions(response.inputs, "forces").T)
     left = np.linalg.inv(FROM_DIRECTIONAL) @ to_xy
     right = from_xy @ FROM_DIRECTIONAL
     # vec(L H R) = (L kron R^T) vec(H) in row-major order.
@@ -46,7 +46,7 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
     )
 
 
-def _directions(ports: tuple[Port, ...], what: str) -> NDArray[np.floating]:
+def directions(ports: tuple[Port, ...], what: str) -> NDArray[np.floating]:
     """Rows (cos, sin) of the two directions; DataError unless there are two that differ."""
     angles = [port.angle for port in ports if port.angle is not None]
     if len(ports) != 2 or len(angles) != 2:

@@ -55,7 +55,8 @@ class _HitAverage:
         self.n_sample = round(settings.block * source.sample_rate)
         self._lines = line_range(self.n_sample, source.sample_rate, settings.band)
         n_channel = len(source.channels)
-        self._sum = np.zeros((self._lines.stop - self._lines.start, n_channel, n_channel), np.complex128)
+        n_line = int(self._lines.stop - self._lines.start)
+        self._sum = np.zeros((n_line, n_channel, n_channel), np.complex128)
         self._n_hit = self._n_found = 0
         self._slow: set[str] = set()
         self.findings: list[Finding] = []

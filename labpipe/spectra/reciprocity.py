@@ -1,0 +1,81 @@
+"""Whether H_ij and H_ji are equal within their doubt, as they must be on a structure that does not turn and is not controlled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from labpipe.errors import DataError
+from labpipe.records.response import FrequencyResponse
+
+# Neighbouring lines of a windowed spectrum share noise over this many lines.
+SHARED_LINES = 3
+
+
+@dataclass(frozen=True)
+class Reciprocity:
+    """H of *first* (response) to *second* (force) against the reverse, by dof.
+
+    ratio (n_frequency,): |H_ij - H_ji|^2 over its variance, 1 on average where reciprocity holds; difference: the rms of
+    |H_ij - H_ji| over the rms of both; p_value: the chance of a mean ratio as large where reciprocity holds.
+    """
+
+    first: str
+    second: str
+    ratio: NDArray[np.floating]
+    difference: float
+    p_value: float
+
+
+def reciprocity(response: FrequencyResponse) -> tuple[Reciprocity, ...]:
+    """Every pair of dofs that has both a response and a force; DataError without covariance or without such a pair.
+
+    var(H_ij - H_ji) = C_pp + C_qq - 2 Re C_pq, from the covariance of the response.
+    """
+    if response.covariance is None:
+        raise DataError("reciprocity cannot be judged without the covariance of the FRF", hint="record more periods or blocks")
+    rows = {port.dof: number for number, port in enumerate(response.outputs)}
+    columns = {port.dof: number for number, port in enumerate(response.inputs)}
+    shared = [dof for dof in rows if dof in columns]
+    if len(shared) < 2:
+        raise DataError("reciprocity needs two dofs that are both excited and measured")
+    pairs = [(i, j) for number, i in enumerate(shared) for j in shared[number + 1 :]]
+    return tuple(_pair(response, i, j, (rows[i], columns[j]), (rows[j], columns[i])) for i, j in pairs)
+
+
+def _pair(response: FrequencyResponse, first: str, second: str, one: tuple[int, int], other: tuple[int, int]) -> Reciprocity:
+    assert response.covariance is not None
+    n_input = len(response.inputs)
+    p, q = (row * n_input + column for row, column in (one, other))
+    c = response.covariance
+    variance = (c[:, p, p] + c[:, q, q] - 2 * c[:, p, q].real).real
+    here, there = response.matrix[:, *one], response.matrix[:, *other]
+    if np.any(variance <= 0):
+        raise DataError(f"H of {first} to {second} and its reverse have no doubt at a line, so they cannot be compared")
+    normal = (here - there) / np.sqrt(variance)
+    ratio = np.abs(normal) ** 2
+    size = np.sqrt(np.mean(np.abs(here) ** 2 + np.abs(there) ** 2) / 2)
+    difference = float(np.sqrt(np.mean(np.abs(here - there) ** 2)) / size)
+    return Reciprocity(first, second, ratio, difference, _p_value(normal, response.covariance_dof))
+
+
+def _p_value(normal: NDArray[np.complexfloating], dof: float) -> float:
+    """P(mean ratio at least as large): a gamma distribution with the mean and variance of averaged F(2, 2 dof) ratios.
+
+    Mean dof/(dof-1), variance dof^3 / ((dof-1)^2 (dof-2)) / n_e, with n_e = n / (1 + 2 sum |r_k|^2) lines in effect, r_k the
+    correlation of the differences k lines apart as they show it.
+    """
+    if dof <= 2:
+        raise DataError(f"reciprocity cannot be judged with {dof:g} degrees of freedom of the covariance", hint="record longer")
+    power = np.sum(np.abs(normal) ** 2)
+    shared = [abs(np.sum(normal[k:] * normal[:-k].conj())) / power for k in range(1, min(SHARED_LINES, normal.size - 1) + 1)]
+    # A correlation found in n lines is 1/n in the mean where there is none.
+    excess = sum(max(r**2 - 1 / normal.size, 0.0) for r in shared)
+    n_effective = max(normal.size / (1 + 2 * excess), 1.0)
+    exact = np.isinf(dof)
+    shape = n_effective * (1.0 if exact else (dof - 2) / dof)
+    mean = power / normal.size * (1.0 if exact else (dof - 1) / dof)
+    return float(stats.gamma.sf(mean * shape, shape))

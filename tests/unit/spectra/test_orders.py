@@ -1,0 +1,106 @@
+"""Order tracking of orbits with known amplitude, phase and sense of turning."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.errors import DataError
+from labpipe.records.recording import Channel, Recording
+from labpipe.spectra.orders import directional_track, track_order
+from labpipe.spectra.settings import ShaftLines
+
+RATE = 2000.0
+X, Y = Channel("x", "displacement", "output", "x", 0.0), Channel("y", "displacement", "output", "y", np.pi / 2)
+TACHO = Channel("tacho", "voltage", "reference", "tacho")
+
+
+def run(revolutions: np.ndarray, x: np.ndarray, y: np.ndarray, channels: tuple[Channel, ...] = (X, Y)) -> Recording:
+    pulses = np.where(revolutions % 1.0 < 0.5, 5.0, 0.0)
+    return Recording((*channels, TACHO), np.column_stack([x, y, pulses]), RATE, "run")
+
+
+def circle(revolutions: np.ndarray, forward: complex, backward: complex) -> tuple[np.ndarray, np.ndarray]:
+    """[x, y] = A [f, b] turned with the shaft."""
+    turn = np.exp(2j * np.pi * revolutions)
+    return np.real((forward + backward) * turn), np.real((-1j * forward + 1j * backward) * turn)
+
+
+def test_an_orbit_at_a_given_speed() -> None:
+    revolutions = 43.7 * np.arange(20_000) / RATE
+    forward, backward = 3e-5 * np.exp(0.4j), 1e-5 * np.exp(-1.1j)
+    track = track_order(run(revolutions, *circle(revolutions, forward, backward)), ShaftLines(speed=43.7))
+    assert track.time.size == 21
+    np.testing.assert_allclose(track.speed, 43.7, rtol=1e-9)
+    np.testing.assert_allclose(track.amplitude[:, 0], forward + backward, rtol=1e-9)
+    circles = directional_track(track)
+    np.testing.assert_allclose(circles.amplitude, np.tile([forward, backward], (21, 1)), rtol=1e-8)
+    # The orbit's half axes by its extreme radii.
+    radius = np.hypot(*circle(np.linspace(0, 1, 100_000), forward, backward))
+    assert radius.max() == pytest.approx(abs(forward) + abs(backward), rel=1e-6)
+    assert radius.min() == pytest.approx(abs(forward) - abs(backward), rel=1e-6)
+
+
+def test_a_rotor_whirling_forward_has_no_backward_part() -> None:
+    revolutions = 30.0 * np.arange(10_000) / RATE
+    circles = directional_track(track_order(run(revolutions, *circle(revolutions, 1.0, 0.0)), ShaftLines(speed=30.0)))
+    assert np.max(np.abs(circles.amplitude[:, 1])) < 1e-12
+    backward = directional_track(track_order(run(revolutions, *circle(revolutions, 0.0, 1.0)), ShaftLines(speed=30.0)))
+    assert np.max(np.abs(backward.amplitude[:, 0])) < 1e-12
+
+
+def test_sensors_at_45_degrees_see_the_same_circles() -> None:
+    revolutions = 30.0 * np.arange(10_000) / RATE
+    x, y = circle(revolutions, 2.0, 0.5j)
+    turned = (Channel("a", "displacement", "output", "45 deg", np.pi / 4), Channel("b", "displacement", "output", "135 deg", 3 * np.pi / 4))
+    recording = run(revolutions, (x + y) / np.sqrt(2), (y - x) / np.sqrt(2), turned)
+    circles = directional_track(track_order(recording, ShaftLines(speed=30.0)))
+    np.testing.assert_allclose(circles.amplitude[3], [2.0, 0.5j], atol=1e-9)
+
+
+def test_a_run_up_is_tracked_by_the_tacho(rng: np.random.Generator) -> None:
+    # 20 to 60 Hz in 60 s; amplitude and phase of a resonance at 40 Hz passed slowly.
+    time = np.arange(int(60 * RATE)) / RATE
+    revolutions = 20 * time + time**2 / 3 + 0.5
+    speed = 20 + 2 * time / 3
+
+    def resonance(f: np.ndarray) -> np.ndarray:
+        return f**2 / (40.0**2 - f**2 + 2j * 0.1 * 40.0 * f)
+
+    x = np.real(resonance(speed) * np.exp(2j * np.pi * revolutions)) + 0.01 * rng.normal(size=time.size)
+    track = track_order(run(revolutions, x, x), ShaftLines(tacho="tacho", harmonics=3), revolutions=10)
+    # The first pulse comes half a revolution after the start: angles agree modulo whole turns. A stretch of 10 revolutions spans
+    # 0.2 Hz, and a pulse is known to one sample, 1/33 of a revolution at 60 Hz.
+    expected = resonance(track.speed)
+    np.testing.assert_allclose(np.abs(track.amplitude[:, 0]), np.abs(expected), rtol=0.02)
+    assert np.max(np.abs(np.angle(track.amplitude[:, 0] / expected))) < 2 * np.pi / 33
+    assert track.speed[0] < 21 and track.speed[-1] > 58
+
+
+def test_the_variance_is_that_of_repeats(rng: np.random.Generator) -> None:
+    revolutions = 40.0 * np.arange(200_000) / RATE
+    x, y = circle(revolutions, 1.0, 0.3)
+    track = track_order(run(revolutions, x + 0.1 * rng.normal(size=x.size), y), ShaftLines(speed=40.0), revolutions=10)
+    assert np.mean(track.variance[:, 0]) == pytest.approx(4 * 0.01 / 500, rel=0.02)
+    assert np.mean(track.variance[:, 0]) / np.var(track.amplitude[:, 0]) == pytest.approx(1.0, abs=0.12)
+    circles = directional_track(track)
+    np.testing.assert_allclose(np.mean(circles.variance, axis=0) / np.var(circles.amplitude, axis=0), 1.0, atol=0.12)
+
+
+def test_block_borders_do_not_matter() -> None:
+    # 70,000 samples are read in two blocks; every stretch is whole and none is lost.
+    revolutions = 17.0 * np.arange(70_000) / RATE
+    track = track_order(run(revolutions, *circle(revolutions, 1.0, 0.0)), ShaftLines(speed=17.0), revolutions=7)
+    assert track.time.size == int(17.0 * 35 / 7) or track.time.size == int(17.0 * 35 / 7) - 1
+    np.testing.assert_allclose(np.diff(track.time), 7 / 17.0, atol=1 / RATE)
+    np.testing.assert_allclose(track.amplitude[:, 0], 1.0, rtol=1e-9)
+
+
+def test_what_cannot_be_tracked_is_refused() -> None:
+    revolutions = 10.0 * np.arange(2000) / RATE
+    recording = run(revolutions, *circle(revolutions, 1.0, 0.0))
+    with pytest.raises(DataError, match="holds no 20 revolutions"):
+        track_order(recording, ShaftLines(speed=10.0))
+    alone = Recording((X, Channel("z", "displacement", "output", "z"), TACHO), recording.samples, RATE, "run")
+    with pytest.raises(DataError, match="two responses in known directions"):
+        directional_track(track_order(alone, ShaftLines(speed=10.0), revolutions=2))
