@@ -34,6 +34,8 @@ Array = NDArray[np.floating]
 class TableRange:
     """Ranges and numbers of nodes: depth from zero to *depth* [m], angle +-*angle* [rad], viscosity by a factor up and down, clearance
     likewise, cavitation pressures down to *cavitation_pressure* [Pa] (zero: no axis). A factor of 1 on both: no Sommerfeld axis.
+
+    Slopes by depth turn sharply where the film parts in two before and behind the wear, hence the many nodes.
     """
 
     depth: float = 50e-6
@@ -41,7 +43,7 @@ class TableRange:
     viscosity_factor: float = 1.0
     clearance_factor: float = 1.0
     cavitation_pressure: float = 0.0
-    n_depth: int = 25
+    n_depth: int = 41
     n_angle: int = 9
     n_sommerfeld: int = 4
     n_cavitation: int = 5

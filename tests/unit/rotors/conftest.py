@@ -25,6 +25,8 @@ def oil_films() -> tuple[Support, ...]:
     return Support(1, stiffness, damping), Support(4, 1.5 * stiffness, damping)
 
 
+@pytest.fixture(scope="session")
+def mendes_rotor() -> Rotor:
     """The rotor of Mendes et al. (2017), tables 1 and 2; the two steel rings of the actuator's journal as sleeves on elements 9 and 10."""
     table = {1: (12, 60), 2: (12, 60), 3: (31, 10), 4: (31, 10), 9: (30, 40), 10: (30, 40), 11: (12, 50), 12: (12, 50)}
     table |= {13: (31, 10), 14: (31, 10), 15: (12, 30)} | dict.fromkeys(range(5, 9), (12, 55))
