@@ -1,0 +1,97 @@
+"""Cost of a wear identification in equilibria: figures are printed; only gross failures fail."""
+
+from __future__ import annotations
+
+import dataclasses
+import statistics
+import time
+from collections.abc import Callable
+from itertools import product
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from labpipe.bearings.journal import JournalBearing, JournalEquilibrium, journal_equilibrium
+from labpipe.bearings.journal_mesh import FilmMesh
+from labpipe.bearings.journal_table import JournalTable, journal_table
+from labpipe.rotors.parts import Rotor, ShaftElement, Sleeve, Support
+from labpipe.rotors.reduction import reduced_rotor
+from labpipe.rotors.worn import VaryingSupport, WornRig, worn_response
+
+SPEED = 2 * np.pi * 50
+LOAD = (0.0, -58.85)
+BEARING = JournalBearing(31e-3, 18e-3, 90e-6, 0.1044)
+LINES = np.array([15.9, 25.1, 34.3, 78.1, 81.3, 84.5, 87.7])
+STARTS = list(product([1.0, 15.0, 30.0, 45.0], [-15.0, -7.5, 0.0, 7.5, 15.0]))
+
+
+def wall_seconds(action: Callable[[], object], repeats: int) -> float:
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        action()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def worn(depth: float, angle: float) -> JournalBearing:
+    return dataclasses.replace(BEARING, wear_depth=depth, wear_angle=angle)
+
+
+def equilibrium_seconds() -> tuple[float, float]:
+    """One 120 x 30 equilibrium with its coefficients: from nothing, and from a neighbour 1 deg away."""
+    turning = iter(np.deg2rad(np.arange(-20.0, 20.0)))
+    neighbour: list[JournalEquilibrium] = [journal_equilibrium(worn(30e-6, -0.36), LOAD, SPEED)]
+
+    def from_neighbour() -> None:
+        neighbour[0] = journal_equilibrium(worn(30e-6, float(next(turning))), LOAD, SPEED, near=neighbour[0])
+
+    cold = wall_seconds(lambda: journal_equilibrium(worn(30e-6, 0.1), LOAD, SPEED), 15)
+    return cold, wall_seconds(from_neighbour, 31)
+
+
+def identify(table: JournalTable) -> None:
+    """Twenty starts on seven lines of the full directional response, complex residuals, exact derivatives."""
+    rotor = Rotor(tuple(ShaftElement(0.06, 0.012) for _ in range(15)), sleeves=(Sleeve(8, 0.04),), beta=1.6e-4)
+    first = journal_equilibrium(BEARING, LOAD, SPEED)
+    standing = reduced_rotor(rotor, (4, 10, 14), LINES, SPEED).on([Support(4, first.stiffness, first.damping)])
+
+    def bearing(depth: float, angle: float) -> VaryingSupport:
+        found = table.coefficients(worn(depth, angle), SPEED)
+        return VaryingSupport(Support(14, found.stiffness, found.damping), found.stiffness_slopes[:2], found.damping_slopes[:2])
+
+    rig, scale = WornRig(standing, bearing, 14, 10), np.array([1e-6, np.deg2rad(1)])
+    measured, _ = worn_response(22.27e-6, 0.19, rig, directional=True)
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        misfit = (worn_response(*(x * scale), rig, directional=True)[0] - measured).ravel() / np.abs(measured).max()
+        return np.concatenate([misfit.real, misfit.imag])
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        flat = worn_response(*(x * scale), rig, directional=True)[1].reshape(2, -1).T * scale / np.abs(measured).max()
+        return np.concatenate([flat.real, flat.imag])
+
+    for start in STARTS:
+        least_squares(residual, start, jacobian, ([0, -20], [50, 20]))
+
+
+def test_identification_with_its_table_in_equilibria(capsys) -> None:  # type: ignore[no-untyped-def]
+    """Goal: 3 s on two cores where an equilibrium takes 3 ms, that is 1000 equilibria."""
+    cold, warm = equilibrium_seconds()
+    tables: list[JournalTable] = []
+    table = wall_seconds(lambda: tables.append(journal_table(BEARING, LOAD, SPEED, workers=2)), 1)
+    search = wall_seconds(lambda: identify(tables[-1]), 1)
+    with capsys.disabled():
+        print(f"\n120 x 30 equilibrium with coefficients: {1e3 * cold:.1f} ms from nothing, {1e3 * warm:.1f} ms from a neighbour")
+        print(f"table {table:.2f} s on two processes, 20 starts {search:.2f} s: {(table + search) / warm:.0f} equilibria (goal 1000)")
+    assert table + search < 4000 * warm
+    assert warm < cold
+
+
+def test_steps_do_not_grow_with_the_mesh(capsys) -> None:  # type: ignore[no-untyped-def]
+    """Coarser meshes find the neighbourhood: four times the cells cost about four times the time, not more."""
+    meshes = (FilmMesh(120, 30), FilmMesh(240, 60))
+    coarse, fine = (wall_seconds(lambda mesh=mesh: journal_equilibrium(worn(30e-6, 0.1), LOAD, SPEED, mesh), 7) for mesh in meshes)
+    with capsys.disabled():
+        print(f"\n240 x 60 cells take {fine / coarse:.1f} times 120 x 30")
+    assert fine < 24 * coarse
