@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from labpipe.errors import FitError
 from labpipe.rotors.assembly import RotorMatrices, supported_rotor
 from labpipe.rotors.parts import Rotor, Support
+from labpipe.spectra.directional import FROM_DIRECTIONAL
 
 Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
@@ -60,3 +61,9 @@ def unbalance_response(
         forces[:, y, 0] += amount * speed**2
         forces[:, z, 0] += -1j * amount * speed**2
     return solved(dynamic_stiffness(matrices, speed, speed), forces)[:, outputs, 0]
+
+
+def forward_backward_motion(displacements: ComplexArray) -> ComplexArray:
+    """[f, b] = A^-1 [y, z] of phasors (..., 2) in y and z: radii of the forward and the backward circle of an orbit, 0-to-peak."""
+    turned: ComplexArray = displacements @ np.linalg.inv(FROM_DIRECTIONAL).T
+    return turned

@@ -10,7 +10,7 @@ from labpipe.rotors.assembly import supported_rotor
 from labpipe.rotors.modes import eigenvalues
 from labpipe.rotors.parts import Disc, Rotor, ShaftElement, Support
 from labpipe.rotors.reduction import reduced_rotor
-from labpipe.rotors.response import frequency_response, unbalance_response
+from labpipe.rotors.response import forward_backward_motion, frequency_response, unbalance_response
 
 LINES = np.linspace(3.0, 300.0, 40)
 SPEED = 400.0
@@ -66,6 +66,14 @@ def test_an_isotropic_rotor_answers_unbalance_with_a_forward_circle(overhung: Ro
     supports = [Support(node, 1e6 * np.eye(2), 100.0 * np.eye(2)) for node in (1, 4)]
     y, z = unbalance_response(overhung, supports, np.array([200.0]), {5: 1e-5}, overhung.dofs(5))[0]
     np.testing.assert_allclose(z, -1j * y, rtol=1e-8)
+    forward, backward = forward_backward_motion(np.array([y, z]))
+    np.testing.assert_allclose(forward, y)
+    assert abs(backward) < 1e-8 * abs(forward)
+
+
+def test_an_elliptic_orbit_is_the_sum_of_its_two_circles() -> None:
+    """y = 3 cos wt, z = 1 sin wt: half axes 3 and 1 are f + b and f - b."""
+    np.testing.assert_allclose(forward_backward_motion(np.array([3.0, -1j])), [2, 1])
 
 
 def test_far_above_resonance_the_disc_turns_about_its_centre_of_mass() -> None:
