@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.parquet import HEADER_KEY, batches, open_parquet, read_header
+from labpipe.artefacts.read_ahead import read_ahead
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, Recording
@@ -64,6 +65,9 @@ class StoredRecording:
 
     def blocks(self, n_sample: int) -> Iterator[NDArray[np.float64]]:
         """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]."""
+        return read_ahead(self._blocks_in_turn(n_sample))
+
+    def _blocks_in_turn(self, n_sample: int) -> Iterator[NDArray[np.float64]]:
         names = [channel.name for channel in self.channels]
         for batch in batches(self.path, names, n_sample):
             yield np.column_stack([batch.column(name).to_numpy(zero_copy_only=False) for name in names])
