@@ -6,6 +6,7 @@ K. L. Johnson, Contact Mechanics (1985), eqs. 4.26-4.32; T. A. Harris, Rolling B
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy import optimize, special
@@ -63,6 +64,7 @@ class BallGeometry:
         """r = d/2 + (f_i - 1/2) D cos a0 [m]: radius on which the inner groove's centres lie."""
         return self.pitch_diameter / 2 + (self.inner_conformity - 0.5) * self.ball_diameter * float(np.cos(self.contact_angle))
 
+    @lru_cache(maxsize=64)  # noqa: B019 (frozen and small; a sweep asks for one geometry thousands of times)
     def stiffness_constant(self, rings: Material = STEEL, balls: Material = STEEL) -> float:
         """K_n [N/m^1.5] of inner and outer contact in series: K_n = (K_i^(-2/3) + K_o^(-2/3))^(-3/2)."""
         contacts = (self._contact(1, self.inner_conformity, rings, balls), self._contact(-1, self.outer_conformity, rings, balls))

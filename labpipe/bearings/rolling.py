@@ -92,12 +92,11 @@ class ElementFrame:
 
     @cached_property
     def squares(self) -> Matrix:
-        """e_r e_r^T, e_r e_z^T + e_z e_r^T and e_z e_z^T of every element, flattened: (3 z, 25) or (n_case, 3 z, 25)."""
+        """e_r e_r^T, e_r e_z^T + e_z e_r^T and e_z e_z^T of every element, flattened: (3 z, 25); where all load cases are placed alike."""
         r, a = self.radial, self.axial
-        mixed = r[..., :, None] * a[..., None, :]
-        pairs = (r[..., :, None] * r[..., None, :], mixed + np.swapaxes(mixed, -1, -2), a[..., :, None] * a[..., None, :])
-        stacked = np.concatenate(pairs, axis=-3)
-        return stacked.reshape(*stacked.shape[:-2], 25)
+        mixed = r[:, :, None] * a[:, None, :]
+        pairs = (r[:, :, None] * r[:, None, :], mixed + np.swapaxes(mixed, 1, 2), a[:, :, None] * a[:, None, :])
+        return np.concatenate(pairs).reshape(-1, 25)
 
     def of_cases(self, cases: NDArray[np.bool_] | slice) -> ElementFrame:
         """The frame of some load cases only."""
@@ -170,12 +169,23 @@ def load_sum(at: Contacts, frame: ElementFrame) -> Matrix:
 
 def stiffness_sum(at: Contacts, frame: ElementFrame) -> Matrix:
     """K = df/dq = sum_j dQ/ddelta n n^T + Q/A t t^T, n = cos a e_r + sin a e_z, t = cos a e_z - sin a e_r; (n_case, 5, 5)."""
+    if frame.radial.ndim == 3:
+        along = at.cos[..., None] * frame.radial + at.sin[..., None] * frame.axial
+        across = at.cos[..., None] * frame.axial - at.sin[..., None] * frame.radial
+        return _squared(along, at.slope) + _squared(across, at.turning)
     weights = (
         at.slope * at.cos**2 + at.turning * at.sin**2,
         (at.slope - at.turning) * at.sin * at.cos,
         at.slope * at.sin**2 + at.turning * at.cos**2,
     )
-    return weighted_sum(np.concatenate(weights, axis=1), frame.squares).reshape(-1, 5, 5)
+    # The same sum as one product of matrices, since every load case has the same e_r and e_z.
+    return (np.concatenate(weights, axis=1) @ frame.squares).reshape(-1, 5, 5)
+
+
+def _squared(vectors: Matrix, weights: Matrix) -> Matrix:
+    """sum_j w_j v_j v_j^T: *vectors* (n_case, z, 5), *weights* (n_case, z) -> (n_case, 5, 5)."""
+    squared: Matrix = np.swapaxes(vectors * weights[..., None], 1, 2) @ vectors
+    return squared
 
 
 def bearing_loads(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike = 0.0) -> Matrix:

@@ -7,7 +7,7 @@ so a line search makes the solution independent of its start; loose elements, cl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -82,16 +82,21 @@ def equilibrium(
     cage = np.asarray(cage_angle, np.float64)
     check_request(bearing, f, q, held, cage)
     n_case = max(len(f), len(q), cage.size)
+    if np.all(cage == cage.flat[0]):
+        cage = cage.reshape(-1)[0]  # elements placed alike in all cases: one frame for all
     f, q = (np.broadcast_to(each, (n_case, len(DOFS))) for each in (f, q))
-    parts = [_solve_part(bearing, f, q, held, cage, slice(n, n + CASES_AT_ONCE)) for n in range(0, n_case, CASES_AT_ONCE)]
-    displacement = np.concatenate(parts)
-    return _state(bearing, displacement, held, cage)
+    parts = []
+    for start in range(0, n_case, CASES_AT_ONCE):
+        part = slice(start, start + CASES_AT_ONCE)
+        own_cage = cage[part] if cage.ndim else cage
+        parts.append(_state(bearing, _solve_part(bearing, f, q, held, own_cage, part), held, own_cage))
+    return _joined(parts)
 
 
 def _solve_part(bearing: RollingBearing, f: Matrix, q: Matrix, held: Sequence[str], cage: Matrix, part: slice) -> Matrix:
     """Displacements of a part of the load cases; tilts are counted in metres at the pitch radius meanwhile."""
     scale = np.array([1, 1, 1, bearing.pitch_radius, bearing.pitch_radius])
-    frame = ElementFrame.at(bearing.angles(cage[part] if cage.ndim else cage), 1.0)
+    frame = ElementFrame.at(bearing.angles(cage), 1.0)
     free = np.array([name not in held for name in DOFS])
     problem = Problem(bearing, frame, np.where(free, f[part] / scale, 0.0), np.flatnonzero(free))
     u, solved = solve(problem, np.where(free, 0.0, q[part] * scale))
@@ -104,10 +109,17 @@ def _state(bearing: RollingBearing, displacement: Matrix, held: Sequence[str], c
     angles = bearing.angles(cage)
     frame = ElementFrame.at(angles, bearing.pitch_radius)
     at = contacts(bearing, displacement, frame)
-    check_carried(bearing, at)
     free = tuple(name for name in DOFS if name not in held)
     placed = np.broadcast_to(angles, at.load.shape)
     return Equilibrium(bearing, displacement, load_sum(at, frame), stiffness_sum(at, frame), at, placed, free)
+
+
+def _joined(parts: Sequence[Equilibrium]) -> Equilibrium:
+    """The load cases of all parts as one."""
+    at = Contacts(*(np.concatenate([getattr(part.contacts, field.name) for part in parts]) for field in fields(Contacts)))
+    check_carried(parts[0].bearing, at)
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ("displacement", "load", "stiffness", "angles")}
+    return Equilibrium(parts[0].bearing, contacts=at, free=parts[0].free, **joined)
 
 
 def load_vector(**loads: float) -> Matrix:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labpipe.bearings.coefficients import Amount, BearingCoefficients, BearingKind
-from labpipe.bearings.passage import Passage, ball_passage
+from labpipe.bearings.passage import ball_passage
 from labpipe.bearings.rolling import DOFS, Matrix
 from labpipe.bearings.rolling_equilibrium import Equilibrium, equilibrium
 from labpipe.bearings.rolling_settings import LOAD_OF_DOF, BallBearingSettings, RollerBearingSettings, RollingSettings
@@ -30,6 +32,18 @@ def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[BearingCoe
     return [found[number] for number in range(len(settings))]
 
 
+@dataclass(frozen=True)
+class _Solved:
+    """The load cases of one bearing, with what is derived for all of them at once."""
+
+    state: Equilibrium
+    contact_angle: Matrix
+    mirrored: NDArray[np.bool_]
+    determinate: NDArray[np.bool_]
+    lowest: Matrix
+    highest: Matrix
+
+
 def _group(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
     first = settings[0]
     bearing, held = first.bearing(), first.held
@@ -37,33 +51,38 @@ def _group(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
     moves = np.array([[getattr(entry.displacements, dof) or 0.0 for dof in DOFS] for entry in settings])
     state = equilibrium(bearing, loads, moves, held, np.array([entry.cage_angle for entry in settings]))
     passage = ball_passage(bearing, loads, moves, held)
-    return [_case(entry, state, passage, case) for case, entry in enumerate(settings)]
+    solved = _Solved(state, state.contact_angle, state.mirrored, state.determinate, passage.lowest, passage.highest)
+    return [_case(entry, solved, case) for case, entry in enumerate(settings)]
 
 
-def _case(settings: RollingSettings, state: Equilibrium, passage: Passage, case: int) -> BearingCoefficients:
-    k = state.stiffness[case]
-    at = state.contacts
-    rest = [Amount(name, float(q), unit) for name, q, unit in zip(DOFS, state.displacement[case], UNITS, strict=True)]
-    names = [f"load_{name}" for name in LOAD_OF_DOF.values()]
-    rest += [Amount(name, float(f), unit) for name, f, unit in zip(names, state.load[case], LOAD_UNITS, strict=True)]
-    rest.append(Amount("loaded_elements", float(np.sum(at.load[case] > 0)), "1"))
+def _case(settings: RollingSettings, solved: _Solved, case: int) -> BearingCoefficients:
+    state = solved.state
+    k, at = state.stiffness[case], state.contacts
     return BearingCoefficients(
         DOFS,
         k,
         settings.damping_factor * k,
-        tuple(rest),
+        _rest(state, case),
         {
             "element_angle": state.angles[case],
             "element_load": at.load[case],
             "element_deflection": at.deflection[case],
-            "contact_angle": state.contact_angle[case],
+            "contact_angle": solved.contact_angle[case],
         },
-        passage.lowest[case],
-        passage.highest[case],
+        solved.lowest[case],
+        solved.highest[case],
         _notes(settings),
         _shaft(settings, k),
-        tuple(_findings(state, case)),
+        tuple(_findings(solved, case)),
     )
+
+
+def _rest(state: Equilibrium, case: int) -> tuple[Amount, ...]:
+    """Displacements, loads of the inner ring, and how many elements carry."""
+    rest = [Amount(name, float(q), unit) for name, q, unit in zip(DOFS, state.displacement[case], UNITS, strict=True)]
+    names = [f"load_{name}" for name in LOAD_OF_DOF.values()]
+    rest += [Amount(name, float(f), unit) for name, f, unit in zip(names, state.load[case], LOAD_UNITS, strict=True)]
+    return (*rest, Amount("loaded_elements", float(np.sum(state.contacts.load[case] > 0)), "1"))
 
 
 def _notes(settings: RollingSettings) -> tuple[Amount, ...]:
@@ -95,14 +114,14 @@ def rolling_response(settings: RollingSettings, found: BearingCoefficients) -> F
     return theoretical_response(settings.shaft.body, found.stiffness, frequency, settings.damping_factor)
 
 
-def _findings(state: Equilibrium, case: int) -> list[Finding]:
+def _findings(solved: _Solved, case: int) -> list[Finding]:
     found = []
-    if state.mirrored[case]:
+    if solved.mirrored[case]:
         message = "elements carry at the opposite contact angle, across the groove: a bearing with one shoulder cannot carry this load"
         found.append(Finding("mirrored", message))
-    if not state.determinate[case]:
-        number = int(np.sum(state.contacts.load[case] > 0))
-        message = f"{number} of {state.bearing.elements} elements carry: the rest position is not unique, the stiffness is singular"
+    if not solved.determinate[case]:
+        number = int(np.sum(solved.state.contacts.load[case] > 0))
+        message = f"{number} of {solved.state.bearing.elements} elements carry: the rest position is not unique, the stiffness is singular"
         found.append(Finding("indeterminate", message))
     return found
 

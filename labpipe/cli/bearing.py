@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -9,7 +10,7 @@ import click
 from labpipe.artefacts.writing import output_file, output_folder
 from labpipe.cli import options
 from labpipe.cli.bearing_table import echo_bearing, echo_sweep
-from labpipe.stages.bearing import bearing_entry, bearing_json, open_bearing, swept, write_bearing, write_sweep
+from labpipe.stages.bearing import BearingFile, bearing_entry, bearing_json, open_bearing, swept, write_bearing, write_sweep
 from labpipe.stages.sweep import parse_sweep
 
 
@@ -20,8 +21,15 @@ from labpipe.stages.sweep import parse_sweep
 @click.option("-o", "--output", type=options.PATH, metavar="DIR", help="Folder for table and figures.")
 @options.overrides
 @options.quiet
+@options.verbose
 def bearing(
-    bearing_path: Path, json_path: Path | None, sweep_text: str | None, output: Path | None, overrides: tuple[str, ...], quiet: bool
+    bearing_path: Path,
+    json_path: Path | None,
+    sweep_text: str | None,
+    output: Path | None,
+    overrides: tuple[str, ...],
+    quiet: bool,
+    verbose: bool,
 ) -> None:
     """Stiffness and damping of a BEARING model at its load and speed.
 
@@ -32,7 +40,7 @@ def bearing(
     if sweep_text is not None:
         if output is None or json_path is not None:
             raise click.UsageError("--sweep needs -o DIR for its table, and has no --json", click.get_current_context())
-        _sweep(bearing_path, sweep_text, output, overrides, quiet)
+        _sweep(open_bearing(bearing_path, overrides), sweep_text, output, quiet, options.teller(quiet, verbose))
         return
     file = open_bearing(bearing_path, overrides)
     settings = file.settings()
@@ -54,11 +62,11 @@ def bearing(
             click.echo(f"written to {output}: {', '.join(names)}")
 
 
-def _sweep(bearing_path: Path, sweep_text: str, output: Path, overrides: tuple[str, ...], quiet: bool) -> None:
-    file = open_bearing(bearing_path, overrides)
+def _sweep(file: BearingFile, sweep_text: str, output: Path, quiet: bool, tell: Callable[[str], None]) -> None:
     sweep = parse_sweep(sweep_text, file.kind.settings)
+    tell(f"bearing   {file.path}, {sweep.label}: {sweep.values.size} values")
     found = swept(file, sweep)
-    name = file.settings().name or bearing_path.stem
+    name = file.settings().name or file.path.stem
     with output_folder(output) as folder:
         names = write_sweep(name, sweep, found, folder)
     if not quiet:

@@ -12,7 +12,7 @@ from labpipe.quantities import UnitError, parse_value
 from labpipe.records.settings import Setting, settings_of
 from labpipe.registry import nearest
 
-MAX_VALUES = 100_000
+MAX_VALUES = 20_000
 
 
 @dataclass(frozen=True)

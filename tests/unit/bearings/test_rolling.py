@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.bearings.rolling import RollingBearing, bearing_loads, bearing_stiffness
+from labpipe.bearings.rolling_equilibrium import equilibrium
 from labpipe.errors import ConfigError
 
 KINDS = ("deep_groove", "angular", "taper")
@@ -77,6 +78,22 @@ def test_stiffness_is_the_derivative_of_the_loads(bearing: RollingBearing, rng) 
     loaded = diagonal.min(axis=1) > 1e-6 * diagonal.max(axis=1)
     assert loaded.sum() > 900
     q, k = q[loaded], k[loaded]
+    assert relative_to_diagonal(difference_quotient(bearing, q) - k, k).max() < 1e-6
+    assert relative_to_diagonal(k - np.swapaxes(k, 1, 2), k).max() < 1e-9
+
+
+def test_stiffness_at_a_thousand_rest_positions_is_the_derivative(bearing: RollingBearing, mixed_loads, rng) -> None:
+    """1 N to 20 kN in every mix of directions; taper rollers with tilts held and the axial load above what the radial one needs."""
+    loads = mixed_loads(bearing, rng, 1000)
+    if bearing.is_ball:
+        state = equilibrium(bearing, loads)
+    else:
+        radial = np.hypot(loads[:, 0], loads[:, 1])
+        loads[:, 2] = 1 + np.abs(loads[:, 2]) + 1.2 * radial * math.tan(bearing.contact_angle)
+        state = equilibrium(bearing, loads, held=("bx", "by"))
+    determinate = state.determinate
+    assert determinate.mean() > 0.85
+    q, k = state.displacement[determinate], state.stiffness[determinate]
     assert relative_to_diagonal(difference_quotient(bearing, q) - k, k).max() < 1e-6
     assert relative_to_diagonal(k - np.swapaxes(k, 1, 2), k).max() < 1e-9
 
