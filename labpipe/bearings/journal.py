@@ -171,9 +171,12 @@ def converged_equilibrium(
     """The equilibrium on the coarsest mesh, from *mesh* doubled up, whose coefficients err by less than *tolerance* (of the largest).
 
     The error is estimated as a third of the change from half the cells each way (second order) and stated in the result.
-    FitError when the finest mesh allowed is not enough.
+    FitError when the finest mesh allowed is not enough, ConfigError for a first mesh that cannot be halved.
     """
-    coarse = journal_equilibrium(bearing, load, speed, FilmMesh(mesh.around // 2, mesh.across // 2))
+    half = mesh.halved()
+    if half is None:
+        raise ConfigError(f"a mesh of {mesh.around} x {mesh.across} cells is too coarse to halve", hint="start from 48 x 8 cells or more")
+    coarse = journal_equilibrium(bearing, load, speed, half)
     while mesh.around <= MOST_CELLS_AROUND:
         fine = journal_equilibrium(bearing, load, speed, mesh)
         error = _change(coarse, fine) / 3

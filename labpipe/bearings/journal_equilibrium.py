@@ -47,10 +47,14 @@ class FilmState:
 def film_equilibrium(film: Film, load: Array, near: FilmState | None = None) -> FilmState:
     """Where the film's force balances *load* (2,), over 6 mu Omega (R/c)^2 R L; *near*: the state of a similar film on the same mesh.
 
-    Without one, coarser meshes find the neighbourhood. Raises FitError when no equilibrium is found.
+    Without one, or where it proves too far, coarser meshes find the neighbourhood. FitError when no equilibrium is found.
     """
-    displacement, pressure = _first_guess(film, load) if near is None else (near.displacement, near.pressure)
-    return _balanced(film, load, displacement, pressure, TOLERANCE)
+    if near is not None:
+        try:
+            return _balanced(film, load, near.displacement, near.pressure, TOLERANCE)
+        except FitError:
+            pass
+    return _balanced(film, load, *_first_guess(film, load), TOLERANCE)
 
 
 def _first_guess(film: Film, load: Array) -> tuple[Array, Array]:

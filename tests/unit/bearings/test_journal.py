@@ -110,6 +110,49 @@ def test_converged_equilibrium_states_its_error_and_keeps_it() -> None:
         assert np.max(np.abs(ours - theirs)) < 2 * 0.01 * np.max(np.abs(theirs))
 
 
+def test_the_default_mesh_is_enough_for_a_healthy_bearing() -> None:
+    chosen = converged_equilibrium(HEALTHY, (0.0, -50.0), SPEED)
+    assert (chosen.mesh.around, chosen.mesh.across) == (120, 30)
+    assert chosen.error is not None and 0 < chosen.error < 0.01
+
+
+def test_a_first_mesh_that_cannot_be_halved_is_refused() -> None:
+    with pytest.raises(ConfigError, match="too coarse to halve"):
+        converged_equilibrium(HEALTHY, (0.0, -50.0), SPEED, mesh=FilmMesh(24, 4))
+
+
+@pytest.mark.parametrize("depth", [0.0, 30e-6])
+def test_the_estimated_error_is_near_the_true_one(depth: float) -> None:
+    """Against 960 x 60 cells, within a factor of four either way."""
+    bearing = dataclasses.replace(HEALTHY, wear_depth=depth, wear_angle=0.1)
+    chosen = converged_equilibrium(bearing, (0.0, -50.0), SPEED, 0.05, FilmMesh(96, 24))
+    exact = journal_equilibrium(bearing, (0.0, -50.0), SPEED, FilmMesh(960, 60))
+    pairs = ((chosen.stiffness, exact.stiffness), (chosen.damping, exact.damping))
+    true = max(np.max(np.abs(a - b)) / np.max(np.abs(b)) for a, b in pairs)
+    assert chosen.error is not None
+    assert true / 4 < chosen.error < 4 * true
+
+
+def test_bearing_wear_and_load_turned_together_turn_the_coefficients() -> None:
+    angle = 9 * MESH.arc
+    worn = dataclasses.replace(HEALTHY, wear_depth=30e-6, wear_angle=0.1)
+    aside = dataclasses.replace(worn, wear_angle=0.1 + angle)
+    one = journal_equilibrium(worn, (0.0, -50.0), SPEED, MESH)
+    other = journal_equilibrium(aside, (50 * np.sin(angle), -50 * np.cos(angle)), SPEED, MESH)
+    np.testing.assert_allclose(other.stiffness, turned(one.stiffness, angle), atol=1e-6 * np.abs(one.stiffness).max())
+    np.testing.assert_allclose(other.damping, turned(one.damping, angle), atol=1e-6 * np.abs(one.damping).max())
+
+
+def test_stiffness_is_the_slope_of_the_equilibrium_itself() -> None:
+    """A little more load moves the journal by K^-1 dF: no film held still, no difference of forces."""
+    worn = dataclasses.replace(HEALTHY, wear_depth=22e-6, wear_angle=0.19)
+    here = journal_equilibrium(worn, (0.0, -50.0), SPEED, MESH)
+    for change in ((0.01, 0.0), (0.0, 0.01)):
+        plus, minus = (journal_equilibrium(worn, (s * change[0], -50 + s * change[1]), SPEED, MESH, here) for s in (1, -1))
+        moved = (plus.position - minus.position) / 2
+        np.testing.assert_allclose(here.stiffness @ moved, change, atol=2e-5)
+
+
 def test_an_error_below_the_finest_mesh_is_refused() -> None:
     with pytest.raises(FitError, match="needs more than"):
         converged_equilibrium(HEALTHY, (0.0, -50.0), SPEED, 1e-9, FilmMesh(480, 8))

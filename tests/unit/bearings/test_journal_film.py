@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -94,6 +96,14 @@ def test_coarser_meshes_and_a_neighbour_lead_to_the_same_state() -> None:
     np.testing.assert_allclose(warm.displacement, cold.displacement, atol=1e-7)
     np.testing.assert_allclose(warm.stiffness, cold.stiffness, rtol=1e-4)
     assert warm.steps < 9
+
+
+def test_a_neighbour_that_is_none_does_no_harm() -> None:
+    """Started from a state with the journal outside the bore, the film is found all the same."""
+    film, load = Film.of(MESH, 1.7, 0.45, 0.14), np.array([0.0, -0.035])
+    cold = film_equilibrium(film, load)
+    lost = dataclasses.replace(cold, displacement=np.array([0.0, 1.2]))
+    np.testing.assert_array_equal(film_equilibrium(film, load, lost).displacement, cold.displacement)
 
 
 def test_the_film_around_a_held_journal_is_that_of_the_equilibrium() -> None:

@@ -73,3 +73,17 @@ def test_two_bearings_with_shared_parameters(mendes_rotor: Rotor) -> None:
 def test_slopes_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ConfigError, match="one 2 x 2 derivative"):
         VaryingSupport(Support(3, K, C), np.zeros((2, 2, 2)), np.zeros((1, 2, 2)))
+
+
+def test_a_derivative_is_zero_where_the_parameter_is_not_felt(rig: WornRig) -> None:
+    """Without wear this bearing's stiffness has no slope by depth."""
+    _, slopes = worn_response(0.0, 0.2, rig)
+    np.testing.assert_allclose(slopes[0], 0, atol=1e-15)
+    assert np.abs(slopes[1]).max() > 0
+
+
+def test_reduced_response_does_not_depend_on_which_other_nodes_were_kept(rig: WornRig, mendes_rotor: Rotor) -> None:
+    more = reduced_rotor(mendes_rotor, (1, 4, 7, 10, 14, 16), LINES, SPEED).on([Support(4, K, C)])
+    other = WornRig(more, simple_wear, 14, 10)
+    for ours, theirs in zip(worn_response(1e-5, 0.1, other), worn_response(1e-5, 0.1, rig), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-8 * np.abs(theirs).max())
