@@ -49,23 +49,41 @@ class Multisine:
 
 
 def design_multisine(
-    band: tuple[float, float], spacing: float, rms: float, *, phases: str = "schroeder", odd_only: bool = False, seed: int = 0
+    band: tuple[float, float],
+    spacing: float,
+    rms: float,
+    *,
+    phases: str = "schroeder",
+    odd_only: bool = False,
+    leave_out: int = 0,
+    seed: int = 0,
 ) -> Multisine:
     """A multisine with lines every *spacing* [Hz] in *band* [Hz]; ConfigError for an empty band or unknown phases.
 
-    *odd_only* keeps the odd multiples of the spacing: even ones then show even distortion.
+    *odd_only* keeps the odd multiples of the spacing: even ones then show even distortion. *leave_out* takes one line, drawn with
+    *seed*, out of every group of so many: these show odd distortion (Pintelon and Schoukens, System Identification, sec. 4.3.2).
     """
+    if leave_out == 1 or leave_out < 0:
+        raise ConfigError(f"leaving one of {leave_out} lines out leaves none", hint="one of 3 or 4 is usual; 0 keeps all")
     if spacing <= 0 or rms <= 0:
         raise ConfigError("spacing and level must be positive")
     first, last = int(np.ceil(band[0] / spacing - 1e-9)), int(np.floor(band[1] / spacing + 1e-9))
     lines = np.arange(max(first, 1), last + 1)
     if odd_only:
         lines = lines[lines % 2 == 1]
+    if leave_out:
+        lines = np.delete(lines, _one_of_each(lines.size, leave_out, seed))
     if not lines.size:
         raise ConfigError(f"no line every {spacing:g} Hz lies in {band[0]:g}-{band[1]:g} Hz", hint="widen the band or narrow the spacing")
     if phases not in PHASES:
         raise ConfigError(f"unknown phases '{phases}'", hint=f"known: {', '.join(PHASES)}")
     return Multisine(lines, PHASES[phases](lines, seed), spacing, rms)
+
+
+def _one_of_each(n_line: int, group: int, seed: int) -> NDArray[np.int64]:
+    """The number of one line in every whole group of *group* lines; the first and the last line stay, so that the band is kept."""
+    starts = np.arange(1, n_line - group, group)
+    return np.asarray(starts + np.random.default_rng(seed).integers(0, group, starts.size))
 
 
 def crest_factor(signal: NDArray[np.floating]) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -53,3 +55,22 @@ def test_what_makes_no_signal_is_refused() -> None:
     with pytest.raises(ConfigError, match="not a whole number") as caught:
         design_multisine((1, 10), 0.3, 1.0).samples(1000.0, 1)
     assert caught.value.hint == "the nearest sampling rate is 999.9 Hz"
+
+
+def test_detection_lines_are_left_out_one_of_each_group() -> None:
+    full = design_multisine((1.0, 99.0), 1.0, 1.0, odd_only=True)
+    thinned = design_multisine((1.0, 99.0), 1.0, 1.0, odd_only=True, leave_out=4, phases="random", seed=3)
+    missing = sorted(set(full.lines) - set(thinned.lines))
+    assert full.lines.size == 50 and len(missing) == 12
+    assert thinned.lines[0] == 1 and thinned.lines[-1] == 99
+    # One in each group of four odd lines: neighbours are at most seven odd lines apart, never two in one group.
+    assert all((b - a) / 2 <= 7 for a, b in pairwise(missing))
+    assert [(line - 3) // 8 for line in missing] == list(range(12))
+    other = design_multisine((1.0, 99.0), 1.0, 1.0, odd_only=True, leave_out=4, phases="random", seed=4)
+    assert set(other.lines) != set(thinned.lines)
+
+
+@pytest.mark.parametrize("leave_out", [1, -2])
+def test_leaving_every_line_out_is_refused(leave_out: int) -> None:
+    with pytest.raises(ConfigError, match="leaves none"):
+        design_multisine((1.0, 99.0), 1.0, 1.0, leave_out=leave_out)
