@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from labpipe.bearings.hertz import STEEL, BallGeometry, Material, roller_stiffness_constant
 from labpipe.bearings.rolling import RollingBearing
 from labpipe.bearings.rolling_shaft import RigidShaft
@@ -133,6 +135,11 @@ class BallBearingSettings(RollingSettings):
     stiffness_constant: float | None = setting("value", "K_n of Q = K_n delta^1.5", unit="N/m^1.5", default=None)
     groove_distance: float | None = setting("value", "unloaded distance A0 of the groove centres", unit="m", default=None)
     geometry: BallGeometrySettings | None = setting("section", "balls and grooves", section=BallGeometrySettings, default=None)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.geometry and self.geometry.ball_diameter > self.geometry.pitch_diameter * np.sin(np.pi / self.elements):
+            raise ConfigError(f"{self.elements} balls of {1e3 * self.geometry.ball_diameter:g} mm do not fit on the pitch circle")
 
     def bearing(self) -> RollingBearing:
         shape = None if self.geometry is None else self.geometry.at(self.contact_angle)

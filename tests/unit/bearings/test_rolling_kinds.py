@@ -107,6 +107,7 @@ def test_cylindrical_rollers_in_closed_form() -> None:
         (lambda: replace(ROLLERS, pitch_radius=None), "pitch_radius: is missing"),
         (lambda: replace(GIVEN, displacements=Displacements(y=0.0)), "displacements.y and loads.y are both given"),
         (lambda: replace(GIVEN, damping_factor=-1e-5), "damping_factor is negative"),
+        (lambda: replace(GIVEN, geometry=BallGeometrySettings(21e-3, 60e-3)), "9 balls of 21 mm do not fit on the pitch circle"),
         (lambda: BallGeometrySettings(12e-3, 60e-3, ball_youngs_modulus=0.0), "Young's modulus above zero"),
     ],
 )
