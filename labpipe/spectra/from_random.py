@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -61,10 +62,20 @@ def _welch_average(source: SampleSource, settings: FrfSettings) -> CrossSpectra:
         raise DataError(f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'", hint="lengthen `block`")
     step = max(1, round(n_sample * (1 - settings.overlap)))
     lines = line_range(n_sample, source.sample_rate, settings.band)
-    average = WelchAverage(window_values(settings.window, n_sample), step, len(source.channels), lines, settings.detrend)
+    # A tacho or a temperature is no part of the matrix; its products are not formed.
+    used = [number for number, channel in enumerate(source.channels) if channel.role != "reference"]
+    average = WelchAverage(window_values(settings.window, n_sample), step, len(used), lines, settings.detrend)
     for block in checked_blocks(source):
-        average.add(block)
-    return average.spectra(source.sample_rate)
+        average.add(block if len(used) == block.shape[1] else block[:, used])
+    spectra = average.spectra(source.sample_rate)
+    return spectra if len(used) == len(source.channels) else _in_all_channels(spectra, used, len(source.channels))
+
+
+def _in_all_channels(spectra: CrossSpectra, used: list[int], n_channel: int) -> CrossSpectra:
+    """The spectra with zeros in the rows and columns of channels that were not used."""
+    matrix = np.zeros((spectra.frequency.size, n_channel, n_channel), np.complex128)
+    matrix[:, np.array(used)[:, None], used] = spectra.matrix
+    return replace(spectra, matrix=matrix)
 
 
 def _no_average_finding(averages: float) -> tuple[Finding, ...]:

@@ -20,7 +20,9 @@ def checked_blocks(source: SampleSource) -> Iterator[NDArray[np.floating]]:
     silent: dict[int, float] = {}
     for block in source.blocks(READ_SAMPLES):
         # One sum tells of a missing number anywhere in the block; it is searched for only then.
-        if not np.isfinite(block.sum()):
+        with np.errstate(over="ignore", invalid="ignore"):
+            total = block.sum()
+        if not np.isfinite(total):
             _refuse_missing(source, block, start)
         if start == 0:
             silent = {column: block[0, column] for column, channel in enumerate(source.channels) if channel.role == "input"}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -184,3 +186,26 @@ def test_settings_must_fit_the_excitation() -> None:
         FrfSettings("random", block=1.0, overlap=1.0)
     with pytest.raises(ConfigError, match="'skip' must not be negative"):
         FrfSettings("periodic", period=1.0, skip=-1)
+
+
+def test_a_reference_channel_changes_nothing(rng: np.random.Generator) -> None:
+    plain = random_recording(rng, 0.1)
+    tacho = Channel("tacho", "voltage", "reference", "tacho")
+    samples = np.column_stack([plain.samples[:, 0], rng.normal(size=plain.n_sample), plain.samples[:, 1]])
+    with_tacho = Recording((FORCE, tacho, X), samples, RATE, "noise")
+    settings = FrfSettings("random", block=1.0)
+    one, other = measure([plain], settings), measure([with_tacho], settings)
+    np.testing.assert_allclose(other.matrix, one.matrix, rtol=1e-10)
+    np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-8)
+
+
+def test_a_drift_is_taken_out_with_a_straight_line(rng: np.random.Generator) -> None:
+    # A drift of 30 deviations per block leaks into the lowest lines unless the line is taken out.
+    plain = random_recording(rng, 0.01)
+    drift = np.column_stack([np.zeros(plain.n_sample), np.arange(plain.n_sample) * 30 / RATE])
+    drifting = Recording(plain.channels, plain.samples + drift, RATE, "drift")
+    plainly = FrfSettings("random", block=1.0, band=(2.0, 20.0), window="boxcar", overlap=0.0)
+    settings = {name: replace(plainly, detrend=name) for name in ("constant", "linear")}
+    truth = measure([plain], settings["linear"]).matrix
+    error = {name: np.max(np.abs(measure([drifting], own).matrix - truth)) for name, own in settings.items()}
+    assert error["linear"] < 1e-9 and error["constant"] > 0.05

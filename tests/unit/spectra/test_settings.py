@@ -1,0 +1,74 @@
+"""The FRF settings as people write them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from labpipe.config.faults import Faults
+from labpipe.config.reader import read_settings
+from labpipe.config.schema import pipeline_schema
+from labpipe.errors import ConfigError
+from labpipe.marked_yaml import load_marked
+from labpipe.spectra.settings import FrfSettings, ImpactSettings, MaskSettings, ShaftLines
+
+
+def read(tmp_path: Path, text: str) -> tuple[FrfSettings | None, Faults]:
+    (tmp_path / "p.yaml").write_text(text)
+    faults = Faults()
+    return read_settings(FrfSettings, load_marked(tmp_path / "p.yaml"), "frf", faults), faults
+
+
+def test_a_mask_by_speed(tmp_path: Path) -> None:
+    found, _ = read(tmp_path, "excitation: random\nblock: 5 s\nmask: {speed: 3000 rpm, harmonics: 3, width: 0.5 Hz}\n")
+    assert found is not None and found.mask == MaskSettings(speed=50.0, harmonics=3, width=0.5)
+    assert found.remove is None and found.detrend == "constant"
+
+
+def test_removal_by_tacho(tmp_path: Path) -> None:
+    found, _ = read(tmp_path, "excitation: random\nblock: 5 s\nremove: {tacho: key, pulses: 2}\ndetrend: linear\ndirectional: true\n")
+    assert found is not None and found.remove == ShaftLines(tacho="key", pulses=2)
+    assert found.detrend == "linear" and found.directional
+
+
+def test_hits(tmp_path: Path) -> None:
+    text = "excitation: impact\nblock: 2 s\nimpact: {trigger: 20 %, decay: 300 ms, force_window: 5 ms, double_hit: 5 %, reject: [3, 4]}\n"
+    found, _ = read(tmp_path, text)
+    assert found is not None
+    assert found.impact == ImpactSettings(trigger=0.2, decay=0.3, force_window=5e-3, double_hit=0.05, reject=("3", "4"))
+    assert found.impact.reject == (3, 4)
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("excitation: impact\n", "'block' is missing"),
+        ("excitation: random\nblock: 5 s\nmask: {speed: 9 Hz, harmonic: 3}\n", "mask.harmonic: unknown key; did you mean 'harmonics'?"),
+        ("excitation: random\nblock: 5 s\nmask: {speed: 50 N}\n", "frf.mask.speed"),
+        ("excitation: random\nblock: 5 s\nremove: {speed: 50 Hz, tacho: key}\n", "one of 'speed' and 'tacho'"),
+        ("excitation: periodic\nperiod: 1 s\nremove: {speed: 50 Hz}\n", "'remove' works on random excitation, not on periodic"),
+        ("excitation: random\nblock: 5 s\ndetrend: square\n", "unknown choice 'square'"),
+        ("excitation: impact\nblock: 1 s\nimpact: {pretrigger: 100 %}\n", "'pretrigger' must be at least 0 and below 100 %"),
+        ("excitation: impact\nblock: 1 s\nimpact: {reject: [two]}\n", "'two' is not the number of a hit"),
+        ("excitation: impact\nblock: -1 s\n", "'block' must be positive"),
+    ],
+)
+def test_faults_are_said_at_their_place(tmp_path: Path, text: str, fault: str) -> None:
+    found, faults = read(tmp_path, text)
+    assert found is None
+    with pytest.raises(ConfigError) as caught:
+        faults.raise_any()
+    assert fault in str(caught.value) and "p.yaml:" in str(caught.value)
+
+
+def test_the_schema_knows_the_sections() -> None:
+    frf = pipeline_schema()["properties"]["frf"]["properties"]
+    assert frf["mask"]["properties"]["harmonics"] == {
+        "type": "integer",
+        "minimum": 0,
+        "description": "multiples of the speed that count, from 1x",
+    }
+    assert set(frf["excitation"]["enum"]) == {"periodic", "random", "impact"}
+    assert json.dumps(frf)
