@@ -27,6 +27,7 @@ BEARINGS = Registry(
     {
         "ball-bearing": "labpipe.bearings.rolling_kinds:BALL",
         "roller-bearing": "labpipe.bearings.rolling_kinds:ROLLER",
+        "journal-bearing": "labpipe.bearings.journal_kind:JOURNAL_KIND",
     },
 )
 

@@ -1,0 +1,105 @@
+"""Journal bearings as a kind of bearing: what their file holds, and from it to coefficients."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.bearings.coefficients import Amount, BearingCoefficients, BearingKind
+from labpipe.bearings.journal import JournalBearing, JournalEquilibrium, converged_equilibrium
+from labpipe.errors import ConfigError
+from labpipe.records.settings import setting
+
+JOURNAL = "journal-bearing"
+DOFS = ("y", "z")
+
+
+@dataclass(frozen=True)
+class Wear:
+    """Wear of the bushing after Dufrane: an arc of larger radius."""
+
+    depth: float = setting("value", "deepest wear", unit="m", default=0.0)
+    angle: float = setting("value", "place of the deepest wear from the bottom, positive with the spin", unit="rad", default=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JournalSettings:
+    """A plain bearing without its load and speed, as a rotor file names it."""
+
+    kind: str = setting("choice", "which kind of bearing", choices=(JOURNAL,))
+    name: str = setting("text", "name of the bearing", default="")
+    diameter: float = setting("value", "diameter of the journal", unit="m")
+    length: float = setting("value", "length of the bearing", unit="m")
+    clearance: float = setting("value", "radial clearance", unit="m")
+    viscosity: float = setting("value", "dynamic viscosity of the oil", unit="Pa.s")
+    cavitation_pressure: float = setting("value", "pressure at which the film tears, against ambient", unit="Pa", default=0.0)
+    wear: Wear = setting("section", "wear of the bushing", section=Wear, default=Wear())
+
+    def __post_init__(self) -> None:
+        self.bearing()
+
+    def bearing(self) -> JournalBearing:
+        """The bearing; ConfigError where data are impossible."""
+        wear = self.wear
+        return JournalBearing(
+            self.diameter, self.length, self.clearance, self.viscosity, wear.depth, wear.angle, self.cavitation_pressure
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class JournalFile(JournalSettings):
+    """A journal-bearing file: the bearing at its load and speed."""
+
+    speed: float = setting("value", "speed of the shaft, in Hz or rpm", unit="Hz")
+    load: float = setting("value", "static load, downwards (-z)", unit="N")
+    side_load: float = setting("value", "static load in y (horizontal)", unit="N", default=0.0)
+    accuracy: float = setting("value", "mesh error allowed, of the largest coefficient", unit="1", default=0.01)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.speed > 0:
+            raise ConfigError(f"speed: an oil film needs a speed above zero, not {self.speed:g} Hz")
+        if not np.hypot(self.load, self.side_load) > 0:
+            raise ConfigError("load: a journal bearing needs a load to find its place", hint="for example load: 58.82 N")
+        if not 1e-4 <= self.accuracy <= 0.5:
+            raise ConfigError("accuracy: must lie between 0.01 % and 50 %")
+
+
+def journal_coefficients(settings: Sequence[JournalFile]) -> list[BearingCoefficients]:
+    """The coefficients of every settings, in their order, each on the coarsest mesh that is accurate enough."""
+    return [_coefficients(entry) for entry in settings]
+
+
+def _coefficients(settings: JournalFile) -> BearingCoefficients:
+    load = (settings.side_load, -settings.load)
+    state = converged_equilibrium(settings.bearing(), load, 2 * np.pi * settings.speed, settings.accuracy)
+    return BearingCoefficients(DOFS, state.stiffness, state.damping, _rest(state), notes=_notes(state))
+
+
+def _rest(state: JournalEquilibrium) -> tuple[Amount, ...]:
+    """Eccentricity over clearance, attitude from the load with the spin, Sommerfeld number, displacement, thinnest film."""
+    y, z = state.position
+    return (
+        Amount("eccentricity_ratio", state.eccentricity_ratio, "1"),
+        Amount("attitude_angle", state.attitude, "rad"),
+        Amount("sommerfeld", state.sommerfeld, "1"),
+        Amount("y", float(y), "m"),
+        Amount("z", float(z), "m"),
+        Amount("film_thickness_min", float(state.film_thickness.min()), "m"),
+        Amount("pressure_max", float(state.pressure.max()), "Pa"),
+    )
+
+
+def _notes(state: JournalEquilibrium) -> tuple[Amount, ...]:
+    """The mesh that was used and its estimated error, of the largest coefficient."""
+    assert state.error is not None
+    return (
+        Amount("cells_around", float(state.mesh.around), "1"),
+        Amount("cells_across", float(state.mesh.across), "1"),
+        Amount("mesh_error", state.error, "1"),
+    )
+
+
+JOURNAL_KIND = BearingKind(JournalFile, journal_coefficients)
