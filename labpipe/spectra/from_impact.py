@@ -53,6 +53,9 @@ class _HitAverage:
         self._source, self._settings = source, settings
         self.force = check_single_force(source)
         self.n_sample = round(settings.block * source.sample_rate)
+        if source.n_sample < self.n_sample:
+            have = source.n_sample / source.sample_rate
+            raise DataError(f"'{source.name}' is {have:g} s long, too short for one block of {settings.block:g} s", hint="shorten `block`")
         self._lines = line_range(self.n_sample, source.sample_rate, settings.band)
         n_channel = len(source.channels)
         n_line = int(self._lines.stop - self._lines.start)
@@ -80,8 +83,7 @@ class _HitAverage:
         rate, impact = self._source.sample_rate, self._settings.impact
         samples = hit.samples.copy()
         if impact.force_window is not None:
-            trigger = round(impact.pretrigger * self.n_sample)
-            samples[:, self.force] *= force_window(self.n_sample, trigger, impact.force_window * rate)
+            samples[:, self.force] *= force_window(self.n_sample, hit.trigger, impact.force_window * rate)
         if impact.decay is not None:
             samples *= exponential_window(self.n_sample, impact.decay * rate)[:, None]
         self._note_slow(samples)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
-from labpipe.spectra.reading import checked_blocks
+from labpipe.spectra.reading import READ_SAMPLES, checked_blocks
 from labpipe.spectra.settings import ImpactSettings
 
 # Equal samples in a row at the end of the range: the converter was overloaded.
@@ -25,11 +25,12 @@ FLANK = 0.1
 class Hit:
     """One hit: *start* of its block [samples from the recording's start], samples (n_sample, n_channel) free of their offset [SI].
 
-    *fault* says why it is not used; empty for a good hit.
+    *trigger* is the sample of the block at which the force rose; *fault* says why it is not used, empty for a good hit.
     """
 
     number: int
     start: int
+    trigger: int
     samples: NDArray[np.floating]
     fault: str = ""
 
@@ -37,10 +38,12 @@ class Hit:
 def find_hits(source: SampleSource, force: int, n_sample: int, settings: ImpactSettings, first_number: int = 1) -> Iterator[Hit]:
     """The hits of a recording in their order, judged; *force* is the column of the hammer, *n_sample* the length of a block.
 
-    A hit begins where |force| rises above the trigger, a share of the largest one in the recording; its block begins earlier by
-    the pretrigger. The recording is read twice. DataError for a sample that is no number or a force that does not vary.
+    A hit begins where |force| rises above the trigger, a share of the largest one in the recording, both taken from the level at
+    which the sensor rests (the median of the first block); the hit's block begins earlier by the pretrigger. The recording is read
+    twice. DataError for a sample that is no number or a force that does not vary.
     """
-    level = settings.trigger * max(float(np.max(np.abs(block[:, force]))) for block in checked_blocks(source))
+    rest = float(np.median(next(iter(source.blocks(READ_SAMPLES)))[:, force]))
+    level = settings.trigger * max(float(np.max(np.abs(block[:, force] - rest))) for block in checked_blocks(source))
     before = round(settings.pretrigger * n_sample)
     window = np.empty((0, len(source.channels)))
     # *window* begins at sample *begin*; triggers are looked for from sample *search* on.
@@ -49,7 +52,7 @@ def find_hits(source: SampleSource, force: int, n_sample: int, settings: ImpactS
     for block in checked_blocks(source):
         window = np.concatenate([window, block])
         while True:
-            above = np.flatnonzero(np.abs(window[search - begin :, force]) >= level)
+            above = np.flatnonzero(np.abs(window[search - begin :, force] - rest) >= level)
             if not above.size:
                 search = begin + window.shape[0]
                 break
@@ -76,7 +79,7 @@ def _judged(number: int, start: int, raw: NDArray[np.floating], trigger: int, fo
         fault = "double hit"
     else:
         fault = ""
-    return Hit(number, start, samples, fault)
+    return Hit(number, start, trigger, samples, fault)
 
 
 def overloaded(samples: NDArray[np.floating]) -> NDArray[np.bool_]:

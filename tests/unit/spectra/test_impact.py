@@ -172,6 +172,8 @@ def test_what_is_no_impact_test_is_refused(rng: np.random.Generator) -> None:
     with pytest.raises(DataError, match=r"'both' of hits has 2 forces \(hammer, g\)"):
         measure([both], FrfSettings("impact", block=1.0))
     with pytest.raises(DataError, match="no hit whose block is complete"):
+        measure([hammered(rng, half_sine(3000, [1900], [1.0]))], FrfSettings("impact", block=1.0))
+    with pytest.raises(DataError, match=r"'taps' is 0\.976562 s long, too short for one block of 1 s"):
         measure([hammered(rng, half_sine(2000, [900], [1.0]))], FrfSettings("impact", block=1.0))
     with pytest.raises(DataError, match=r"1 hit\(s\) found, none of them good"):
         rejecting = ImpactSettings(reject=("1",))
@@ -183,3 +185,27 @@ def test_what_is_no_impact_test_is_refused(rng: np.random.Generator) -> None:
         ImpactSettings(decay=0.0)
     with pytest.raises(ConfigError, match="'trigger' must lie between"):
         ImpactSettings(trigger=1.0)
+
+
+def test_an_offset_of_the_hammer_makes_no_hits(rng: np.random.Generator) -> None:
+    quick = -2 * np.pi * 4.0 + 2j * np.pi * 60.0
+    plain = hammered(rng, half_sine(LENGTH, STARTS, [1.0] * 5), quick)
+    offset = Recording(plain.channels, plain.samples + np.array([0.5, -3.0]), RATE, "taps")
+    settings = FrfSettings("impact", block=2.0, band=(10.0, 150.0))
+    np.testing.assert_allclose(measure([offset], settings).matrix, measure([plain], settings).matrix, rtol=1e-6)
+
+
+def test_the_force_window_takes_the_noise_between_hits_away(rng: np.random.Generator) -> None:
+    # Noise of 5 % of the peak on the force: over 8 ms of a 2 s block a 250th of its power is left.
+    quick = -2 * np.pi * 4.0 + 2j * np.pi * 60.0
+    starts = [20, *STARTS[1:]]
+    plain = hammered(rng, half_sine(LENGTH, starts, [1.0] * 5), quick)
+    noise = np.column_stack([0.05 * rng.normal(size=LENGTH), np.zeros(LENGTH)])
+    noisy = Recording(plain.channels, plain.samples + noise, RATE, "taps")
+    errors = []
+    for impact in (ImpactSettings(trigger=0.4, double_hit=0.4), ImpactSettings(trigger=0.4, double_hit=0.4, force_window=8e-3)):
+        response = measure([noisy], FrfSettings("impact", block=2.0, band=(20.0, 100.0), impact=impact))
+        expected = truth(response.frequency, quick)
+        errors.append(np.sqrt(np.mean(np.abs(response.matrix[:, 0, 0] / expected - 1) ** 2)))
+    # sqrt(1 / 250), and as much again for the one draw there is.
+    assert errors[1] < 2 * np.sqrt(1 / 250) * errors[0]
