@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from labpipe import __version__
 from labpipe.errors import DataError
-from labpipe.records.finding import Finding
+from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness, Identification, Parameter, RuleOutcome
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 
@@ -85,7 +85,7 @@ def _fit_entry(fit: Fit) -> dict[str, Any]:
         **{name: getattr(fit, name) for name in ("condition_number", "converged", "iterations")},
         "parameters": [dataclasses.asdict(parameter) for parameter in fit.parameters],
         "correlation": fit.correlation.tolist(),
-        "warnings": [dataclasses.asdict(finding) for finding in fit.findings],
+        **_finding_entries(fit.findings),
         "notes": list(fit.notes),
         "candidates": [dataclasses.asdict(candidate) for candidate in fit.candidates],
         "curve": None if fit.curve is None else _curve_entry(fit.curve),
@@ -102,7 +102,7 @@ def _fit(entry: dict[str, Any]) -> Fit:
         condition_number=math.inf if condition is None else condition,
         parameters=tuple(_parameter(parameter) for parameter in entry["parameters"]),
         correlation=np.array(entry["correlation"], np.float64),
-        findings=tuple(Finding(**warning) for warning in entry["warnings"]),
+        findings=_findings(entry),
         notes=tuple(entry.get("notes", [])),
         candidates=tuple(Candidate(**candidate) for candidate in entry.get("candidates", [])),
         curve=None if entry.get("curve") is None else _curve(entry["curve"]),
@@ -112,6 +112,21 @@ def _fit(entry: dict[str, Any]) -> Fit:
 def _parameter(entry: dict[str, Any]) -> Parameter:
     interval = entry["ci95"]
     return Parameter(**{**entry, "ci95": None if interval is None else (interval[0], interval[1])})
+_FINDING_LISTS = {"warnings": WARNING, "remarks": NOTE}
+
+
+def _finding_entries(findings: tuple[Finding, ...]) -> dict[str, list[dict[str, str]]]:
+    """Warnings, and apart from them what only informs."""
+    return {
+        name: [{"code": finding.code, "message": finding.message} for finding in of_level(level, findings)]
+        for name, level in _FINDING_LISTS.items()
+    }
+
+
+def _findings(entry: dict[str, Any]) -> tuple[Finding, ...]:
+    return tuple(Finding(**one, level=level) for name, level in _FINDING_LISTS.items() for one in entry.get(name, []))
+
+
 
 
 def _complex_entry(values: NDArray[np.complex128]) -> dict[str, Any]:
@@ -166,7 +181,7 @@ def _response_entry(response: FrequencyResponse) -> dict[str, Any]:
         "averages": response.averages,
         "covariance_dof": response.covariance_dof,
         "conditions": response.conditions,
-        "warnings": [dataclasses.asdict(finding) for finding in response.findings],
+        **_finding_entries(response.findings),
     }
 
 
@@ -186,6 +201,6 @@ def _response(entry: dict[str, Any]) -> FrequencyResponse:
         averages=entry["averages"],
         covariance_dof=math.inf if dof is None else dof,
         name=entry["test"],
-        findings=tuple(Finding(**warning) for warning in entry["warnings"]),
+        findings=_findings(entry),
         conditions=entry["conditions"],
     )

@@ -12,6 +12,7 @@ from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
 from labpipe.config.pipeline import Pipeline, SourceFile, Test, load_pipeline
 from labpipe.errors import ConfigError
+from labpipe.records.finding import WARNING, of_level
 from labpipe.records.response import FrequencyResponse
 
 
@@ -46,10 +47,10 @@ def with_recordings(pipeline: Pipeline, recordings: tuple[Path, ...]) -> Pipelin
 
 
 def echo_response(response: FrequencyResponse, quiet: bool) -> None:
-    """One line about a response, and its warnings."""
+    """One line about a response, and its findings."""
     if not quiet:
         size = f"{len(response.outputs)} x {len(response.inputs)} {response.form}"
         band = f"{response.frequency[0]:g}-{response.frequency[-1]:g} Hz"
         click.echo(f"{response.name or 'frf'}: {size}, {response.n_frequency} lines, {band}")
-    for finding in response.findings:
-        click.echo(f"  warning {finding.code}: {finding.message}")
+    for finding in of_level(WARNING, response.findings) if quiet else response.findings:
+        click.echo(f"  {finding.level} {finding.code}: {finding.message}")

@@ -30,4 +30,4 @@ def ingest(sources: tuple[Path, ...], rig_path: Path, output: Path, overrides: t
             seconds = recording.n_sample / recording.sample_rate
             click.echo(f"{recording.name}: {recording.n_sample} samples, {recording.sample_rate:g} Hz, {seconds:g} s")
         for finding in recording.findings:
-            click.echo(f"  warning {finding.code}: {finding.message}")
+            click.echo(f"  {finding.level} {finding.code}: {finding.message}")

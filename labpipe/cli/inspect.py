@@ -66,6 +66,6 @@ def _echo_levels(labels: list[str], screen: ChannelScreen, findings: tuple[Findi
     for row in zip(labels, screen.minimum, screen.maximum, screen.mean, screen.rms, strict=True):
         click.echo(f"  {row[0]:<{width}}" + "".join(f"{float(value):>13.5g}" for value in row[1:]))
     for finding in findings:
-        click.echo(f"  warning {finding.code}: {finding.message}")
+        click.echo(f"  {finding.level} {finding.code}: {finding.message}")
     if not findings:
         click.echo("  no gaps, no clipping")

@@ -8,6 +8,7 @@ import sys
 import click
 
 from labpipe.quantities import display_unit, to_display
+from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.identification import Fit, Identification, Parameter
 
 MAX_BANDS = 8
@@ -17,6 +18,7 @@ def echo_identification(identification: Identification, quiet: bool) -> None:
     """Fits, warnings and rule outcomes; long sliding series are cut in the middle, the report has all."""
     if quiet:
         return
+    _echo_findings([response.findings for response in identification.responses], "tests")
     for name in dict.fromkeys(fit.name for fit in identification.fits):
         fits = [fit for fit in identification.fits if fit.name == name]
         shown = fits if len(fits) <= MAX_BANDS else [*fits[: MAX_BANDS // 2], *fits[-MAX_BANDS // 2 :]]
@@ -24,7 +26,7 @@ def echo_identification(identification: Identification, quiet: bool) -> None:
             if len(shown) < len(fits) and number == MAX_BANDS // 2:
                 click.echo(f"  ... {len(fits) - len(shown)} more fits of '{name}' in identification.json ...")
             _echo_fit(fit)
-        _echo_warnings(fits)
+        _echo_findings([fit.findings for fit in fits], "fits")
     for outcome in identification.outcomes:
         mark = _coloured("passed", "green") if outcome.passed else _coloured("FAILED", "red")
         click.echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {_found(outcome.value)})")
@@ -53,15 +55,16 @@ def _parameter_line(parameter: Parameter) -> str:
     return f"{parameter.name:<14}{value:>12.6g} {unit:<7} +- {error:.2g} (standard error){mark}"
 
 
-def _echo_warnings(fits: list[Fit]) -> None:
-    """Each warning once, with the number of fits that carry it."""
-    seen: dict[str, list[str]] = {}
-    for fit in fits:
-        for finding in fit.findings:
-            seen.setdefault(finding.code, []).append(finding.message)
-    for code, messages in seen.items():
-        times = "" if len(fits) == 1 else f" (in {len(messages)} of {len(fits)} fits; the first:)"
-        click.echo(f"  {_coloured('warning', 'yellow')} {code}{times}: {messages[0]}")
+def _echo_findings(carriers: list[tuple[Finding, ...]], what: str) -> None:
+    """Each finding once, with the number of fits or tests that carry it; warnings before notes."""
+    for level, colour in ((WARNING, "yellow"), (NOTE, "cyan")):
+        seen: dict[str, dict[int, str]] = {}
+        for number, findings in enumerate(carriers):
+            for finding in of_level(level, findings):
+                seen.setdefault(finding.code, {}).setdefault(number, finding.message)
+        for code, messages in seen.items():
+            times = "" if len(carriers) == 1 else f" (in {len(messages)} of {len(carriers)} {what}; the first:)"
+            click.echo(f"  {_coloured(level, colour)} {code}{times}: {next(iter(messages.values()))}")
 
 
 def _coloured(text: str, colour: str) -> str:

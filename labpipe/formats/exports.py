@@ -12,6 +12,7 @@ from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
 from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.response_file import read_response
 from labpipe.formats.frf_csv import write_frf_csv
+from labpipe.records.finding import WARNING, of_level
 from labpipe.registry import Registry
 
 WRITERS = Registry(
@@ -64,7 +65,7 @@ def parameter_table(artefact: Path) -> pd.DataFrame:
             "std_error": parameter.std_error,
             "ci95_low": parameter.ci95[0] if parameter.ci95 else None,
             "ci95_high": parameter.ci95[1] if parameter.ci95 else None,
-            "warnings": " ".join(finding.code for finding in fit.findings),
+            "warnings": " ".join(finding.code for finding in of_level(WARNING, fit.findings)),
         }
         for fit in read_identification(artefact).fits
         for parameter in fit.parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
-from labpipe.records.finding import Finding
+from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.identification import Fit, Identification, RuleOutcome
 from labpipe.report import figures
 from labpipe.report.document import Block, Code, Document, Paragraph, Section, Table
@@ -21,6 +21,7 @@ def build(identification: Identification) -> Document:
     sections = (
         Section("Verdict", _verdict(identification)),
         Section("Warnings", _warnings(identification)),
+        *([Section("Notes", notes)] if (notes := _each_once(identification, NOTE)) else []),
         *(Section(f"Result: {_series_title(fits)}", _result(fits)) for fits in series),
         *([Section("Measurement", _measurement(identification))] if identification.responses else []),
         Section("Rig and conditions", _rig(identification)),
@@ -45,7 +46,7 @@ def _series_title(fits: list[Fit]) -> str:
 
 def _verdict(identification: Identification) -> tuple[Block, ...]:
     outcomes = identification.outcomes
-    codes = _all_findings(identification)
+    codes = _all_findings(identification, WARNING)
     doubt = f" {len(codes)} kind(s) of warning below limit how far the numbers can be trusted." if codes else " No warnings."
     if not outcomes:
         lead = Paragraph(f"No acceptance rules were given, so nothing is accepted or refused.{doubt}", "note")
@@ -75,28 +76,30 @@ def _found(outcome: RuleOutcome) -> str:
     return "none" if outcome.value is None else outcome.value if isinstance(outcome.value, str) else f"{outcome.value:.6g}"
 
 
-def _all_findings(identification: Identification) -> dict[str, list[tuple[str, Finding]]]:
-    """Every warning by its code, with where it comes from."""
+def _all_findings(identification: Identification, level: str) -> dict[str, list[tuple[str, Finding]]]:
+    """Every finding of a level by its code, with where it comes from."""
     found: dict[str, list[tuple[str, Finding]]] = {}
     for response in identification.responses:
-        for finding in response.findings:
+        for finding in of_level(level, response.findings):
             found.setdefault(finding.code, []).append((response.name or "measurement", finding))
     for fit in identification.fits:
-        for finding in fit.findings:
+        for finding in of_level(level, fit.findings):
             found.setdefault(finding.code, []).append((fit_title(fit), finding))
     return found
 
 
 def _warnings(identification: Identification) -> tuple[Block, ...]:
     """Each kind of warning once in full, with the number of fits that carry it."""
-    found = _all_findings(identification)
-    if not found:
-        return (Paragraph("None. No rule for collinear excitation, coherence, significance, residuals or clipping was broken.", "passed"),)
+    none = "None. No rule for collinear excitation, coherence, significance, residuals or clipping was broken."
+    return _each_once(identification, WARNING) or (Paragraph(none, "passed"),)
+
+
+def _each_once(identification: Identification, level: str) -> tuple[Block, ...]:
     blocks: list[Block] = []
-    for code, entries in found.items():
+    for code, entries in _all_findings(identification, level).items():
         origin, finding = entries[0]
         more = f" ({len(entries)} times in all; this is the first)" if len(entries) > 1 else ""
-        blocks.append(Paragraph(f"{code}: {origin}{more}: {finding.message}", "warning"))
+        blocks.append(Paragraph(f"{code}: {origin}{more}: {finding.message}", level))
     return tuple(blocks)
 
 
@@ -147,7 +150,7 @@ def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
             f"{fit.centre_hz:g}",
             f"{fit.gof.r2_adjusted:.4f}",
             *(_with_error(fit, name) for name in names),
-            ", ".join(finding.code for finding in fit.findings),
+            ", ".join(finding.code for finding in of_level(WARNING, fit.findings)),
         )
         for fit in fits
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from labpipe.errors import DataError
-from labpipe.records.finding import Finding
+from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.damping import covariance_without_damping, without_added_damping
@@ -69,7 +69,7 @@ class _HitAverage:
         if hit.fault:
             at = hit.start / self._source.sample_rate
             message = f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {self._named(hit.fault)}"
-            self.findings.append(Finding("hit-rejected", message))
+            self.findings.append(note("hit-rejected", message))
             return
         amplitude = fft.rfft(self._windowed(hit), axis=0)[self._lines]
         self._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from labpipe.records.finding import Finding
+from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.shaft import shaft_motion
@@ -31,4 +31,4 @@ def mask_findings(bands: Sequence[tuple[float, float]]) -> tuple[Finding, ...]:
     if not bands:
         return ()
     named = ", ".join(f"{low:.6g}-{high:.6g} Hz" for low, high in bands)
-    return (Finding("masked", f"lines of the shaft speed are left out: {named}"),)
+    return (note("masked", f"lines of the shaft speed are left out: {named}"),)

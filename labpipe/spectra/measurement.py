@@ -78,7 +78,7 @@ def _check_rates(sources: Sequence[SampleSource]) -> None:
 def _source_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
     several = len(sources) > 1
     return tuple(
-        Finding(finding.code, f"{source.name}: {finding.message}" if several else finding.message)
+        dataclasses.replace(finding, message=f"{source.name}: {finding.message}") if several else finding
         for source in sources
         for finding in source.findings
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from labpipe.errors import DataError
-from labpipe.records.finding import Finding
+from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.spectra.reading import READ_SAMPLES, checked_blocks
 from labpipe.spectra.settings import ShaftLines
@@ -129,7 +129,7 @@ def _removed(channels: Sequence[Channel], motion: ShaftMotion, amplitude: NDArra
     low, high = motion.speed_range
     speed = f"{low:.6g} Hz" if high - low < 1e-9 * high else f"{low:.6g}-{high:.6g} Hz"
     return tuple(
-        Finding(
+        note(
             "synchronous-removed",
             f"channel {channel.name}: the part synchronous with {speed} was taken out, "
             + ", ".join(f"{order}x {abs(value):.3g} {channel.unit}" for order, value in enumerate(own, 1))

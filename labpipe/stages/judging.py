@@ -10,6 +10,7 @@ from labpipe.config.values import parse_uncertain
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.identification import Fit, RuleOutcome
+from labpipe.records.finding import WARNING, of_level
 from labpipe.registry import nearest
 
 _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
@@ -59,7 +60,7 @@ def _outcome(rule: Rule, fits: list[Fit]) -> RuleOutcome:
 
 def _warnings_held(rule: Rule, fit: Fit) -> tuple[str, bool]:
     """ "collinear" must be among the warnings, "not collinear" must not; "none" means no warning at all."""
-    codes = [finding.code for finding in fit.findings]
+    codes = [finding.code for finding in of_level(WARNING, fit.findings)]
     word = rule.bound
     if word == "none":
         passed = not codes
