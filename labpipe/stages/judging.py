@@ -9,8 +9,8 @@ from labpipe.config.rules import Rule
 from labpipe.config.values import parse_uncertain
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, parse_value
-from labpipe.records.identification import Fit, RuleOutcome
 from labpipe.records.finding import WARNING, of_level
+from labpipe.records.identification import Fit, RuleOutcome
 from labpipe.registry import nearest
 
 _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
