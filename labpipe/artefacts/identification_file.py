@@ -77,7 +77,7 @@ def _outcome_entry(outcome: RuleOutcome) -> dict[str, Any]:
 
 def _fit_entry(fit: Fit) -> dict[str, Any]:
     return {
-        **{name: getattr(fit, name) for name in ("name", "test", "model", "estimator")},
+        **{name: getattr(fit, name) for name in ("name", "test", "term", "model", "estimator")},
         "band_hz": list(fit.band_hz),
         "centre_hz": fit.centre_hz,
         **{name: getattr(fit, name) for name in ("lines", "equations", "dof")},
@@ -97,6 +97,7 @@ def _fit(entry: dict[str, Any]) -> Fit:
     condition = entry["condition_number"]
     return Fit(
         **plain,
+        term=entry.get("term", ""),
         band_hz=(entry["band_hz"][0], entry["band_hz"][1]),
         gof=Goodness(**entry["gof"]),
         condition_number=math.inf if condition is None else condition,

@@ -79,6 +79,7 @@ def _kind(setting: Setting) -> dict[str, Any]:
         "uncertain": _TEXT_OR_NUMBER,
         "band": {"type": "string"},
         "bands": _TEXTS,
+        "peaks": {"type": "object", "additionalProperties": _TEXTS},
         "integer": {"type": "integer", "minimum": 0},
         "flag": {"type": "boolean"},
         "text": _TEXT_OR_NUMBER,

@@ -62,6 +62,13 @@ def read_bands(node: Marked, setting: Setting) -> tuple[tuple[float, float], ...
     return tuple(read_band(entry, setting) for entry in nodes)
 
 
+def read_peaks(node: Marked, setting: Setting) -> tuple[tuple[str, tuple[tuple[float, float], ...]], ...]:
+    """ {x: 700-1100 Hz, z: [300-500 Hz, 900-950 Hz]} -> (("x", ((700.0, 1100.0),)), ...)."""
+    if not isinstance(node.content, dict) or not node.content:
+        raise UnitError(f"'{_shown(node)}' is not a mapping of dofs to bands", "write for example {x: 700-1100 Hz}")
+    return tuple((name, read_bands(entry, setting)) for name, entry in node.content.items())
+
+
 def read_integer(node: Marked, setting: Setting) -> int:  # noqa: ARG001 (one signature for the whole table)
     """A whole number, zero or more."""
     if isinstance(node.content, bool) or not isinstance(node.content, int) or node.content < 0:
@@ -161,6 +168,7 @@ READERS = {
     "uncertain": read_uncertain,
     "band": read_band,
     "bands": read_bands,
+    "peaks": read_peaks,
     "integer": read_integer,
     "flag": read_flag,
     "text": read_text,

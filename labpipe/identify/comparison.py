@@ -63,7 +63,7 @@ THIS = "this model"
 
 def _variants(settings: FitSettings) -> list[_Variant]:
     """What a person would try: with and without cross terms, mass, symmetry, proportional damping."""
-    plain = replace(settings, estimator="ml", weight="none", eliminate=False, sliding=None)
+    plain = replace(settings, estimator="ml", weight="none", eliminate=False, sliding=None, bands=())
     return [_Variant(f"{THIS}: {_described(plain)}", plain, tuple(v.name for v in _richer(plain))), *_richer(plain), *_simpler(plain)]
 
 

@@ -1,4 +1,4 @@
-"""identify: a frequency response and the settings of a fit -> one Fit per band. ESTIMATORS by name."""
+"""identify: a frequency response and the settings of a fit -> one Fit per band or peak. ESTIMATORS by name."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.identify.amplitude import amplitude_fit
 from labpipe.identify.bootstrap import bootstrapped
 from labpipe.identify.comparison import candidates, comparison_findings
@@ -39,10 +39,12 @@ Band = tuple[float, float]
 
 
 def identify(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
-    """Fit the settings' model to a response: one Fit, or one per sliding band.
+    """Fit the settings' model to a response: one Fit, or one per band or chosen peak.
 
     Raises ConfigError where settings and response do not fit together, FitError where the data cannot support the fit.
     """
+    if settings.peaks:
+        return tuple(fit for dof, bands in settings.peaks for fit in _diagonal_term(response, settings, dof, bands))
     rows, columns = select_ports(response, settings.input, settings.output)
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
@@ -61,6 +63,16 @@ def identify(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, .
     return tuple(fits)
 
 
+def _diagonal_term(response: FrequencyResponse, settings: FitSettings, dof: str, bands: tuple[Band, ...]) -> list[Fit]:
+    """The fits of H of *dof* to the force along it, one per band; errors name the term."""
+    try:
+        fits = identify(response, replace(settings, peaks=(), bands=bands, input=(dof,), output=(dof,)))
+    except LabpipeError as error:
+        error.what = f"term {dof}: {error.what}"
+        raise
+    return [replace(fit, term=dof) for fit in fits]
+
+
 def sliding_bands(whole: Band, width: float, step: float) -> list[Band]:
     """Bands of *width* every *step* [Hz] that lie in the whole band: 1-250 Hz by 15/3 Hz gives 79."""
     if width <= 0 or step <= 0:
@@ -74,6 +86,8 @@ def sliding_bands(whole: Band, width: float, step: float) -> list[Band]:
 def _bands(response: FrequencyResponse, settings: FitSettings) -> list[tuple[Band, NDArray[np.bool_]]]:
     """Every band with its lines; sliding bands hold the lines from their lower edge up to, not including, the upper one."""
     frequency = response.frequency
+    if settings.bands:
+        return [(band, lines_in(frequency, band)) for band in settings.bands]
     whole = settings.band or (float(frequency[0]), float(frequency[-1]))
     if settings.sliding is None:
         return [(whole, lines_in(frequency, whole))]

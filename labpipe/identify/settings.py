@@ -44,6 +44,10 @@ class FitSettings:
     input: tuple[str, ...] = setting("names", "force channel(s); default: all", default=())
     output: tuple[str, ...] = setting("names", "response channel(s); default: all the model takes", default=())
     band: tuple[float, float] | None = setting("band", "frequencies used; default: all", unit="Hz", default=None)
+    bands: tuple[tuple[float, float], ...] = setting("bands", "several bands, one fit for each", unit="Hz", default=())
+    peaks: tuple[tuple[str, tuple[tuple[float, float], ...]], ...] = setting(
+        "peaks", "sdof: bands of chosen peaks of the diagonal terms, by dof; one fit for each", unit="Hz", default=()
+    )
     sliding: Sliding | None = setting("section", "repeat the fit in sliding bands", section=Sliding, default=None)
     subtract: Support | None = setting("section", "support to subtract", section=Support, default=None)
     share: int = setting("integer", "equal bearings in parallel that share the load", default=1)
@@ -60,6 +64,7 @@ class FitSettings:
     name: str = ""
 
     def __post_init__(self) -> None:
+        self._check_bands()
         if self.weight != "none" and self.estimator == "ml":
             raise ConfigError("'weight' is not for ml, which always weighs by the noise", hint="leave it out")
         if self.damping == "proportional" and self.estimator != "ml":
@@ -72,3 +77,12 @@ class FitSettings:
             raise ConfigError("'symmetric', 'lumped_mass' and 'scale_mass' are for mdof only", hint="leave them out")
         if self.scale_mass and self.mass == ESTIMATE:
             raise ConfigError("'scale_mass' needs the mass to be scaled", hint="for example mass: [1 kg, 2 kg]")
+
+    def _check_bands(self) -> None:
+        """ConfigError for settings that say twice which bands or ports are fitted."""
+        if self.bands and (self.band or self.sliding):
+            raise ConfigError("'bands' goes with neither 'band' nor 'sliding'", hint="name all bands under bands")
+        if self.peaks and (self.band or self.bands or self.sliding or self.input or self.output):
+            raise ConfigError("'peaks' names bands and ports by itself", hint="leave out band, bands, sliding, input and output")
+        if self.peaks and self.model != "sdof":
+            raise ConfigError("'peaks' is for sdof only", hint="for other models name input, output and bands")

@@ -78,7 +78,8 @@ class Fit:
     """One fit of one model in one band.
 
     lines: frequency lines used; equations: real equations; dof: equations - estimated parameters.
-    correlation: of the estimated (not derived) parameters, in their order.
+    correlation: of the estimated (not derived) parameters, in their order. term: dof of the diagonal term that was fitted, where
+    one fit has several.
     """
 
     name: str
@@ -99,6 +100,7 @@ class Fit:
     notes: tuple[str, ...] = ()
     curve: FittedCurve | None = None
     candidates: tuple[Candidate, ...] = ()
+    term: str = ""
 
     @property
     def centre_hz(self) -> float:

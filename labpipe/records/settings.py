@@ -11,6 +11,7 @@ KINDS = (
     "uncertain",  # "134.5 kN/m +- 0.4 kN/m" or "... +- 1 %" -> Uncertain
     "band",  # "1-250 Hz" -> (low, high) in the SI unit
     "bands",  # list of bands
+    "peaks",  # {x: 700-1100 Hz, z: [...]} -> (("x", ((700.0, 1100.0),)), ...)
     "integer",
     "flag",
     "text",

@@ -33,9 +33,9 @@ def build(identification: Identification) -> Document:
 
 def _series(fits: Sequence[Fit]) -> list[list[Fit]]:
     """Fits that belong together: the bands of a sliding fit, the lines of one calibration."""
-    groups: dict[tuple[str, str], list[Fit]] = {}
+    groups: dict[tuple[str, str, str], list[Fit]] = {}
     for fit in fits:
-        groups.setdefault((fit.name, "" if fit.model == "straight-line" else fit.test), []).append(fit)
+        groups.setdefault((fit.name, fit.term, "" if fit.model == "straight-line" else fit.test), []).append(fit)
     return list(groups.values())
 
 

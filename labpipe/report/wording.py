@@ -71,8 +71,9 @@ def significance(parameter: Parameter, dof: int) -> str:
 
 
 def fit_title(fit: Fit) -> str:
-    """The fit's name with its test."""
-    return f"{fit.name}, test {fit.test}" if fit.test else fit.name
+    """The fit's name with the diagonal term it is of, and its test."""
+    name = f"{fit.name} of {fit.term}" if fit.term else fit.name
+    return f"{name}, test {fit.test}" if fit.test else name
 
 
 def band_text(fit: Fit) -> str:

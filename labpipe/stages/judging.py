@@ -30,10 +30,10 @@ def judge(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, ...]
 
 
 def _addressed(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
-    """All fits of the rule's name, or the one that stands in brackets: a test's name or the centre of a band."""
+    """All fits of the rule's name, or those that stand in brackets: a test's name, a diagonal term or the centre of a band."""
     found = [fit for fit in fits if fit.name == rule.fit]
     if rule.which:
-        found = [fit for fit in found if rule.which == fit.test or _is_centre(rule.which, fit.centre_hz)]
+        found = [fit for fit in found if rule.which in (fit.test, fit.term) or _is_centre(rule.which, fit.centre_hz)]
     if not found:
         raise ConfigError(f"{rule.section}.{rule.address}: no such fit in the result", where=rule.place)
     return found
