@@ -66,8 +66,8 @@ def measure_one(
     return frf(recordings, pipeline.frf, output, test.name, test.conditions)
 
 
-def run(pipeline: Pipeline, output: OutputFolder, tell: Tell) -> Identification:
-    """All stages up to the identification."""
+def run(pipeline: Pipeline, output: OutputFolder, tell: Tell, jobs: int = 0) -> Identification:
+    """All stages up to the identification; *jobs*: processes of a study, 0 for one per processor."""
     measured = measure_tests(pipeline, output, tell)
     tell(f"identify  {pipeline.title}")
-    return identify_stage(pipeline, measured.responses, measured.sources, output)
+    return identify_stage(pipeline, measured.responses, measured.sources, output, tell, jobs)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe import __version__
+from labpipe.artefacts.study_entry import read_study
 from labpipe.errors import DataError
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness, Identification, Parameter, RuleOutcome
@@ -34,6 +35,7 @@ def write_identification(path: Path, identification: Identification) -> None:
         "fits": [_fit_entry(fit) for fit in identification.fits],
         "accept": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "accept"],
         "expect": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "expect"],
+        "studies": [dataclasses.asdict(study) for study in identification.studies],
         "responses": [_response_entry(response) for response in identification.responses],
     }
     path.write_text(json.dumps(_without_nan(entries), indent=1, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
@@ -59,6 +61,7 @@ def read_identification(path: Path) -> Identification:
         rig=entries.get("rig", {}),
         responses=tuple(_response(entry) for entry in entries.get("responses", [])),
         outcomes=tuple(outcomes),
+        studies=tuple(read_study(entry) for entry in entries.get("studies", [])),
         version=entries["labpipe"],
     )
 
@@ -110,9 +113,6 @@ def _fit(entry: dict[str, Any]) -> Fit:
     )
 
 
-def _parameter(entry: dict[str, Any]) -> Parameter:
-    interval = entry["ci95"]
-    return Parameter(**{**entry, "ci95": None if interval is None else (interval[0], interval[1])})
 _FINDING_LISTS = {"warnings": WARNING, "remarks": NOTE}
 
 
@@ -128,6 +128,9 @@ def _findings(entry: dict[str, Any]) -> tuple[Finding, ...]:
     return tuple(Finding(**one, level=level) for name, level in _FINDING_LISTS.items() for one in entry.get(name, []))
 
 
+def _parameter(entry: dict[str, Any]) -> Parameter:
+    interval = entry["ci95"]
+    return Parameter(**{**entry, "ci95": None if interval is None else (interval[0], interval[1])})
 
 
 def _complex_entry(values: NDArray[np.complex128]) -> dict[str, Any]:

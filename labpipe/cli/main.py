@@ -22,6 +22,7 @@ COMMANDS = {
     "run": "All stages of a pipeline; what is up to date is not computed again.",
     "check": "Run pipelines and hold them against their expect: and accept: rules.",
     "bearing": "Stiffness and damping of a bearing model at its load and speed.",
+    "study": "Monte Carlo of a pipeline on a virtual rig: bias, coverage, success per estimator.",
     "simulate": "Recordings of a virtual rig with known truth.",
     "excite": "Test signals: Schroeder, random-phase, optimised multisine, odd lines.",
     "calibrate": "Sensor, actuator and stiffness calibration fits.",

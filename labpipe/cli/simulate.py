@@ -8,7 +8,8 @@ import click
 
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
-from labpipe.stages.simulate import load_virtual_rig, simulate_files
+from labpipe.config.virtual_rig import load_virtual_rig
+from labpipe.stages.simulate import simulate_files
 
 
 @click.command()

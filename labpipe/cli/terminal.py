@@ -10,12 +10,14 @@ import click
 from labpipe.quantities import display_unit, to_display
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.identification import Fit, Identification, Parameter
+from labpipe.records.study import Study
+from labpipe.report.wording import threshold_text
 
 MAX_BANDS = 8
 
 
 def echo_identification(identification: Identification, quiet: bool) -> None:
-    """Fits, warnings and rule outcomes; long sliding series are cut in the middle, the report has all."""
+    """What the measurement showed, fits, warnings and rule outcomes; long sliding series are cut in the middle, the report has all."""
     if quiet:
         return
     _echo_findings([response.findings for response in identification.responses], "tests")
@@ -27,9 +29,27 @@ def echo_identification(identification: Identification, quiet: bool) -> None:
                 click.echo(f"  ... {len(fits) - len(shown)} more fits of '{name}' in identification.json ...")
             _echo_fit(fit)
         _echo_findings([fit.findings for fit in fits], "fits")
+    for study in identification.studies:
+        _echo_study(study)
     for outcome in identification.outcomes:
         mark = _coloured("passed", "green") if outcome.passed else _coloured("FAILED", "red")
         click.echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {_found(outcome.value)})")
+
+
+def _echo_study(study: Study) -> None:
+    """One line for every fit at every noise level, then the thresholds."""
+    click.echo(f"study on {study.rig}, seed {study.seed}")
+    columns = f"{'noise':>8}{'lines':>7}{'mean error':>12}{'median':>10}{'failed':>12}{'success':>9}{'RMSE/CRLB':>11}{'coverage':>10}"
+    click.echo(f"  {'fit':<10}{columns}")
+    for case in study.cases:
+        bound = "" if case.rmse_over_bound is None else f"{case.rmse_over_bound:.3f}"
+        coverage = "" if case.coverage is None else f"{100 * case.coverage:.1f} %"
+        click.echo(
+            f"  {case.fit:<10}{100 * case.noise:>6.3g} %{case.lines:>7}{case.mean_error:>12.4g}{case.median_error:>10.4g}"
+            f"{f'{case.failed} of {case.repeats}':>12}{100 * case.success[0]:>7.1f} %{bound:>11}{coverage:>10}"
+        )
+    for threshold in study.thresholds:
+        click.echo(f"  {threshold_text(threshold, study.share)}")
 
 
 def _found(value: float | str | None) -> str:

@@ -6,12 +6,15 @@ import glob
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from labpipe.config.calibration import CalibrationSettings
 from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
 from labpipe.config.rig import load_rig, override_channels
-from labpipe.config.rules import Rule, read_rules
+from labpipe.config.rotor import with_rotor
+from labpipe.config.rules import STUDY, Rule, read_rules
+from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.errors import ConfigError
 from labpipe.identify.settings import FitSettings
 from labpipe.marked_yaml import Marked, load_marked, set_entry
@@ -19,6 +22,7 @@ from labpipe.records.rig import Rig
 from labpipe.records.settings import setting
 from labpipe.registry import nearest
 from labpipe.spectra.settings import FrfSettings
+from labpipe.study.settings import StudySettings
 
 SECTIONS = (
     "title",
@@ -30,6 +34,7 @@ SECTIONS = (
     "frf",
     "identify",
     "calibrate",
+    "study",
     "report",
     "accept",
     "expect",
@@ -63,6 +68,14 @@ class Test:
 
 
 @dataclass(frozen=True)
+class StudyPlan:
+    """The ``study:`` section, and the virtual rig it names."""
+
+    settings: StudySettings
+    rig: Any
+
+
+@dataclass(frozen=True)
 class Pipeline:
     """A pipeline file with everything it names."""
 
@@ -75,6 +88,7 @@ class Pipeline:
     report: ReportSettings
     rules: tuple[Rule, ...]
     rig: Rig | None
+    study: StudyPlan | None = None
 
     @property
     def folder(self) -> Path:
@@ -93,16 +107,18 @@ def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
     rig = _rig(entries.get("rig"), path.parent, faults, "rig")
     tests = _tests(entries, path.parent, rig, faults)
     frf = read_settings(FrfSettings, entries["frf"], "frf", faults) if "frf" in entries else None
-    fits = _fits(entries.get("identify"), rig, faults)
+    fits = _fits(entries.get("identify"), path.parent, rig, faults)
     calibrations = _calibrations(entries.get("calibrate"), path.parent, faults)
     report = read_settings(ReportSettings, entries["report"], "report", faults) if "report" in entries else ReportSettings()
     _check_formats(entries.get("report"), report, faults)
+    study = _study(entries.get("study"), path.parent, faults)
     names = tuple(name for section in ("identify", "calibrate") if section in entries for name in faults.mapping(entries[section], section))
+    names = (*names, STUDY) if "study" in entries else names
     rules = tuple(rule for section in ("accept", "expect") for rule in read_rules(section, entries.get(section), faults, names))
     _check_whole(tree, entries, tests, frf, faults)
     faults.raise_any()
     assert report is not None
-    return Pipeline(path, _title(entries, path), tests, frf, fits, calibrations, report, rules, rig)
+    return Pipeline(path, _title(entries, path), tests, frf, fits, calibrations, report, rules, rig, study)
 
 
 def _title(entries: dict[str, Marked], path: Path) -> str:
@@ -111,8 +127,10 @@ def _title(entries: dict[str, Marked], path: Path) -> str:
 
 def _check_whole(tree: Marked, entries: dict[str, Marked], tests: tuple[Test, ...], frf: FrfSettings | None, faults: Faults) -> None:
     """What only the whole file shows: something to do, and all that doing it needs."""
-    if not any(key in entries for key in ("recordings", "tests", "frfs", "calibrate")):
-        faults.add(tree, "", "nothing to work on", "name recordings, tests, frfs or calibrate")
+    if not any(key in entries for key in ("recordings", "tests", "frfs", "calibrate", "study")):
+        faults.add(tree, "", "nothing to work on", "name recordings, tests, frfs, calibrate or study")
+    if "study" in entries and not (entries["identify"].content if "identify" in entries else None):
+        faults.add(entries["study"], "study", "there is nothing to study", "name fits under identify")
     if any(test.recordings for test in tests) and frf is None and "frf" not in entries:
         faults.add(tree, "frf", "is missing", "say how the recordings become FRFs: excitation and period or block")
 
@@ -221,16 +239,33 @@ def _files(node: Marked, key: str, folder: Path, faults: Faults) -> list[Path]:
     return [path]
 
 
-def _fits(node: Marked | None, rig: Rig | None, faults: Faults) -> tuple[FitSettings, ...]:
+def _fits(node: Marked | None, folder: Path, rig: Rig | None, faults: Faults) -> tuple[FitSettings, ...]:
     """The fits in their order; a fit that does not say its mass takes the rig's."""
     fits = []
     for name, entry in (faults.mapping(node, "identify") if node is not None else {}).items():
         fit = read_settings(FitSettings, entry, join("identify", name), faults, name=name)
         if fit is None:
             continue
+        fit = with_rotor(fit, entry, folder, join("identify", name), faults)
         own_mass = isinstance(entry.content, dict) and "mass" in entry.content
         fits.append(fit if own_mass or rig is None or rig.mass is None else replace(fit, mass=rig.mass))
     return tuple(fits)
+
+
+def _study(node: Marked | None, folder: Path, faults: Faults) -> StudyPlan | None:
+    if node is None:
+        return None
+    settings = read_settings(StudySettings, node, "study", faults)
+    if settings is None:
+        return None
+    try:
+        return StudyPlan(settings, load_virtual_rig(folder / settings.rig))
+    except ConfigError as error:
+        if error.what == "no such file":
+            faults.add(node.content["rig"], "study.rig", f"no such file '{settings.rig}'", "paths are relative to the pipeline file")
+        else:
+            faults.merge(error)
+    return None
 
 
 def _calibrations(node: Marked | None, folder: Path, faults: Faults) -> tuple[CalibrationSettings, ...]:

@@ -10,6 +10,7 @@ from labpipe.config.rig import ChannelSettings, RigSettings
 from labpipe.identify.settings import FitSettings
 from labpipe.records.settings import Setting, settings_of
 from labpipe.spectra.settings import FrfSettings
+from labpipe.study.settings import StudySettings
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _TEXT_OR_NUMBER: dict[str, Any] = {"type": ["string", "number"]}
@@ -45,6 +46,7 @@ def pipeline_schema() -> dict[str, Any]:
         "conditions": conditions,
         "frf": _object(FrfSettings),
         "identify": {"type": "object", "additionalProperties": _object(FitSettings)},
+        "study": _object(StudySettings),
         "calibrate": {"type": "object", "additionalProperties": _object(CalibrationSettings)},
         "report": _object(ReportSettings),
         "accept": rules,
@@ -90,4 +92,5 @@ def _kind(setting: Setting) -> dict[str, Any]:
         "matrix": {"type": "array", "items": {"type": "array", "items": _TEXT_OR_NUMBER}},
         "coefficients": {"type": "object", "additionalProperties": _TEXT_OR_NUMBER},
         "groups": {"type": "array"},
+        "series": {"type": "object"},
     }[setting.kind]

@@ -153,6 +153,13 @@ def read_coefficients(node: Marked, setting: Setting) -> tuple[tuple[str, float]
     return tuple(found)
 
 
+def read_series(node: Marked, setting: Setting) -> tuple[tuple[str, tuple[float, ...]], ...]:
+    """ {ls: [0.03, 0.2]} -> (("ls", (0.03, 0.2)),)."""
+    if not isinstance(node.content, dict):
+        raise UnitError(f"'{_shown(node)}' is not a mapping of names to lists of values")
+    return tuple((name, read_values(entry, setting)) for name, entry in node.content.items())
+
+
 def read_groups(node: Marked, setting: Setting) -> tuple[tuple[str, ...], ...]:
     """A list of lists of names, or one list."""
     entries = node.content
@@ -179,6 +186,7 @@ READERS = {
     "matrix": read_matrix,
     "coefficients": read_coefficients,
     "groups": read_groups,
+    "series": read_series,
 }
 
 

@@ -122,7 +122,11 @@ class DynamicModel:
 
     def whole(self, parameters: Parameters) -> Matrices:
         """K, C, M and B of these parameters; of several cases in leading dimensions."""
-        return self.given.plus(Matrices(*(np.tensordot(parameters, stack, 1) for stack in self._stacks.values())))
+        n_dof, n_input = self.given.force.shape
+        joined = parameters @ self._joined[:-1] + self._joined[-1]
+        square = joined[..., : 3 * n_dof**2].reshape(*joined.shape[:-1], 3, n_dof, n_dof)
+        force = joined[..., 3 * n_dof**2 :].reshape(*joined.shape[:-1], n_dof, n_input)
+        return Matrices(square[..., 0, :, :], square[..., 1, :, :], square[..., 2, :, :], force)
 
     def dynamic_stiffness(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
         """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s]."""
@@ -167,6 +171,12 @@ class DynamicModel:
     def equation_known(self, h: NDArray[np.complexfloating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
         """B_0 - Z_0 H: the known side of the equation of motion, (n_line, n_dof, n_input)."""
         return np.asarray(self.given.force - _dynamic_stiffness(self.given, omega) @ h, dtype=np.complex128)
+
+    @cached_property
+    def _joined(self) -> NDArray[np.floating]:
+        """K, C, M and B of every term, and last of all that is given, as rows of numbers: one product makes the whole of them."""
+        parts = [(m.stiffness, m.damping, m.mass, m.force) for m in (*(term.matrices for term in self.terms), self.given)]
+        return np.array([np.concatenate([matrix.reshape(-1) for matrix in row]) for row in parts])
 
     @cached_property
     def _stacks(self) -> dict[str, NDArray[np.floating]]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from labpipe.records.finding import Finding
 from labpipe.records.response import FrequencyResponse
+from labpipe.records.study import Study
 
 
 @dataclass(frozen=True)
@@ -137,6 +138,7 @@ class Identification:
     responses: tuple[FrequencyResponse, ...] = ()
     outcomes: tuple[RuleOutcome, ...] = ()
     version: str = ""
+    studies: tuple[Study, ...] = ()
 
     @property
     def accepted(self) -> bool:

@@ -21,6 +21,7 @@ KINDS = (
     "values",  # one value or a list of values -> tuple
     "matrix",  # list of rows -> tuple of tuples
     "coefficients",  # {k_1_2: 0 N/m} -> (("k_1_2", 0.0), ...)
+    "series",  # {ls: [1, 2]} -> (("ls", (1.0, 2.0)), ...)
     "groups",  # lists of names -> tuple of tuples
     "section",  # a nested dataclass
 )

@@ -9,6 +9,7 @@ from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.identification import Fit, Identification, RuleOutcome
 from labpipe.report import figures
 from labpipe.report.document import Block, Code, Document, Paragraph, Section, Table
+from labpipe.report.study import study_blocks
 from labpipe.report.wording import STARS_EXPLAINED, band_text, fit_title, parameter_row
 
 PARAMETER_HEADER = ("parameter", "value", "unit", "std. error", "95 % interval", "t-ratio", "significance", "VIF")
@@ -23,6 +24,7 @@ def build(identification: Identification) -> Document:
         Section("Warnings", _warnings(identification)),
         *([Section("Notes", notes)] if (notes := _each_once(identification, NOTE)) else []),
         *(Section(f"Result: {_series_title(fits)}", _result(fits)) for fits in series),
+        *(Section(f"Study: {study.rig}", study_blocks(study)) for study in identification.studies),
         *([Section("Measurement", _measurement(identification))] if identification.responses else []),
         Section("Rig and conditions", _rig(identification)),
         Section("Provenance", _provenance(identification)),

@@ -22,13 +22,13 @@ from labpipe.report.wording import fit_title, unit_text
 WIDTH = 7.2
 
 
-def _canvas(rows: int, height: float, **kwargs: Any) -> tuple[Canvas, list[Axes]]:
+def stacked_axes(rows: int, height: float, **kwargs: Any) -> tuple[Canvas, list[Axes]]:
     canvas = Canvas(figsize=(WIDTH, height), layout="constrained")
     axes = canvas.subplots(rows, 1, squeeze=False, **kwargs)[:, 0]
     return canvas, list(axes)
 
 
-def _logarithmic(axes: Axes) -> None:
+def logarithmic(axes: Axes) -> None:
     """Plain numbers on a logarithmic axis: mathematical markup is off, so that names from files cannot become markup."""
     axes.set_yscale("log")
     low, high = axes.get_ylim()
@@ -56,7 +56,7 @@ def fitted_curve_figure(fit: Fit, curve: FittedCurve) -> Figure:
     pairs = [(o, i) for o in range(len(curve.outputs)) for i in range(len(curve.inputs))]
     label_of_form, factor = _form_unit(curve.form)
     with mpl.rc_context(STYLE):
-        canvas, (amplitude, phase, residual) = _canvas(3, 6.2, sharex=True, height_ratios=(3, 2, 2))
+        canvas, (amplitude, phase, residual) = stacked_axes(3, 6.2, sharex=True, height_ratios=(3, 2, 2))
         for number, (o, i) in enumerate(pairs):
             colour = COLOURS[number % len(COLOURS)]
             label = f"{curve.outputs[o]}/{curve.inputs[i]}"
@@ -66,7 +66,7 @@ def fitted_curve_figure(fit: Fit, curve: FittedCurve) -> Figure:
             phase.plot(curve.frequency, np.degrees(np.angle(measured)), ".", color=colour)
             phase.plot(curve.frequency, np.degrees(np.angle(fitted)), "-", color=colour)
             _residual(residual, curve, o, i, colour)
-        _logarithmic(amplitude)
+        logarithmic(amplitude)
         amplitude.set_ylabel(label_of_form)
         amplitude.legend(ncols=2, fontsize=8)
         phase.set_ylabel("phase [deg]")
@@ -116,7 +116,7 @@ def sliding_figures(fits: Sequence[Fit]) -> list[Figure]:
 def _coefficient_figure(fits: Sequence[Fit], centres: NDArray[np.float64], names: list[str]) -> Figure:
     unit = display_unit(fits[0].parameter(names[0]).unit)
     with mpl.rc_context(STYLE):
-        canvas, (axes,) = _canvas(1, 3.2)
+        canvas, (axes,) = stacked_axes(1, 3.2)
         for number, name in enumerate(names):
             colour = COLOURS[number % len(COLOURS)]
             value = np.array([to_display(fit.parameter(name).value, unit) for fit in fits])
@@ -138,7 +138,7 @@ def _factor(unit: str) -> float:
 
 def _goodness_figure(fits: Sequence[Fit], centres: NDArray[np.float64]) -> Figure:
     with mpl.rc_context(STYLE):
-        canvas, axes = _canvas(2, 3.6, sharex=True)
+        canvas, axes = stacked_axes(2, 3.6, sharex=True)
         axes[0].plot(centres, [fit.gof.r2_adjusted for fit in fits], ".-", linewidth=1)
         axes[0].set_ylabel("G.o.F (adj. R²)")
         chi2 = [np.nan if fit.gof.chi2_reduced is None else fit.gof.chi2_reduced for fit in fits]
@@ -158,12 +158,12 @@ def response_figure(response: FrequencyResponse) -> Figure:
     name = response.name or "the measurement"
     label_of_form, factor = _form_unit(response.form)
     with mpl.rc_context(STYLE):
-        canvas, (amplitude, quality) = _canvas(2, 4.4, sharex=True, height_ratios=(3, 2))
+        canvas, (amplitude, quality) = stacked_axes(2, 4.4, sharex=True, height_ratios=(3, 2))
         for o, output in enumerate(response.outputs):
             for i, port in enumerate(response.inputs):
                 size = factor * np.abs(response.matrix[:, o, i])
                 amplitude.plot(response.frequency, size, linewidth=1, label=f"{output.label}/{port.label}")
-        _logarithmic(amplitude)
+        logarithmic(amplitude)
         amplitude.set_ylabel(label_of_form)
         amplitude.legend(ncols=4, fontsize=8)
         what = _quality(quality, response)
@@ -182,7 +182,7 @@ def _quality(axes: Axes, response: FrequencyResponse) -> str:
     if response.snr is not None:
         for number, channel in enumerate(response.snr_channels):
             axes.plot(response.frequency, np.maximum(response.snr[:, number], 1e-3), linewidth=1, label=channel)
-        _logarithmic(axes)
+        logarithmic(axes)
         axes.set_ylabel("signal / noise")
         axes.legend(ncols=4, fontsize=8)
         return "the signal-to-noise ratio of its channels"
@@ -190,7 +190,7 @@ def _quality(axes: Axes, response: FrequencyResponse) -> str:
     if variance is not None:
         relative = np.sqrt(variance) / np.abs(response.matrix)
         axes.plot(response.frequency, relative.reshape(response.n_frequency, -1), linewidth=1)
-        _logarithmic(axes)
+        logarithmic(axes)
         axes.set_ylabel("std / |H|")
         return "its relative standard deviation"
     axes.text(0.5, 0.5, "the doubt of this FRF is not known", transform=axes.transAxes, ha="center")
@@ -201,7 +201,7 @@ def line_figure(fits: Sequence[Fit]) -> Figure:
     """Slopes of a calibration over its groups with their 95 % intervals."""
     slopes = [fit.parameter("slope") for fit in fits]
     with mpl.rc_context(STYLE):
-        canvas, (axes,) = _canvas(1, 3.0)
+        canvas, (axes,) = stacked_axes(1, 3.0)
         position = np.arange(len(fits))
         low = [s.value - s.ci95[0] if s.ci95 else 0.0 for s in slopes]
         high = [s.ci95[1] - s.value if s.ci95 else 0.0 for s in slopes]

@@ -6,6 +6,7 @@ import math
 
 from labpipe.quantities import display_unit, to_display
 from labpipe.records.identification import Fit, Parameter
+from labpipe.records.study import StudyThreshold
 
 STARS = ((0.001, "***"), (0.01, "**"), (0.05, "*"))
 STARS_EXPLAINED = (
@@ -79,3 +80,11 @@ def fit_title(fit: Fit) -> str:
 def band_text(fit: Fit) -> str:
     """The band as a range."""
     return f"{fit.band_hz[0]:g}–{fit.band_hz[1]:g} Hz"
+
+
+def threshold_text(threshold: StudyThreshold, share: float) -> str:
+    """The noise level at which a fit's success ends, as a sentence."""
+    what = f"{threshold.fit}: within {100 * threshold.limit:g} % of the truth in {100 * share:g} % of the repeats"
+    if threshold.noise is None:
+        return f"{what}: no such noise level in the range searched"
+    return f"{what} up to a noise of {100 * threshold.noise:.3g} %"

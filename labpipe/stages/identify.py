@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from labpipe import __version__
@@ -18,18 +18,28 @@ from labpipe.records.identification import Fit, Identification
 from labpipe.records.response import FrequencyResponse
 from labpipe.stages.calibrate import calibrate
 from labpipe.stages.judging import judge
+from labpipe.stages.study import study
 
 
 def identify_stage(
-    pipeline: Pipeline, responses: Sequence[FrequencyResponse], sources: Sequence[SourceRef], output: OutputFolder
+    pipeline: Pipeline,
+    responses: Sequence[FrequencyResponse],
+    sources: Sequence[SourceRef],
+    output: OutputFolder,
+    tell: Callable[[str], None] = lambda _: None,
+    jobs: int = 0,
 ) -> Identification:
-    """The identification of all tests and calibrations of a pipeline, made unless the one on disk is fresh."""
+    """The identification of all tests, calibrations and the study of a pipeline, made unless the one on disk is fresh.
+
+    *jobs*: processes of the study, 0 for one per processor.
+    """
     listed = tuple(dataclasses.asdict(source) for source in sources)
     settings = settings_entry(pipeline)
     existing = _existing(output)
     if existing is not None and (existing.sources, existing.settings, existing.version) == (listed, settings, __version__):
         return existing
     fits = [*_fits(pipeline, responses), *calibrate(pipeline.calibrations)]
+    studies = study(pipeline, tell, jobs)
     identification = Identification(
         fits=tuple(fits),
         title=pipeline.title,
@@ -38,7 +48,8 @@ def identify_stage(
         settings=settings,
         rig=_rig_entry(pipeline),
         responses=tuple(responses),
-        outcomes=judge(pipeline.rules, fits),
+        outcomes=judge(pipeline.rules, fits, studies),
+        studies=studies,
         version=__version__,
     )
     write_identification(output.write_path(NAME), identification)
@@ -72,7 +83,7 @@ def _fits(pipeline: Pipeline, responses: Sequence[FrequencyResponse]) -> list[Fi
 
 def settings_entry(pipeline: Pipeline) -> dict[str, Any]:
     """All settings of a pipeline as JSON holds them, so that another lab can repeat the work."""
-    entry = {
+    entry: dict[str, Any] = {
         "frf": None if pipeline.frf is None else dataclasses.asdict(pipeline.frf),
         "identify": [dataclasses.asdict(fit) for fit in pipeline.fits],
         "calibrate": [{**dataclasses.asdict(c), "path": c.table} for c in pipeline.calibrations],
@@ -81,6 +92,8 @@ def settings_entry(pipeline: Pipeline) -> dict[str, Any]:
         "title": pipeline.title,
         "pipeline": pipeline.path.name,
     }
+    if pipeline.study is not None:
+        entry["study"] = {**dataclasses.asdict(pipeline.study.settings), "virtual_rig": dataclasses.asdict(pipeline.study.rig)}
     return json.loads(json.dumps(entry))  # type: ignore[no-any-return]
 
 

@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 
-from labpipe.config.rules import Rule
+from labpipe.config.rules import STUDY, Rule
 from labpipe.config.values import parse_uncertain
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Fit, RuleOutcome
+from labpipe.records.study import Study, StudyCase
 from labpipe.registry import nearest
 
 _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
+_STUDIED = re.compile(r"^(?P<fit>[^.\[\]]+)(?:\[(?P<noise>[^\]]*)\])?\.(?P<item>\w+)$")
+_CASE_VALUES: dict[str, Callable[[StudyCase], float | None]] = {
+    "mean_error": lambda case: case.mean_error,
+    "median_error": lambda case: case.median_error,
+    "failed": lambda case: float(case.failed),
+    "success": lambda case: case.success[0],
+    "rmse_over_bound": lambda case: case.rmse_over_bound,
+    "coverage": lambda case: case.coverage,
+}
 _FIT_VALUES = {
     "gof": lambda fit: fit.gof.r2_adjusted,
     "r2": lambda fit: fit.gof.r2,
@@ -24,9 +35,39 @@ _FIT_VALUES = {
 }
 
 
-def judge(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, ...]:
+def judge(rules: Iterable[Rule], fits: Sequence[Fit], studies: Sequence[Study] = ()) -> tuple[RuleOutcome, ...]:
     """The outcome of every rule; ConfigError at the rule's place when it addresses what the result does not have."""
-    return tuple(_outcome(rule, _addressed(rule, fits)) for rule in rules)
+    return tuple(
+        _study_outcome(rule, studies) if rule.fit == STUDY else _outcome(rule, _addressed(rule, fits)) for rule in rules
+    )
+
+
+def _study_outcome(rule: Rule, studies: Sequence[Study]) -> RuleOutcome:
+    """A rule on "fit[noise].item", or "fit.item" for every noise level; threshold is the noise at which success ends."""
+    match = _STUDIED.match(rule.item)
+    if match is None:
+        raise ConfigError(f"{rule.section}.{rule.address}: is no address", where=rule.place, hint="write study.fit[1 %].coverage")
+    if match["item"] == "threshold":
+        found = [t.noise for study in studies for t in study.thresholds if t.fit == match["fit"]]
+    else:
+        cases = [case for study in studies for case in study.cases if case.fit == match["fit"] and _is_noise(match["noise"], case.noise)]
+        found = [_studied(rule, case, match["item"]) for case in cases]
+    if not found:
+        raise ConfigError(f"{rule.section}.{rule.address}: no such case in the study", where=rule.place)
+    held = [_held(rule, value, "1") for value in found]
+    value, passed = next((pair for pair in held if not pair[1]), held[0])
+    return RuleOutcome(rule.section, rule.text, value, passed)
+
+
+def _studied(rule: Rule, case: StudyCase, item: str) -> float | None:
+    if item not in _CASE_VALUES:
+        hint = nearest(item, [*_CASE_VALUES, "threshold"])
+        raise ConfigError(f"{rule.section}.{rule.address}: the study has no '{item}'", where=rule.place, hint=hint)
+    return _CASE_VALUES[item](case)
+
+
+def _is_noise(text: str | None, noise: float) -> bool:
+    return text is None or abs(parse_value(text, "1") - noise) < 1e-6 * noise
 
 
 def _addressed(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
@@ -73,7 +114,7 @@ def _warnings_held(rule: Rule, fit: Fit) -> tuple[str, bool]:
 
 def _having(rule: Rule, fits: list[Fit]) -> list[Fit]:
     """The fits that have what the rule names; a calibration's linear range stands with its first line only."""
-    name = rule.item.partition(".")[0]
+    name, _ = _split(rule.item, fits)
     if rule.item in _FIT_VALUES:
         return fits
     found = [fit for fit in fits if name in [parameter.name for parameter in fit.parameters]]
@@ -84,10 +125,18 @@ def _having(rule: Rule, fits: list[Fit]) -> list[Fit]:
     return found
 
 
+def _split(item: str, fits: Sequence[Fit]) -> tuple[str, str]:
+    """(parameter, attribute) of "k_xx.significant"; the names of dofs may hold points themselves."""
+    if any(parameter.name == item for fit in fits for parameter in fit.parameters):
+        return item, ""
+    name, _, attribute = item.rpartition(".")
+    return (name, attribute) if name else (item, "")
+
+
 def _item_held(rule: Rule, fit: Fit) -> tuple[float | str | None, bool]:
     if rule.item in _FIT_VALUES:
         return _held(rule, _FIT_VALUES[rule.item](fit), "1")
-    name, _, attribute = rule.item.partition(".")
+    name, attribute = _split(rule.item, [fit])
     parameter = fit.parameter(name)
     if attribute == "significant":
         word = str(bool(parameter.significant)).lower()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
-from pathlib import Path
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -13,37 +13,60 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.config.faults import Faults
-from labpipe.config.reader import read_settings
-from labpipe.marked_yaml import load_marked, set_entry
+from labpipe.errors import ConfigError
+from labpipe.formats.frf_csv import write_frf_csv
 from labpipe.records.recording import Recording
+from labpipe.simulate import mdof_rig, white_noise_rig
 from labpipe.simulate.magnetic_rig import SimulatedRun, simulate
+from labpipe.simulate.mdof_rig import VirtualMdofRig
 from labpipe.simulate.settings import VirtualRig
+from labpipe.simulate.white_noise_rig import WhiteNoiseRig
 
 # What the virtual logger writes for a channel: (recorded unit, recorded value per SI value). y comes as the probe's voltage.
 RECORDED = {"f": ("N", 1.0), "x": ("um", 1e6), "y": ("V", 8e3), "z": ("um", 1e6)}
 CSV_RUNS = ("pedestal", "axial")
 
 
-def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> VirtualRig:
-    """The virtual rig of a YAML file; ConfigErrors with every fault at its place."""
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
-    faults = Faults()
-    rig = read_settings(VirtualRig, tree, "", faults)
-    faults.raise_any()
-    assert rig is not None
-    return rig
+def simulate_files(rig: Any, seed: int, runs: Iterable[str] | None, output: OutputFolder) -> list[str]:
+    """Write the files of a virtual rig and truth.json; their names."""
+    return SIMULATED[rig.kind](rig, seed, runs, output)
 
 
-def simulate_files(rig: VirtualRig, seed: int, runs: Iterable[str] | None, output: OutputFolder) -> list[str]:
-    """Write the files of the runs and truth.json; their names."""
+def _magnetic(rig: VirtualRig, seed: int, runs: Iterable[str] | None, output: OutputFolder) -> list[str]:
     made = simulate(rig, seed, runs)
     names = [_write_run(run, output) for run in made]
-    truth = {"seed": seed, "rig": rig.name, "runs": {run.name: run.truth for run in made}}
+    return [*names, _write_truth({"seed": seed, "rig": rig.name, "runs": {run.name: run.truth for run in made}}, output)]
+
+
+def _mdof(rig: VirtualMdofRig, seed: int, runs: Iterable[str] | None, output: OutputFolder) -> list[str]:
+    """One FRF table: this rig has no recordings."""
+    if runs is not None:
+        raise ConfigError("this rig has no runs, it is one FRF", hint="leave --run out")
+    write_frf_csv(output.write_path("frf.csv"), mdof_rig.simulated_response(rig, np.random.default_rng(seed)))
+    return ["frf.csv", _write_truth({"seed": seed, "rig": rig.name, "truth": mdof_rig.truth(rig)}, output)]
+
+
+def _white_noise(rig: WhiteNoiseRig, seed: int, runs: Iterable[str] | None, output: OutputFolder) -> list[str]:
+    """One Parquet file per force direction, displacements in um; the bytes of noise pack best one position after the other."""
+    made = white_noise_rig.white_noise_runs(rig, seed, runs)
+    for run in made:
+        columns = dict(zip(("force [N]", "x [um]", "y [um]"), (run.samples * [1.0, 1e6, 1e6]).T.astype(np.float32), strict=True))
+        path = output.write_path(f"{run.name}.parquet")
+        pq.write_table(pa.table(columns), path, compression="zstd", use_dictionary=False, use_byte_stream_split=True)
+    names = [f"{run.name}.parquet" for run in made]
+    return [*names, _write_truth({"seed": seed, "rig": rig.name, "truth": white_noise_rig.truth(rig)}, output)]
+
+
+def _write_truth(truth: dict[str, Any], output: OutputFolder) -> str:
     output.write_path("truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
-    return [*names, "truth.json"]
+    return "truth.json"
+
+
+SIMULATED: dict[str, Callable[[Any, int, Iterable[str] | None, OutputFolder], list[str]]] = {
+    "virtual-magnetic-rig": _magnetic,
+    mdof_rig.KIND: _mdof,
+    white_noise_rig.KIND: _white_noise,
+}
 
 
 def _write_run(run: SimulatedRun, output: OutputFolder) -> str:

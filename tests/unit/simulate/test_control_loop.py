@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.simulate import mechanics
 from labpipe.simulate.magnetic_rig import simulate
 from labpipe.simulate.settings import LAWS, ControlLoop, Levitation, Noise, VirtualRig
-from labpipe.stages.simulate import load_virtual_rig
 
 LOOP_RIG = VirtualRig("virtual-magnetic-rig", levitation=Levitation(law="control-loop"))
 PRINTED = Levitation(law="control-loop", loop=ControlLoop(lag=0.25))
