@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,6 +11,7 @@ from labpipe.bearings.journal_kind import JournalSettings
 from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
 from labpipe.errors import ConfigError
+from labpipe.identify.settings import FitSettings
 from labpipe.identify.worn_rig import BearingPlace, RotorRig, Unbalance
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.records.settings import setting
@@ -241,3 +242,23 @@ def _tried(make: Callable[[], Built], node: Marked, key: str, faults: Faults) ->
     except ConfigError as error:
         faults.add(node, key, error.what, error.hint)
         return None
+
+
+def with_rotor(fit: FitSettings, entry: Marked, folder: Path, key: str, faults: Faults) -> FitSettings:
+    """A fit with the rotor that its section wear: names; a fault where that cannot be read."""
+    if fit.wear is None:
+        return fit
+    try:
+        rig = load_rotor(folder / fit.wear.rotor)
+        rig.place(fit.wear.bearing)
+        return replace(fit, wear=replace(fit.wear, rig=rig))
+    except ConfigError as error:
+        wear = entry.content["wear"].content
+        if error.what == "no such file":
+            hint = "paths are relative to the pipeline file"
+            faults.add(wear["rotor"], join(key, "wear.rotor"), f"no such file '{fit.wear.rotor}'", hint)
+        elif error.what.startswith("no bearing"):
+            faults.add(wear["bearing"], join(key, "wear.bearing"), error.what, error.hint)
+        else:
+            faults.merge(error)
+    return fit

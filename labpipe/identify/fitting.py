@@ -27,6 +27,8 @@ from labpipe.identify.reported import mismatch_factor, reported_parameters
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.setup import Setup
 from labpipe.identify.statistics import Estimate, condition_number, correlation, student_limit
+from labpipe.identify.worn import worn_fit
+from labpipe.identify.worn_settings import WORN_BEARING
 from labpipe.records.identification import Fit, FittedCurve, Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.bands import EDGE, lines_in
@@ -45,6 +47,8 @@ def identify(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, .
     """
     if settings.peaks:
         return tuple(fit for dof, bands in settings.peaks for fit in _diagonal_term(response, settings, dof, bands))
+    if settings.model == WORN_BEARING:
+        return (worn_fit(response, settings),)
     rows, columns = select_ports(response, settings.input, settings.output)
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from labpipe.errors import ConfigError
+from labpipe.identify.worn_settings import WORN_BEARING, WearSettings
 from labpipe.records.settings import Uncertain, setting
 
-MODELS = ("sdof", "rotor-2dof", "rotor-2dof-direct", "mdof")
+MODELS = ("sdof", "rotor-2dof", "rotor-2dof-direct", "mdof", WORN_BEARING)
 ESTIMATORS = ("ls", "iv", "ml", "amplitude")
 WEIGHTS = ("none", "noise")
 DAMPINGS = ("viscous", "proportional")
@@ -61,6 +62,8 @@ class FitSettings:
     weight: str = setting("choice", "ls, iv, amplitude: all lines weigh alike, or by their noise", choices=WEIGHTS, default="none")
     bootstrap: int = setting("integer", "repeats of the fit on resampled noise, for intervals beyond first order", default=0)
     compare: bool = setting("flag", "hold the model against simpler and richer ones", default=False)
+    wear: WearSettings | None = setting("section", "worn-bearing: how the wear is looked for", section=WearSettings, default=None)
+    test: tuple[str, ...] = setting("names", "tests that are fitted; default: all", default=())
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -75,6 +78,8 @@ class FitSettings:
             raise ConfigError("the amplitude fit is for sdof only", hint="estimator: ml")
         if self.model != "mdof" and (self.symmetric or self.lumped_mass or self.scale_mass):
             raise ConfigError("'symmetric', 'lumped_mass' and 'scale_mass' are for mdof only", hint="leave them out")
+        if (self.model == WORN_BEARING) != (self.wear is not None):
+            raise ConfigError(f"the section 'wear' goes with model {WORN_BEARING}", hint="wear: {rotor: ../configs/rotors/FILE.yaml}")
         if self.scale_mass and self.mass == ESTIMATE:
             raise ConfigError("'scale_mass' needs the mass to be scaled", hint="for example mass: [1 kg, 2 kg]")
 
