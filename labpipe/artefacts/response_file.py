@@ -55,6 +55,7 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         "inputs": [dataclasses.asdict(port) for port in response.inputs],
         "averages": float(response.averages),
         "covariance_dof": None if math.isinf(dof) else float(dof),
+        "line_correlation": list(response.line_correlation),
         "snr_channels": list(response.snr_channels),
         "conditions": response.conditions,
     }
@@ -87,6 +88,7 @@ def read_response(path: Path) -> FrequencyResponse:
         snr_channels=snr_channels,
         averages=contents["averages"],
         covariance_dof=math.inf if dof is None else dof,
+        line_correlation=tuple(contents.get("line_correlation", ())),
         name=contents["name"],
         findings=header.findings,
         conditions=contents["conditions"],

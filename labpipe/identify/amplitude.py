@@ -78,7 +78,7 @@ def amplitude_fit(measured: Measured, model: DynamicModel, weight: str = "none")
         covariance = solve_scaled(problem.jacobian(values), problem.residual(values))[1]
     design = triangle_of(problem.jacobian(values))
     gof = _goodness(problem, values, dof)
-    return Estimate(values, covariance, design, gof, dof, converged, steps, (NOTE,))
+    return Estimate(values, measured.shared_noise * covariance, design, gof, dof, converged, steps, (NOTE,))
 
 
 def _amplitude_noise(measured: Measured) -> NDArray[np.floating] | None:

@@ -41,7 +41,7 @@ def instrumental_variables(measured: Measured, model: DynamicModel, weight: str 
     r2, adjusted = determination(equation.known, equation.residual(values), len(model.terms))
     gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
     notes = () if converged else (BREAKDOWN_NOTE.format(correlation=correlation),)
-    return Estimate(values, covariance, scaled_design(fitted_terms), gof, dof, converged, iterations, notes)
+    return Estimate(values, measured.shared_noise * covariance, scaled_design(fitted_terms), gof, dof, converged, iterations, notes)
 
 
 def _iterate(

@@ -53,6 +53,7 @@ def maximum_likelihood(measured: Measured, model: ResponseModel, weight: str = "
     notes: tuple[str, ...] = (f"ml: started from {start.name}.",)
     if not weighted:
         notes = (*notes, UNWEIGHTED_NOTE)
+        inverse = measured.shared_noise * inverse
         return Estimate(values, reduced * inverse, design, Goodness(r2, adjusted), dof, converged, iterations, notes)
     reduced /= doubt.excess
     gof = Goodness(r2, adjusted, reduced, doubt.p_value(reduced, dof))

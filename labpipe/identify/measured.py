@@ -19,6 +19,8 @@ class Measured:
 
     omega (n_line,) [rad/s]; matrix (n_line, n_output, n_input) [m/N]; covariance (n_line, n, n) [m^2/N^2] of vec row-major, or None;
     noise_dof: complex degrees of freedom of one line's covariance estimate; noise_lines: lines that share one (smoothed noise).
+    shared_noise, shared_power: sum of c and of c^2 over the chosen lines, itself included, for one line in the mean, c the correlation
+    of their noise (a window spreads it over neighbours): a sum over lines has so many times the variance of independent ones.
     """
 
     omega: NDArray[np.floating]
@@ -28,6 +30,8 @@ class Measured:
     noise_lines: float
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
+    shared_noise: float = 1.0
+    shared_power: float = 1.0
 
     @property
     def n_equation(self) -> int:
@@ -73,7 +77,17 @@ def measured_part(response: FrequencyResponse, rows: list[int], columns: list[in
     noise_lines = max(dof / (response.averages - 1), 1.0) if np.isfinite(dof) and response.averages > 1 else 1.0
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
-    return Measured(2 * np.pi * frequency, matrix, covariance, dof, noise_lines, outputs, inputs)
+    shared = [_shared(response, lines, power) for power in (1, 2)]
+    return Measured(2 * np.pi * frequency, matrix, covariance, dof, noise_lines, outputs, inputs, *shared)
+
+
+def _shared(response: FrequencyResponse, lines: NDArray[np.bool_], power: int) -> float:
+    """1 + sum of c_d^power over the pairs of chosen lines, per line; lines chosen far apart share nothing."""
+    if response.n_frequency < 2:
+        return 1.0
+    numbers = np.round(response.frequency / np.min(np.diff(response.frequency))).astype(np.int64)[lines]
+    pairs = [np.count_nonzero(np.isin(numbers + apart, numbers)) for apart in range(1, len(response.line_correlation) + 1)]
+    return 1.0 + 2 * float(np.dot(pairs, np.power(response.line_correlation, power))) / numbers.size
 
 
 def _check_moving(matrix: NDArray[np.complexfloating], labels: list[str]) -> None:

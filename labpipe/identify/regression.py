@@ -36,7 +36,7 @@ def least_squares(measured: Measured, model: DynamicModel, weight: str = "none")
     design = _plain_design(measured, model, values, scaled_design(equation.terms))
     dof = measured.n_equation - n_parameter
     gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
-    return Estimate(values, covariance, design, gof, dof, notes=(BIAS_NOTE,), own_dof=own_dof)
+    return Estimate(values, measured.shared_noise * covariance, design, gof, dof, notes=(BIAS_NOTE,), own_dof=own_dof)
 
 
 def equation_solution(

@@ -28,50 +28,56 @@ class WeightDoubt:
     """What weights from an estimated covariance do to a fit; all 1 and infinite for a known covariance.
 
     excess        E[d^H S^-1 d] / E[d^H C^-1 d]: how much too large the weighted residual looks
-    inflation     true covariance of the estimates / (J^H S^-1 J)^-1, lost efficiency included
+    inflation     true covariance of the estimates / (J^H S^-1 J)^-1, lost efficiency and noise shared by lines included
     residual_dof  second degree of freedom of the F distribution that the reduced chi-square follows
+    shared        how many times fewer degrees of freedom the residual has than equations, since lines share noise
     """
 
     excess: float = 1.0
     inflation: float = 1.0
     residual_dof: float = np.inf
+    shared: float = 1.0
 
     def p_value(self, reduced: float, dof: int) -> float:
         """Chance of a reduced chi-square at least this large for a right model; chi-square, or F scaled to the mean 1."""
+        own = dof / self.shared
         if not np.isfinite(self.residual_dof):
-            return float(stats.chi2.sf(reduced * dof, dof))
-        return float(stats.f.sf(reduced * self.residual_dof / (self.residual_dof - 2), dof, self.residual_dof))
+            return float(stats.chi2.sf(reduced * own, own))
+        return float(stats.f.sf(reduced * self.residual_dof / (self.residual_dof - 2), own, self.residual_dof))
 
 
 def weight_doubt(measured: Measured, dof: int) -> WeightDoubt:
-    """excess = nu / a, inflation = nu^2 / (a^2 - 1), residual_dof by the variance of the weighted residual; *dof* of the fit.
+    """excess = nu / a, inflation = s nu^2 / (a^2 - 1), residual_dof by the variance of the weighted residual; *dof* of the fit.
 
+    s = sum of the correlation of a line's noise with all lines' (Hann: 1.9): exact where the model changes little from line to line.
     The inflation is exact when the noise estimates of the lines are independent, and slightly too large when neighbouring lines
     share theirs. FitError when nu <= n + 1: the weighted residual then has no variance, or no mean.
     """
     nu, n = measured.noise_dof, measured.matrix.shape[1]
     if not np.isfinite(nu):
-        return WeightDoubt()
+        return WeightDoubt(inflation=measured.shared_noise, shared=measured.shared_power)
     a = nu - n
     if a <= 1:
         raise FitError(
             f"the covariance of {n} response(s) was estimated from {nu:.3g} degrees of freedom only",
             hint="average more periods or blocks, or raise `smooth`",
         )
-    return WeightDoubt(nu / a, nu**2 / (a**2 - 1), _residual_dof(measured, a, dof))
+    inflation = measured.shared_noise * nu**2 / (a**2 - 1)
+    return WeightDoubt(nu / a, inflation, _residual_dof(measured, a, dof), measured.shared_power)
 
 
 def _residual_dof(measured: Measured, a: float, dof: int) -> float:
     """The second degree of freedom of the F distribution with the variance of the weighted residual over all lines.
 
-    Relative variance of the residual: [nu a / (q n (a^2 - 1)) + W nu / (n (a^2 - 1))] / L for L lines, q forces and W lines that
-    share one noise estimate; of F with d1, d2: 2 (d1 + d2 - 2) / (d1 (d2 - 4)).
+    Relative variance of the residual: [g nu a / (q n (a^2 - 1)) + W nu / (n (a^2 - 1))] / L for L lines, q forces, W lines that
+    share one noise estimate and g, the lines' shared power; of F with d1 = dof / g, d2: 2 (d1 + d2 - 2) / (d1 (d2 - 4)).
     """
     n_line, n, q = measured.matrix.shape
-    spread = measured.noise_dof * (a / q + min(measured.noise_lines, n_line)) / (n * (a**2 - 1) * n_line)
+    estimates = max(min(measured.noise_lines, n_line), measured.shared_noise)
+    spread = measured.noise_dof * (measured.shared_power * a / q + estimates) / (n * (a**2 - 1) * n_line)
     # The fit takes up some of the residual: both parts scale with what it leaves.
-    scaled = spread * measured.n_equation
-    return float((2 * dof - 4 + 4 * scaled) / (scaled - 2))
+    scaled = spread * measured.n_equation / measured.shared_power
+    return float((2 * dof / measured.shared_power - 4 + 4 * scaled) / (scaled - 2))
 
 
 def has_noise(measured: Measured) -> bool:

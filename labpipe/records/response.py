@@ -47,6 +47,7 @@ class FrequencyResponse:
     snr              (n_frequency, n_channel) signal-to-noise amplitude ratio per channel at the line (periodic data), or None;
                      its columns are named by snr_channels
     covariance_dof   effective number of complex degrees of freedom behind the covariance estimate (inf: known)
+    line_correlation of the noise with that of the next lines, 1, 2, ... line spacings away; empty where lines are independent
     """
 
     frequency: NDArray[np.floating]
@@ -61,6 +62,7 @@ class FrequencyResponse:
     snr_channels: tuple[str, ...] = ()
     averages: float = 1.0
     covariance_dof: float = float("inf")
+    line_correlation: tuple[float, ...] = ()
     name: str = ""
     findings: tuple[Finding, ...] = ()
     conditions: dict[str, Any] = field(default_factory=dict)

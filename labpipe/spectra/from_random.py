@@ -52,6 +52,7 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
         findings=coherence_findings(multiple, layout) if enough else _no_average_finding(averages),
         coherence=ordinary_coherence(s_uu, s_yu, s_yy),
         multiple_coherence=multiple,
+        line_correlation=spectra[0].line_correlation,
     )
 
 

@@ -59,6 +59,7 @@ def measure(
         snr_channels=tuple(port.label for port in (*layout.inputs, *layout.outputs)) if parts.snr is not None else (),
         averages=parts.averages,
         covariance_dof=parts.dof,
+        line_correlation=parts.line_correlation,
         name=name,
         findings=findings,
         conditions=dict(conditions or {}),

@@ -31,6 +31,7 @@ class Parts:
     coherence: NDArray[np.floating] | None = None
     multiple_coherence: NDArray[np.floating] | None = None
     snr: NDArray[np.floating] | None = None
+    line_correlation: tuple[float, ...] = ()
 
 
 def lines_left(frequency: NDArray[np.floating], settings: FrfSettings) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ from scipy import fft
 
 from labpipe.errors import ConfigError, DataError
 from labpipe.spectra.settings import DETRENDS
-from labpipe.spectra.windows import effective_averages
+from labpipe.spectra.windows import effective_averages, line_correlation
 
 # Segments transformed together [samples, segments]: enough to keep the overhead small, few enough to stay in the cache and, for
 # very long blocks, in memory. Products of small matrices are fastest with about this many segments.
@@ -24,13 +24,15 @@ class CrossSpectra:
     """Averaged cross-spectral density matrix S_ab = E[X_a X_b*] of all channels.
 
     frequency (n_frequency,) [Hz]; matrix (n_frequency, n_channel, n_channel) complex, one-sided [unit_a unit_b / Hz];
-    n_block: blocks averaged; averages: the number of independent blocks that would average as well (window, overlap).
+    n_block: blocks averaged; averages: the number of independent blocks that would average as well (window, overlap);
+    line_correlation: of an FRF's noise with that of the next lines, see windows.line_correlation.
     """
 
     frequency: NDArray[np.floating]
     matrix: NDArray[np.complexfloating]
     n_block: int
     averages: float
+    line_correlation: tuple[float, ...] = ()
 
 
 class WelchAverage:
@@ -130,7 +132,8 @@ class WelchAverage:
         matrix = self._gram.matrix()
         matrix *= 2 / (sample_rate * np.sum(self._window**2) * self.n_block)
         frequency = self._line_numbers * (sample_rate / self._window.size)
-        return CrossSpectra(frequency, matrix, self.n_block, effective_averages(self._window, self._step, self.n_block))
+        averages = effective_averages(self._window, self._step, self.n_block)
+        return CrossSpectra(frequency, matrix, self.n_block, averages, line_correlation(self._window, self._step, self.n_block))
 
 
 class _Gram:

@@ -10,6 +10,10 @@ from scipy import signal
 
 from labpipe.errors import ConfigError
 
+# Lines whose noise shares less than this are taken as independent; no window's lobe is wider than so many lines.
+SHARED = 1e-3
+FURTHEST_LINE = 20
+
 
 def window_values(name: str, n_sample: int) -> NDArray[np.floating]:
     """The periodic (DFT-even) window of that name; "tukey 0.25" gives a parameter. ConfigError when scipy does not know it."""
@@ -35,6 +39,22 @@ def overlap_correlation(window: NDArray[np.floating], step: int) -> NDArray[np.f
     n = window.size
     products = [np.dot(window[:-shift], window[shift:]) for shift in range(step, n, step)]
     return (np.array(products) / np.dot(window, window)) ** 2
+
+
+def line_correlation(window: NDArray[np.floating], step: int, n_block: int) -> tuple[float, ...]:
+    """c_d of the noise of an FRF on lines d = 1, 2, ... apart, while it exceeds SHARED: Hann 0.45, 0.03; boxcar without overlap none.
+
+    Noise and force of blocks m and n at lines k and k + d both have the covariance r_j(d) = sum_t w(t) w(t + j step) exp(-2 pi j d t / N),
+    j = n - m, and H's noise is a sum of their products: c_d = sum_j (K - |j|) |r_j(d)|^2 / sum_j (K - |j|) |r_j(0)|^2.
+    """
+    n = window.size
+    products = [window * np.concatenate([window[shift:], np.zeros(shift)]) for shift in range(0, min(n, n_block * step), step)]
+    power = np.abs(np.fft.rfft(products, axis=1)[:, : FURTHEST_LINE + 1]) ** 2
+    # Blocks before and behind share alike.
+    weight = (n_block - np.arange(len(products))) * np.where(np.arange(len(products)) == 0, 1, 2)
+    shared = weight @ power
+    above = np.flatnonzero(shared[1:] > SHARED * shared[0])
+    return tuple(float(c) for c in shared[1 : above[-1] + 2] / shared[0]) if above.size else ()
 
 
 def effective_averages(window: NDArray[np.floating], step: int, n_block: int) -> float:
