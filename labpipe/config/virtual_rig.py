@@ -16,6 +16,7 @@ VIRTUAL_RIGS = Registry(
     {
         "virtual-magnetic-rig": "labpipe.simulate.settings:VirtualRig",
         "virtual-mdof-rig": "labpipe.simulate.mdof_rig:VirtualMdofRig",
+        "virtual-ball-bearing-rig": "labpipe.simulate.ball_bearing_rig:VirtualBallBearingRig",
         "virtual-white-noise-rig": "labpipe.simulate.white_noise_rig:WhiteNoiseRig",
     },
 )

@@ -16,7 +16,8 @@ from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError
 from labpipe.formats.frf_csv import write_frf_csv
 from labpipe.records.recording import Recording
-from labpipe.simulate import mdof_rig, white_noise_rig
+from labpipe.simulate import ball_bearing_rig, mdof_rig, white_noise_rig
+from labpipe.simulate.ball_bearing_rig import VirtualBallBearingRig
 from labpipe.simulate.magnetic_rig import SimulatedRun, simulate
 from labpipe.simulate.mdof_rig import VirtualMdofRig
 from labpipe.simulate.settings import VirtualRig
@@ -57,6 +58,24 @@ def _white_noise(rig: WhiteNoiseRig, seed: int, runs: Iterable[str] | None, outp
     return [*names, _write_truth({"seed": seed, "rig": rig.name, "truth": white_noise_rig.truth(rig)}, output)]
 
 
+def _ball_bearing(rig: VirtualBallBearingRig, seed: int, runs: Iterable[str] | None, output: OutputFolder) -> list[str]:
+    """Shaker tests as a 16-bit logger stores them: force in cN, accelerometers in mV at 10 mV per m/s^2; calibrations as CSV."""
+    made = ball_bearing_rig.simulate_ball_bearing(rig, seed, runs)
+    names = []
+    for run in made:
+        if run.table is not None:
+            names.append(_write_csv(run.name, run.table, output))
+            continue
+        assert run.recording is not None
+        steps = np.rint(run.recording.samples * [100.0, *[10.0] * (len(run.recording.channels) - 1)])
+        titles = ["force [cN]", *(f"{channel.name} [mV]" for channel in run.recording.channels[1:])]
+        columns = {title: column.astype(np.int16) for title, column in zip(titles, steps.T, strict=True)}
+        names.append(f"{run.name}.parquet")
+        pq.write_table(pa.table(columns), output.write_path(names[-1]), compression="zstd", compression_level=19, use_dictionary=False)
+    truth = {"seed": seed, "rig": rig.name, "runs": {run.name: run.truth for run in made}}
+    return [*names, _write_truth(truth, output)]
+
+
 def _write_truth(truth: dict[str, Any], output: OutputFolder) -> str:
     output.write_path("truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
     return "truth.json"
@@ -66,6 +85,7 @@ SIMULATED: dict[str, Callable[[Any, int, Iterable[str] | None, OutputFolder], li
     "virtual-magnetic-rig": _magnetic,
     mdof_rig.KIND: _mdof,
     white_noise_rig.KIND: _white_noise,
+    ball_bearing_rig.KIND: _ball_bearing,
 }
 
 
