@@ -12,10 +12,13 @@ from labpipe.artefacts.header import SourceRef
 from labpipe.artefacts.identification_file import NAME, read_identification, write_identification
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.config.pipeline import Pipeline
-from labpipe.errors import DataError, LabpipeError
+from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.identify.fitting import identify
+from labpipe.identify.settings import FitSettings
+from labpipe.identify.worn_prior import with_prior
 from labpipe.records.identification import Fit, Identification
 from labpipe.records.response import FrequencyResponse
+from labpipe.registry import nearest
 from labpipe.stages.calibrate import calibrate
 from labpipe.stages.judging import judge
 from labpipe.stages.study import study
@@ -70,15 +73,24 @@ def _existing(output: OutputFolder) -> Identification | None:
 def _fits(pipeline: Pipeline, responses: Sequence[FrequencyResponse]) -> list[Fit]:
     fits: list[Fit] = []
     for settings in pipeline.fits:
-        for response in responses:
+        for response in _tested(settings, responses):
             try:
-                found = identify(response, settings)
+                found = identify(response, with_prior(settings, fits))
             except LabpipeError as error:
                 test = f", test {response.name}" if response.name else ""
                 error.where = error.where or f"{pipeline.path}: identify.{settings.name}{test}"
                 raise
             fits.extend(dataclasses.replace(fit, test=response.name) for fit in found)
     return fits
+
+
+def _tested(settings: FitSettings, responses: Sequence[FrequencyResponse]) -> list[FrequencyResponse]:
+    """The responses of the tests that a fit names; all where it names none."""
+    known = [response.name for response in responses]
+    for name in settings.test:
+        if name not in known:
+            raise ConfigError(f"identify.{settings.name}.test: no test '{name}'", hint=nearest(name, known))
+    return [response for response in responses if not settings.test or response.name in settings.test]
 
 
 def settings_entry(pipeline: Pipeline) -> dict[str, Any]:
