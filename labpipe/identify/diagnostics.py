@@ -17,6 +17,8 @@ from labpipe.records.response import FrequencyResponse
 # there more than half of a parameter's variance comes from the weak direction.
 COLLINEAR_CONDITION = 30.0
 VARIANCE_PROPORTION = 0.5
+# An error of the FRF that grows by less than this in the coefficients is no reason to distrust their signs.
+HARMFUL_GROWTH = 30.0
 MISMATCH_P = 0.01
 FEW_DOF = 5
 EQUATIONS_PER_PARAMETER = 3
@@ -25,13 +27,13 @@ LOW_SNR = 10.0
 POOR_SHARE = 0.1
 
 
-def estimate_findings(estimate: Estimate, names: Sequence[str], n_line: int, estimator: str) -> list[Finding]:
+def estimate_findings(estimate: Estimate, names: Sequence[str], n_line: int, estimator: str, units: Sequence[str] = ()) -> list[Finding]:
     """Findings on the estimate itself: convergence, collinearity, few lines, model mismatch."""
     found: list[Finding] = []
     if not estimate.converged:
         message = f"the estimator did not converge in {estimate.iterations} iterations; its numbers are not a result"
         found.append(Finding("no-convergence", message))
-    found.extend(_collinear(estimate.scaled_design, names))
+    found.extend(_collinear(estimate, names, units))
     n_equation = estimate.dof + len(names)
     if estimate.dof < FEW_DOF or n_equation < EQUATIONS_PER_PARAMETER * len(names):
         message = f"{n_line} lines give {n_equation} equations for {len(names)} parameters; widen the band or measure with finer spacing"
@@ -40,18 +42,37 @@ def estimate_findings(estimate: Estimate, names: Sequence[str], n_line: int, est
     return found
 
 
-def _collinear(scaled_design: NDArray[np.floating], names: Sequence[str]) -> list[Finding]:
-    """Which parameters cannot be told apart, by Belsley's variance proportions of the weak directions."""
-    condition = condition_number(scaled_design)
+def _collinear(estimate: Estimate, names: Sequence[str], units: Sequence[str]) -> list[Finding]:
+    """Which parameters cannot be told apart, by Belsley's variance proportions of the weak directions.
+
+    Correlated columns alone do no harm: stiffness and mass of a resonance stand on columns alike but are known well. It takes an error
+    of the FRF that grows in the parameters.
+    """
+    condition = condition_number(estimate.scaled_design)
     if condition < COLLINEAR_CONDITION:
         return []
-    group = [name for own in collinear_groups(scaled_design, names) for name in own] or list(names)
+    group = [name for own in collinear_groups(estimate.scaled_design, names) for name in own] or list(names)
+    growth = _growth(estimate, names, units, group) if units else None
+    if growth is not None and growth < HARMFUL_GROWTH:
+        return []
+    grown = f" A systematic error of 1 % in the FRF can become {growth:.3g} % in them, which no standard error shows." if growth else ""
     message = (
         f"the excitation does not tell these parameters apart: {', '.join(group)} (condition number {condition:.3g}, limit "
-        f"{COLLINEAR_CONDITION:g}). A systematic error of 1 % in the FRF can become {condition:.0f} % in them, which no standard error "
-        f"shows: do not trust their values and signs, however good the fit looks. Remedy: {_remedy(group)}."
+        f"{COLLINEAR_CONDITION:g}).{grown} Do not trust their values and signs, however good the fit looks. Remedy: {_remedy(group)}."
     )
     return [Finding("collinear", message)]
+
+
+def _growth(estimate: Estimate, names: Sequence[str], units: Sequence[str], group: Sequence[str]) -> float | None:
+    """The largest amplification in the group, relative to the largest coefficient of its unit; None where it is not known."""
+    if estimate.amplification is None:
+        return None
+    largest = {unit: max(abs(v) for v, u in zip(estimate.values, units, strict=True) if u == unit) for unit in units}
+    return max(
+        float(amplification / largest[unit]) if largest[unit] > 0 else float("inf")
+        for name, unit, amplification in zip(names, units, estimate.amplification, strict=True)
+        if name in group
+    )
 
 
 def _remedy(group: Sequence[str]) -> str:

@@ -136,7 +136,7 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
         converged=estimate.converged,
         iterations=estimate.iterations,
         findings=(
-            *estimate_findings(estimate, model.names, measured.omega.size, settings.estimator),
+            *estimate_findings(estimate, model.names, measured.omega.size, settings.estimator, model.units),
             *parameter_findings(parameters),
             *comparison_findings(found),
         ),

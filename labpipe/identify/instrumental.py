@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
-from labpipe.identify.regression import Regression, equation_solution, output_chi_square, regression, scaled_design, triangle_of
+from labpipe.identify.regression import Regression, equation_design, equation_solution, output_chi_square, regression, triangle_of
 from labpipe.identify.statistics import Estimate, determination, stacked, stacked_terms
 from labpipe.identify.weights import has_noise
 from labpipe.records.identification import Goodness
@@ -41,7 +41,9 @@ def instrumental_variables(measured: Measured, model: DynamicModel, weight: str 
     r2, adjusted = determination(equation.known, equation.residual(values), len(model.terms))
     gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
     notes = () if converged else (BREAKDOWN_NOTE.format(correlation=correlation),)
-    return Estimate(values, measured.shared_noise * covariance, scaled_design(fitted_terms), gof, dof, converged, iterations, notes)
+    design, amplification = equation_design(fitted_terms, model, values)
+    scaled = measured.shared_noise * covariance
+    return Estimate(values, scaled, design, gof, dof, converged, iterations, notes, amplification=amplification)
 
 
 def _iterate(

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
 from labpipe.errors import FitError
 from labpipe.identify.levenberg import Minimum, minimise
 from labpipe.identify.measured import Measured
@@ -47,17 +49,18 @@ def maximum_likelihood(measured: Measured, model: ResponseModel, weight: str = "
     values, converged, iterations = best.values, best.converged, best.steps
     jacobian, residual = problem.jacobian(values), problem.residual(values)
     _, inverse = solve_scaled(jacobian, residual)
-    design = triangle_of(jacobian)
+    design, amplification = triangle_of(jacobian), problem.size * np.sqrt(np.diag(inverse))
     reduced = float(residual @ residual) / dof
     r2, adjusted = determination(measured.matrix, measured.matrix - model.receptance(values, measured.omega), n_parameter)
     notes: tuple[str, ...] = (f"ml: started from {start.name}.",)
     if not weighted:
         notes = (*notes, UNWEIGHTED_NOTE)
         inverse = measured.shared_noise * inverse
-        return Estimate(values, reduced * inverse, design, Goodness(r2, adjusted), dof, converged, iterations, notes)
+        covariance, gof = reduced * inverse, Goodness(r2, adjusted)
+        return Estimate(values, covariance, design, gof, dof, converged, iterations, notes, amplification=amplification)
     reduced /= doubt.excess
     gof = Goodness(r2, adjusted, reduced, doubt.p_value(reduced, dof))
-    return Estimate(values, doubt.inflation * inverse, design, gof, dof, converged, iterations, notes)
+    return Estimate(values, doubt.inflation * inverse, design, gof, dof, converged, iterations, notes, amplification=amplification)
 
 
 def _best_minimum(problem: OutputError, doubtful: Callable[[float], bool]) -> tuple[Minimum, Start]:

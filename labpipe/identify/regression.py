@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy import linalg
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
-from labpipe.identify.statistics import Estimate, condition_number, determination, stacked, stacked_terms
+from labpipe.identify.statistics import Estimate, condition_number, determination, inflation_factors, stacked, stacked_terms
 from labpipe.identify.weights import has_noise, weight_doubt, whitened, whitener
 from labpipe.records.identification import Goodness
 
@@ -33,10 +34,11 @@ def least_squares(measured: Measured, model: DynamicModel, weight: str = "none")
     n_parameter = len(model.terms)
     values, covariance, own_dof = equation_solution(equation, model)
     r2, adjusted = determination(equation.known, equation.residual(values), n_parameter)
-    design = _plain_design(measured, model, values, scaled_design(equation.terms))
+    design, amplification = _plain_design(measured, model, values, equation.terms)
     dof = measured.n_equation - n_parameter
     gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
-    return Estimate(values, measured.shared_noise * covariance, design, gof, dof, notes=(BIAS_NOTE,), own_dof=own_dof)
+    scaled, notes = measured.shared_noise * covariance, (BIAS_NOTE,)
+    return Estimate(values, scaled, design, gof, dof, notes=notes, own_dof=own_dof, amplification=amplification)
 
 
 def equation_solution(
@@ -110,25 +112,29 @@ def output_chi_square(
 
 
 def _plain_design(
-    measured: Measured, model: DynamicModel, values: NDArray[np.floating], noisy: NDArray[np.floating]
-) -> NDArray[np.floating]:
-    """The design by which collinearity is judged: the measured one, or the fitted model's where that is worse conditioned.
+    measured: Measured, model: DynamicModel, values: NDArray[np.floating], noisy_terms: NDArray[np.complexfloating]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """The design by which collinearity is judged, and its amplification: the measured one, or the fitted model's where that is worse.
 
     Noise in the measured FRF makes collinear columns look different; the model's own FRF has none.
     """
-    try:
-        fitted = scaled_design(model.equation_terms(model.receptance(values, measured.omega), measured.omega))
-    except FitError:
-        return noisy
-    return max(noisy, fitted, key=condition_number)
+    designs = [noisy_terms]
+    with contextlib.suppress(FitError):
+        designs.append(model.equation_terms(model.receptance(values, measured.omega), measured.omega))
+    found = [equation_design(terms, model, values) for terms in designs]
+    return max(found, key=lambda design: condition_number(design[0]))
 
 
-def scaled_design(terms: NDArray[np.complexfloating]) -> NDArray[np.floating]:
-    """Triangular factor of regressors (n_parameter, n_line, ...) taken as real columns of length 1, (n_parameter, n_parameter).
+def equation_design(
+    terms: NDArray[np.complexfloating], model: DynamicModel, values: NDArray[np.floating]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """(triangular factor of the regressors with columns of length 1, amplification of every parameter).
 
-    It has their singular values and right vectors, which is all that diagnostics need.
+    An error dH puts Z dH into the equation of motion, as large as Z H = B for dH as large as H.
     """
-    return triangle_of(stacked_terms(terms).T)
+    lengths, triangle, _ = _factorised(stacked_terms(terms).T)
+    forces = np.sqrt(terms.shape[1]) * np.linalg.norm(model.whole(values).force)
+    return triangle, forces * np.sqrt(inflation_factors(triangle)) / lengths
 
 
 def triangle_of(columns: NDArray[np.floating]) -> NDArray[np.floating]:

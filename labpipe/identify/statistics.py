@@ -19,6 +19,8 @@ class Estimate:
     values (n_parameter,); covariance (n_parameter, n_parameter); scaled_design (n_parameter, n_parameter): triangular factor of the
     real design or Jacobian with columns of length 1; dof: real equations - parameters; own_dof (n_parameter,): the same of the
     regression that gave each parameter, where a fit consists of several (ls: one per direction), else None.
+    amplification (n_parameter,), in the parameters' units: the most that a parameter can change per relative error of the FRF; half of
+    it for an error of half the FRF's size in the worst possible direction. None where the estimator does not tell.
     """
 
     values: NDArray[np.floating]
@@ -30,6 +32,7 @@ class Estimate:
     iterations: int = 0
     notes: tuple[str, ...] = ()
     own_dof: NDArray[np.int_] | None = None
+    amplification: NDArray[np.floating] | None = None
 
     @property
     def student_dof(self) -> NDArray[np.int_]:
