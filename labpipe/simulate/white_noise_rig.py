@@ -26,7 +26,7 @@ AXES = ("x", "y")
 class SensorNoise:
     """Standard deviations of the measuring noise, white up to half the sampling rate."""
 
-    displacement: float = setting("value", "displacement sensors", unit="m", default=10e-6)
+    displacement: float = setting("value", "displacement sensors", unit="m", default=5e-6)
     force: float = setting("value", "force transducer", unit="N", default=0.05)
 
 
