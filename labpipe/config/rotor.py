@@ -13,16 +13,19 @@ from labpipe.config.reader import read_settings
 from labpipe.errors import ConfigError
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.worn_rig import BearingPlace, RotorRig, Unbalance
+from labpipe.identify.worn_settings import WearSettings
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.records.settings import setting
 from labpipe.registry import nearest
 from labpipe.rotors.parts import ALUMINIUM, STEEL, Disc, Material, Rotor, ShaftElement, Sleeve
+from labpipe.simulate.journal_rig import VirtualJournalRig
 
 MATERIALS = {"steel": STEEL, "aluminium": ALUMINIUM}
 MOST_COPIES = 1000
 
 Owner = TypeVar("Owner")
 Built = TypeVar("Built")
+Named = TypeVar("Named", WearSettings, VirtualJournalRig)
 
 
 @dataclass(frozen=True)
@@ -248,17 +251,21 @@ def with_rotor(fit: FitSettings, entry: Marked, folder: Path, key: str, faults: 
     """A fit with the rotor that its section wear: names; a fault where that cannot be read."""
     if fit.wear is None:
         return fit
+    return replace(fit, wear=on_rotor(fit.wear, entry.content["wear"], folder, faults, join(key, "wear")))
+
+
+def on_rotor(settings: Named, node: Marked, folder: Path, faults: Faults, key: str = "") -> Named:
+    """Settings with a *rotor* file and a *bearing* in it, and the rotor read; a fault where that cannot be done."""
     try:
-        rig = load_rotor(folder / fit.wear.rotor)
-        rig.place(fit.wear.bearing)
-        return replace(fit, wear=replace(fit.wear, rig=rig))
+        rig = load_rotor(folder / settings.rotor)
+        rig.place(settings.bearing)
+        return replace(settings, rig=rig)
     except ConfigError as error:
-        wear = entry.content["wear"].content
         if error.what == "no such file":
-            hint = "paths are relative to the pipeline file"
-            faults.add(wear["rotor"], join(key, "wear.rotor"), f"no such file '{fit.wear.rotor}'", hint)
+            hint = "paths are relative to the file that names them"
+            faults.add(node.content["rotor"], join(key, "rotor"), f"no such file '{settings.rotor}'", hint)
         elif error.what.startswith("no bearing"):
-            faults.add(wear["bearing"], join(key, "wear.bearing"), error.what, error.hint)
+            faults.add(node.content["bearing"], join(key, "bearing"), error.what, error.hint)
         else:
             faults.merge(error)
-    return fit
+    return settings

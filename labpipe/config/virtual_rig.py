@@ -8,6 +8,7 @@ from typing import Any
 
 from labpipe.config.faults import Faults
 from labpipe.config.reader import read_settings
+from labpipe.config.rotor import on_rotor
 from labpipe.marked_yaml import load_marked, set_entry
 from labpipe.registry import Registry, nearest
 
@@ -17,6 +18,7 @@ VIRTUAL_RIGS = Registry(
         "virtual-magnetic-rig": "labpipe.simulate.settings:VirtualRig",
         "virtual-mdof-rig": "labpipe.simulate.mdof_rig:VirtualMdofRig",
         "virtual-ball-bearing-rig": "labpipe.simulate.ball_bearing_rig:VirtualBallBearingRig",
+        "virtual-journal-rig": "labpipe.simulate.journal_rig:VirtualJournalRig",
         "virtual-white-noise-rig": "labpipe.simulate.white_noise_rig:WhiteNoiseRig",
     },
 )
@@ -36,5 +38,7 @@ def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> Any:
         faults.add(entries["kind"], "kind", f"unknown virtual rig '{kind}'", nearest(kind, VIRTUAL_RIGS.names()))
     faults.raise_any()
     rig = read_settings(VIRTUAL_RIGS.load(kind), tree, "", faults)
+    if rig is not None and "rotor" in entries:
+        rig = on_rotor(rig, tree, path.parent, faults)
     faults.raise_any()
     return rig

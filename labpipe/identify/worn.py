@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.identify.diagnostics import estimate_findings, quality_findings
+from labpipe.identify.diagnostics import collinear_groups, estimate_findings, quality_findings
 from labpipe.identify.regression import triangle_of
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.statistics import (
@@ -103,7 +103,7 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         converged=estimate.converged,
         iterations=estimate.iterations,
         findings=(
-            *estimate_findings(estimate, [solved.misfit.model.names[n] for n in _felt(solved)], frequency.size, NAMES[wear.objective]),
+            *_own_findings(solved, estimate, NAMES[wear.objective]),
             *findings,
             *quality_findings(response, [0, 1], [0, 1], lines),
         ),
@@ -217,6 +217,15 @@ def _parameter(solved: _Solved, number: int, vif: float | None, interval: Interv
         ends = None if name == ANGLE and not identifiable else found.ci95 if interval is not None else None
         found = replace(found, std_error=None, t_ratio=None, significant=None, ci95=ends, at_bound=at_bound)
     return found
+
+
+def _own_findings(solved: _Solved, estimate: Estimate, estimator: str) -> list[Finding]:
+    """Findings on the estimate; parameters that are only estimated along may resemble each other, their prior holds them apart."""
+    names = [solved.misfit.model.names[number] for number in _felt(solved)]
+    found = estimate_findings(estimate, names, solved.misfit.data.frequency.size, estimator)
+    group = {name for own in collinear_groups(estimate.scaled_design, names) for name in own}
+    along = DEPTH in solved.misfit.model.names and not group & {DEPTH, ANGLE}
+    return [finding for finding in found if finding.code != "collinear" or not along]
 
 
 def _felt(solved: _Solved) -> tuple[int, ...]:

@@ -16,8 +16,9 @@ from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError
 from labpipe.formats.frf_csv import write_frf_csv
 from labpipe.records.recording import Recording
-from labpipe.simulate import ball_bearing_rig, mdof_rig, white_noise_rig
+from labpipe.simulate import ball_bearing_rig, journal_rig, mdof_rig, white_noise_rig
 from labpipe.simulate.ball_bearing_rig import VirtualBallBearingRig
+from labpipe.simulate.journal_rig import VirtualJournalRig
 from labpipe.simulate.magnetic_rig import SimulatedRun, simulate
 from labpipe.simulate.mdof_rig import VirtualMdofRig
 from labpipe.simulate.settings import VirtualRig
@@ -58,6 +59,17 @@ def _white_noise(rig: WhiteNoiseRig, seed: int, runs: Iterable[str] | None, outp
     return [*names, _write_truth({"seed": seed, "rig": rig.name, "truth": white_noise_rig.truth(rig)}, output)]
 
 
+def _journal(rig: VirtualJournalRig, seed: int, runs: Iterable[str] | None, output: OutputFolder) -> list[str]:
+    """One Parquet file per state and force direction, displacements in um."""
+    made = journal_rig.journal_runs(rig, seed, runs)
+    for run in made:
+        columns = dict(zip(("force [N]", "y [um]", "z [um]"), (run.samples * [1.0, 1e6, 1e6]).T.astype(np.float32), strict=True))
+        path = output.write_path(f"{run.name}.parquet")
+        pq.write_table(pa.table(columns), path, compression="zstd", use_dictionary=False, use_byte_stream_split=True)
+    names = [f"{run.name}.parquet" for run in made]
+    return [*names, _write_truth({"seed": seed, "rig": rig.name, "truth": journal_rig.truth(rig)}, output)]
+
+
 def _ball_bearing(rig: VirtualBallBearingRig, seed: int, runs: Iterable[str] | None, output: OutputFolder) -> list[str]:
     """Shaker tests as a 16-bit logger stores them: force in cN, accelerometers in mV at 10 mV per m/s^2; calibrations as CSV."""
     made = ball_bearing_rig.simulate_ball_bearing(rig, seed, runs)
@@ -86,6 +98,7 @@ SIMULATED: dict[str, Callable[[Any, int, Iterable[str] | None, OutputFolder], li
     mdof_rig.KIND: _mdof,
     white_noise_rig.KIND: _white_noise,
     ball_bearing_rig.KIND: _ball_bearing,
+    journal_rig.KIND: _journal,
 }
 
 

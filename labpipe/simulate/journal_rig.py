@@ -1,0 +1,166 @@
+"""A virtual rotor in journal bearings, healthy or worn: white noise in y, then in z, with noise and an unbalance line.
+
+The rig differs from what its rotor file says, as a real one does: other viscosity and clearance, and oil films on a finer mesh than
+an identification uses.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from labpipe.bearings.journal_mesh import FilmMesh
+from labpipe.errors import ConfigError
+from labpipe.identify.worn_rig import RotorRig
+from labpipe.records.recording import Channel, Recording
+from labpipe.records.settings import setting
+from labpipe.registry import nearest
+from labpipe.rotors.reduction import ReducedRotor, reduced_rotor
+
+KIND = "virtual-journal-rig"
+AXES = ("y", "z")
+# Depth [um] and angle [deg] of the bearings of Mendes et al. (2017).
+WEAR = {"healthy": (0.0, 0.0), "wear-1": (22.27, 11.0), "wear-2": (22.27, -11.0), "wear-3": (40.19, 8.0), "wear-4": (48.26, 17.0)}
+RUNS = tuple(f"{state}-{axis}" for state in WEAR for axis in AXES)
+# Lines that are solved at once: the free rotor has four equations per node.
+LINES_AT_ONCE = 512
+
+Complex = NDArray[np.complexfloating]
+
+
+@dataclass(frozen=True)
+class JournalNoise:
+    """Standard deviations of the measuring noise, white up to half the sampling rate."""
+
+    displacement: float = setting("value", "displacement sensors", unit="m", default=4e-6)
+    force: float = setting("value", "force transducer", unit="N", default=0.05)
+
+
+@dataclass(frozen=True)
+class VirtualJournalRig:
+    """The rotor of a rotor file with a model error, its shaker and its sensors; *rig* is what `rotor` names."""
+
+    kind: str = setting("choice", "which virtual rig", choices=(KIND,))
+    rotor: str = setting("text", "rotor file, relative to this file")
+    name: str = setting("text", "name of the rig", default="Virtual rotor in journal bearings")
+    bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
+    viscosity_error: float = setting("value", "true viscosity over the rotor file's, less one", unit="1", default=0.0)
+    clearance_error: float = setting("value", "true clearance over the rotor file's, less one", unit="1", default=0.0)
+    cavitation_pressure: float = setting("value", "true pressure at which the film tears", unit="Pa", default=0.0)
+    cells_around: int = setting("integer", "cells of the oil film around the journal", default=480)
+    cells_across: int = setting("integer", "cells of the oil film across the bearing", default=60)
+    force: float = setting("value", "rms force of the shaker", unit="N", default=30.0)
+    bandwidth: float = setting("value", "the force is white up to here", unit="Hz", default=120.0)
+    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=256.0)
+    duration: float = setting("value", "length of one run", unit="s", default=60.0)
+    unbalance: float = setting("value", "mass times eccentricity at the force's node", unit="kg.m", default=1e-5)
+    noise: JournalNoise = setting("section", "measuring noise", section=JournalNoise, default=JournalNoise())
+    rig: RotorRig | None = None
+
+    def __post_init__(self) -> None:
+        for what in ("force", "bandwidth", "sample_rate", "duration"):
+            if not getattr(self, what) > 0:
+                raise ConfigError(f"{what} must be positive")
+        if not self.bandwidth < self.sample_rate / 2:
+            raise ConfigError(f"bandwidth must lie below half the sampling rate, {self.sample_rate / 2:g} Hz")
+        for what in ("viscosity_error", "clearance_error"):
+            if not abs(getattr(self, what)) < 0.5:
+                raise ConfigError(f"{what} must lie between -50 % and 50 %")
+        if self.cavitation_pressure > 0:
+            raise ConfigError("cavitation_pressure is above the ambient pressure", hint="give zero or less")
+
+    @property
+    def n_sample(self) -> int:
+        return round(self.duration * self.sample_rate)
+
+    @property
+    def mesh(self) -> FilmMesh:
+        return FilmMesh(self.cells_around, self.cells_across)
+
+
+def true_rig(virtual: VirtualJournalRig, depth: float, angle: float) -> RotorRig:
+    """The rotor as it truly is, with a wear of *depth* [m] at *angle* [rad]; ConfigError without a rotor."""
+    if virtual.rig is None:
+        raise ConfigError("no rotor was read for this virtual rig", hint="name it with rotor:")
+    nominal = virtual.rig.place(virtual.bearing)
+    rig = virtual.rig.with_bearings(
+        viscosity=nominal.bearing.viscosity * (1 + virtual.viscosity_error),
+        clearance=nominal.bearing.clearance * (1 + virtual.clearance_error),
+        cavitation_pressure=virtual.cavitation_pressure,
+    )
+    return rig.with_bearings([nominal.name], wear_depth=depth, wear_angle=angle)
+
+
+def receptance(rig: RotorRig, frequency: NDArray[np.floating], mesh: FilmMesh) -> Complex:
+    """From forces in y and z to displacements in y and z at the rig's nodes at *frequency* (n,) [Hz], above zero; (n, 2, 2) [m/N]."""
+    supports = rig.supports(mesh)
+    nodes = (*(place.node for place in rig.bearings), rig.force, rig.response)
+    parts = [frequency[n : n + LINES_AT_ONCE] for n in range(0, frequency.size, LINES_AT_ONCE)]
+    free: list[ReducedRotor] = [reduced_rotor(rig.rotor, nodes, part, rig.omega) for part in parts]
+    return np.concatenate([part.on(supports).response(rig.response, rig.force) for part in free])
+
+
+def journal_runs(virtual: VirtualJournalRig, seed: int, names: Iterable[str] | None = None) -> tuple[Recording, ...]:
+    """The named runs (default: all of RUNS): force f along one axis, displacements y and z [SI]; each with noise of its own.
+
+    The force is periodic in the whole run and band-limited, so the motion is the exact steady state.
+    """
+    chosen = list(RUNS) if names is None else list(names)
+    for name in chosen:
+        if name not in RUNS:
+            raise ConfigError(f"no run '{name}'", hint=nearest(name, RUNS))
+    states = dict.fromkeys(name.rpartition("-")[0] for name in chosen)
+    responses = {state: _response(virtual, state) for state in states}
+    return tuple(
+        _run(virtual, name, responses[name.rpartition("-")[0]], np.random.default_rng([seed, zlib.crc32(name.encode())])) for name in chosen
+    )
+
+
+def _response(virtual: VirtualJournalRig, state: str) -> Complex:
+    """H on every line of a run up to the bandwidth and at the shaft speed, which comes last, (n_line + 1, 2, 2) [m/N]."""
+    depth, angle = WEAR[state]
+    rig = true_rig(virtual, depth * 1e-6, float(np.deg2rad(angle)))
+    return receptance(rig, np.append(_lines(virtual), rig.speed), virtual.mesh)
+
+
+def _lines(virtual: VirtualJournalRig) -> NDArray[np.floating]:
+    """Frequencies of the run's lines that the force excites, (n_line,) [Hz]."""
+    lines = fft.rfftfreq(virtual.n_sample, 1 / virtual.sample_rate)[1:]
+    return np.asarray(lines[lines <= virtual.bandwidth])
+
+
+def _run(virtual: VirtualJournalRig, name: str, response: Complex, rng: np.random.Generator) -> Recording:
+    n, axis = virtual.n_sample, name[-1]
+    spectrum = np.zeros(n // 2 + 1, np.complex128)
+    excited = slice(1, response.shape[0])
+    spectrum[excited] = rng.standard_normal(response.shape[0] - 1) + 1j * rng.standard_normal(response.shape[0] - 1)
+    spectrum *= virtual.force * n / np.sqrt(2 * np.sum(np.abs(spectrum) ** 2))
+    moved = np.zeros((n // 2 + 1, 2), np.complex128)
+    moved[excited] = spectrum[excited, None] * response[:-1, :, AXES.index(axis)]
+    motion = fft.irfft(moved, n, axis=0) + _unbalance_motion(virtual, response[-1], rng.uniform(0, 2 * np.pi))
+    noise = rng.standard_normal((n, 3)) * [virtual.noise.force, *[virtual.noise.displacement] * 2]
+    channels = (Channel("f", "force", "input", axis), *(Channel(one, "displacement", "output", one) for one in AXES))
+    return Recording(channels, np.column_stack([fft.irfft(spectrum, n), motion]) + noise, virtual.sample_rate, name)
+
+
+def _unbalance_motion(virtual: VirtualJournalRig, response: Complex, phase: float) -> NDArray[np.floating]:
+    """Steady motion (n_sample, 2) [m] under u W^2 (cos, sin)(W t + phase), turning from y to z; *response* (2, 2) at the shaft speed."""
+    assert virtual.rig is not None
+    turning = virtual.unbalance * virtual.rig.omega**2 * np.array([1, -1j])
+    angle = virtual.rig.omega * np.arange(virtual.n_sample) / virtual.sample_rate + phase
+    return np.asarray((np.exp(1j * angle)[:, None] * (response @ turning)).real)
+
+
+def truth(virtual: VirtualJournalRig) -> dict[str, Any]:
+    """The bearings as they truly are, and wear depth [m] and angle [rad] of every state."""
+    rig = true_rig(virtual, 0.0, 0.0)
+    bearing = rig.place(virtual.bearing).bearing
+    states = {state: {"wear_depth": depth * 1e-6, "wear_angle": float(np.deg2rad(angle))} for state, (depth, angle) in WEAR.items()}
+    own = {name: getattr(bearing, name) for name in ("viscosity", "clearance", "cavitation_pressure")}
+    return {**own, "loads": {name: list(load) for name, load in rig.static_loads().items()}, "states": states}
