@@ -44,7 +44,7 @@ class PlainLog(LogFormatter):
         return f"{x:g}"
 
 
-def _form_unit(form: str) -> tuple[str, float]:
+def form_unit(form: str) -> tuple[str, float]:
     """(axis label, factor from SI) of an FRF form in the unit people read."""
     quantity = QUANTITIES.get(form)
     unit = quantity.display_unit if quantity else "SI"
@@ -54,7 +54,7 @@ def _form_unit(form: str) -> tuple[str, float]:
 def fitted_curve_figure(fit: Fit, curve: FittedCurve) -> Figure:
     """Amplitude, phase and residual of measured against fitted FRF; the residual with its 95 % band where the doubt is known."""
     pairs = [(o, i) for o in range(len(curve.outputs)) for i in range(len(curve.inputs))]
-    label_of_form, factor = _form_unit(curve.form)
+    label_of_form, factor = form_unit(curve.form)
     with mpl.rc_context(STYLE):
         canvas, (amplitude, phase, residual) = stacked_axes(3, 6.2, sharex=True, height_ratios=(3, 2, 2))
         for number, (o, i) in enumerate(pairs):
@@ -156,7 +156,7 @@ def _goodness_figure(fits: Sequence[Fit], centres: NDArray[np.float64]) -> Figur
 def response_figure(response: FrequencyResponse) -> Figure:
     """The measured FRF with its quality: coherence (random data) or signal-to-noise ratio per channel (periodic data)."""
     name = response.name or "the measurement"
-    label_of_form, factor = _form_unit(response.form)
+    label_of_form, factor = form_unit(response.form)
     with mpl.rc_context(STYLE):
         canvas, (amplitude, quality) = stacked_axes(2, 4.4, sharex=True, height_ratios=(3, 2))
         for o, output in enumerate(response.outputs):

@@ -88,3 +88,12 @@ def threshold_text(threshold: StudyThreshold, share: float) -> str:
     if threshold.noise is None:
         return f"{what}: no such noise level in the range searched"
     return f"{what} up to a noise of {100 * threshold.noise:.3g} %"
+
+
+def inflated_text(fit: Fit) -> str:
+    """What the standard errors are when the excess of the residual is taken for noise; nothing where there is none."""
+    own = [p for p in fit.parameters if p.std_error_inflated is not None and not p.derived]
+    if not own:
+        return ""
+    listed = ", ".join(f"{p.name} {to_display(p.std_error_inflated or 0.0, display_unit(p.unit)):.2g} {unit_text(p.unit)}" for p in own)
+    return f" The residual exceeds the noise; standard errors times the root of chi² per degree of freedom: {listed}."

@@ -1,0 +1,91 @@
+"""What the report says of a study, of candidates and of a large FRF matrix; the figures' numbers are those of the records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness, Parameter
+from labpipe.records.study import StudiedParameter, Study, StudyCase, StudyThreshold
+from labpipe.report.candidates import candidate_blocks
+from labpipe.report.document import Figure, Paragraph, Table
+from labpipe.report.matrix_figure import matrix_figure
+from labpipe.report.study import study_blocks
+from labpipe.report.wording import inflated_text, threshold_text
+
+K = StudiedParameter("k_1_1", "N/m", 2.0, 2.1, 0.2, 0.16, 0.19, 0.94)
+CASE = StudyCase("ml", "ml", 0.011, 25, 500, 3, 0.00297, 0.00259, 3.4e-6, (0.998,), 0.975, 0.957, (K,))
+FIT = Fit("three", "mdof", "ml", (0.0, 1.0), 3, 9, 8, Goodness(0.9, 0.89, 4.0, 1e-9), (), 2.0, np.eye(1))
+
+
+def study(**change: object) -> Study:
+    cases = (CASE, replace(CASE, noise=0.043, mean_error=0.0466, failed=0))
+    return replace(Study("rig", 1, (0.1,), 0.95, cases, (StudyThreshold("ml", 0.1, 0.0538, 200),)), **change)
+
+
+def test_the_table_of_cases_has_every_figure() -> None:
+    table = next(block for block in study_blocks(study()) if isinstance(block, Table))
+    assert table.rows[0] == ("ml", "1.1 %", "25", "0.00297", "3.4e-06", "0.00259", "3 of 500", "99.8 %", "0.975", "95.7 %")
+    assert table.rows[1][:4] == ("ml", "4.3 %", "25", "0.0466")
+
+
+def test_printed_errors_stand_beside() -> None:
+    table = next(block for block in study_blocks(study(printed=(("ml", (0.0031, 0.0483)),))) if isinstance(block, Table))
+    assert table.header[-1] == "printed mean error" and [row[-1] for row in table.rows] == ["0.0031", "0.0483"]
+
+
+def test_parameters_at_the_highest_noise_with_bias_and_bound() -> None:
+    tables = [block for block in study_blocks(study()) if isinstance(block, Table)]
+    detail = next(table for table in tables if "4.3 % noise" in table.caption)
+    assert detail.rows == (("k_1_1", "2 N/m", "2.1", "0.1", "0.2", "0.16", "0.19", "94 %"),)
+    means = next(table for table in tables if "mean of the estimates" in table.caption)
+    assert means.rows[0] == ("truth", "2") and means.rows[1] == ("1.1 %", "2.1")
+
+
+def test_curves_over_the_noise_are_the_cases() -> None:
+    figure = next(block for block in study_blocks(study()) if isinstance(block, Figure))
+    coverage = figure.drawing.axes[2].lines[0]
+    assert list(coverage.get_xdata()) == pytest.approx([1.1, 4.3]) and list(coverage.get_ydata()) == pytest.approx([95.7, 95.7])
+    alone = study_blocks(study(cases=(CASE,)))
+    assert not any(isinstance(block, Figure) for block in alone)
+
+
+def test_a_case_without_results_is_shown_as_such() -> None:
+    nothing = replace(CASE, failed=500, mean_error=float("nan"), coverage=None, rmse_over_bound=None, parameters=())
+    table = next(block for block in study_blocks(study(cases=(nothing,))) if isinstance(block, Table))
+    assert table.rows[0][6] == "500 of 500" and table.rows[0][8:] == ("", "")
+
+
+def test_thresholds_as_sentences() -> None:
+    found = threshold_text(StudyThreshold("iv", 0.1, 0.0227, 200), 0.95)
+    assert found == "iv: within 10 % of the truth in 95 % of the repeats up to a noise of 2.27 %"
+    assert "no such noise level" in threshold_text(StudyThreshold("iv", 0.1, None, 200), 0.95)
+
+
+def test_candidates_best_first() -> None:
+    found = (Candidate("mdof, symmetric", 12, 430.0, 438, 454.0, 0.31), Candidate("this model: mdof, general", 18, 424.0, 432, 460.0))
+    table, explained = candidate_blocks(replace(FIT, candidates=found))
+    assert isinstance(table, Table) and isinstance(explained, Paragraph)
+    assert table.rows[0] == ("mdof, symmetric", "12", "430.0", "438", "0.0", "0.31")
+    assert table.rows[1][4:] == ("6.0", "")
+    assert candidate_blocks(FIT) == ()
+
+
+def test_enlarged_standard_errors_are_said() -> None:
+    parameter = Parameter("c", 3.7, "N.s/m", 0.02, std_error_inflated=0.04)
+    assert "c 0.04 N s/m" in inflated_text(replace(FIT, parameters=(parameter,)))
+    assert inflated_text(FIT) == ""
+
+
+def test_every_element_of_a_large_matrix_has_its_panel() -> None:
+    frequency = np.array([1.0, 2.0, 3.0])
+    matrix = np.arange(1, 28).reshape(3, 3, 3) * 1e-6 * (1 + 1j)
+    curve = FittedCurve(frequency, matrix, 1.1 * matrix, np.full(matrix.shape, 1e-14), ("1", "2", "3"), ("a", "b", "c"), "receptance")
+    figure = matrix_figure(replace(FIT, curve=curve), curve)
+    panels = figure.drawing.axes
+    assert [axes.get_title() for axes in panels] == [f"{o}/{i}" for o in "123" for i in "abc"]
+    measured, fitted = panels[5].lines
+    np.testing.assert_allclose(measured.get_ydata(), np.abs(matrix[:, 1, 2]) * 1e6)
+    np.testing.assert_allclose(fitted.get_ydata(), 1.1 * np.abs(matrix[:, 1, 2]) * 1e6)
