@@ -11,9 +11,10 @@ from labpipe.identify.constraints import constrained
 from labpipe.identify.likelihood import maximum_likelihood
 from labpipe.identify.measured import Measured
 from labpipe.identify.models import MODELS
+from labpipe.identify.order import modal_chi2
 from labpipe.identify.settings import ESTIMATE, FitSettings
 from labpipe.identify.setup import Setup
-from labpipe.identify.weights import has_noise, weight_doubt
+from labpipe.identify.weights import has_noise, weight_doubt, whitener
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Candidate
 
@@ -33,16 +34,21 @@ class _Variant:
 def candidates(measured: Measured, setup: Setup) -> tuple[Candidate, ...]:
     """Every variant fitted by ml, the best by AIC = chi-square + 2 parameters first; none where the noise is not known.
 
+    Without `compare` only what proportional damping is held against: damping coefficients of their own.
+
     p_value: chance of so large a fall of chi-square to the richest variant that contains this one, if this one is right
     (likelihood ratio, chi-square with as many degrees of freedom as parameters were added).
     """
     if not has_noise(measured):
         return ()
-    variants = _variants(setup.settings)
+    whole = setup.settings.compare
+    variants = _variants(setup.settings) if whole else _damping_variants(setup.settings)
     found = {variant.name: _fitted(measured, replace(setup, settings=variant.settings), variant.name) for variant in variants}
     fitted = {name: candidate for name, candidate in found.items() if candidate is not None}
+    if whole:
+        fitted.update(_orders(measured, setup))
     inside = {variant.name: [fitted[name] for name in variant.inside if name in fitted] for variant in variants}
-    tested = [_tested(candidate, inside[name]) for name, candidate in fitted.items()]
+    tested = [_tested(candidate, inside.get(name, [])) for name, candidate in fitted.items()]
     return tuple(sorted(tested, key=lambda candidate: candidate.aic))
 
 
@@ -61,10 +67,31 @@ def comparison_findings(found: tuple[Candidate, ...]) -> tuple[Finding, ...]:
 THIS = "this model"
 
 
+def _orders(measured: Measured, setup: Setup) -> dict[str, Candidate]:
+    """Rational fits with one mode less than dofs, as many, and one more: is there a mode that the model does not have?"""
+    n_output = len(setup.outputs)
+    found = {}
+    for modes in range(max(n_output - 1, 1), n_output + 2):
+        fitted = modal_chi2(measured, whitener(measured), modes)
+        if fitted is not None:
+            raw, n_parameter = fitted
+            name = f"{modes} mode{'s' if modes > 1 else ''}, any structure"
+            dof = measured.n_equation - n_parameter
+            chi2 = raw / weight_doubt(measured, dof).inflation
+            found[name] = Candidate(name, n_parameter, chi2, dof, chi2 + 2 * n_parameter)
+    return found
+
+
 def _variants(settings: FitSettings) -> list[_Variant]:
     """What a person would try: with and without cross terms, mass, symmetry, proportional damping."""
     plain = replace(settings, estimator="ml", weight="none", eliminate=False, sliding=None, bands=())
     return [_Variant(f"{THIS}: {_described(plain)}", plain, tuple(v.name for v in _richer(plain))), *_richer(plain), *_simpler(plain)]
+
+
+def _damping_variants(settings: FitSettings) -> list[_Variant]:
+    plain = replace(settings, weight="none", sliding=None)
+    viscous = replace(plain, damping="viscous")
+    return [_Variant(f"{THIS}: {_described(plain)}", plain, (_described(viscous),)), _Variant(_described(viscous), viscous)]
 
 
 def _richer(settings: FitSettings) -> list[_Variant]:

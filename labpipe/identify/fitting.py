@@ -21,6 +21,7 @@ from labpipe.identify.likelihood import maximum_likelihood
 from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.models import MODELS
+from labpipe.identify.order import motion_notes
 from labpipe.identify.proportional import ProportionalModel
 from labpipe.identify.regression import least_squares
 from labpipe.identify.reported import mismatch_factor, reported_parameters
@@ -120,7 +121,9 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
         refit = functools.partial(_refit, setup, model)
         parameters, note = bootstrapped(parameters, measured, fitted, refit, settings.bootstrap, settings.name)
         notes = (*notes, note)
-    found = candidates(measured, setup) if settings.compare else ()
+    notes = (*notes, *motion_notes(measured))
+    # Whether proportional damping is justified is part of the answer.
+    found = candidates(measured, setup) if settings.compare or settings.damping == "proportional" else ()
     fit = Fit(
         name=settings.name,
         model=settings.model,
