@@ -12,8 +12,8 @@ import math
 import numpy as np
 import pytest
 
-from labpipe.bearings.rolling_equilibrium import Equilibrium, equilibrium, load_vector
 from labpipe.bearings.rolling import RollingBearing
+from labpipe.bearings.rolling_equilibrium import Equilibrium, equilibrium, load_vector
 
 BEARINGS = {
     "6208": RollingBearing(9, 1.10e10, 30.1488e-3, groove_distance=5.953e-4),
