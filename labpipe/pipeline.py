@@ -52,7 +52,7 @@ def measure_tests(pipeline: Pipeline, output: OutputFolder, tell: Tell) -> Measu
             sources.extend(recording_ref(recording, pipeline.folder) for recording in found)
         responses.extend(load_response(path, test.name or path.stem) for path in test.frfs)
         sources.extend(source_ref(path, pipeline.folder) for path in test.frfs)
-    sources.extend(source_ref(calibration.path, pipeline.folder) for calibration in pipeline.calibrations)
+    sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
     return Measured(tuple(responses), tuple(sources))
 
 

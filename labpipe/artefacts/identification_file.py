@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe import __version__
+from labpipe.artefacts.comparison_entry import comparison_entry, read_comparison
 from labpipe.artefacts.study_entry import read_study
 from labpipe.errors import DataError
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
@@ -35,6 +36,7 @@ def write_identification(path: Path, identification: Identification) -> None:
         "fits": [_fit_entry(fit) for fit in identification.fits],
         "accept": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "accept"],
         "expect": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "expect"],
+        "comparisons": [comparison_entry(comparison) for comparison in identification.comparisons],
         "studies": [dataclasses.asdict(study) for study in identification.studies],
         "responses": [_response_entry(response) for response in identification.responses],
     }
@@ -61,6 +63,7 @@ def read_identification(path: Path) -> Identification:
         rig=entries.get("rig", {}),
         responses=tuple(_response(entry) for entry in entries.get("responses", [])),
         outcomes=tuple(outcomes),
+        comparisons=tuple(read_comparison(entry) for entry in entries.get("comparisons", [])),
         studies=tuple(read_study(entry) for entry in entries.get("studies", [])),
         version=entries["labpipe"],
     )

@@ -34,7 +34,7 @@ def identify(frfs: tuple[Path, ...], pipeline_path: Path, output: Path, override
         paths = list(frfs) or _known_responses(pipeline, folder)
         responses = [load_response(path) for path in paths]
         sources = [source_ref(path, path.parent) for path in paths]
-        sources.extend(source_ref(calibration.path, pipeline.folder) for calibration in pipeline.calibrations)
+        sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
         identification = identify_stage(pipeline, responses, sources, folder)
     echo_identification(identification, quiet)
     return 0 if identification.accepted else 1

@@ -29,6 +29,8 @@ def echo_identification(identification: Identification, quiet: bool) -> None:
                 click.echo(f"  ... {len(fits) - len(shown)} more fits of '{name}' in identification.json ...")
             _echo_fit(fit)
         _echo_findings([fit.findings for fit in fits], "fits")
+    for comparison in identification.comparisons:
+        click.echo(f"{comparison.name}: {comparison.statement}")
     for study in identification.studies:
         _echo_study(study)
     for outcome in identification.outcomes:
@@ -58,9 +60,10 @@ def _found(value: float | str | None) -> str:
 
 def _echo_fit(fit: Fit) -> None:
     test = f" [{fit.test}]" if fit.test else ""
+    term = f" of {fit.term}" if fit.term else ""
     band = f" {fit.band_hz[0]:g}-{fit.band_hz[1]:g} Hz" if fit.band_hz[1] > fit.band_hz[0] else ""
     chi2 = "" if fit.gof.chi2_reduced is None else f", chi2/dof {fit.gof.chi2_reduced:.2f}"
-    click.echo(f"{fit.name}{test}: {fit.model}, {fit.estimator}{band}, G.o.F {fit.gof.r2_adjusted:.4f}{chi2}")
+    click.echo(f"{fit.name}{term}{test}: {fit.model}, {fit.estimator}{band}, G.o.F {fit.gof.r2_adjusted:.4f}{chi2}")
     for parameter in fit.parameters:
         click.echo(f"  {_parameter_line(parameter)}")
 

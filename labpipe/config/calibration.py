@@ -18,6 +18,7 @@ class CalibrationSettings:
     x_unit: str = setting("text", "unit of x; default: in brackets behind the column's name", default="")
     y_unit: str = setting("text", "unit of y; default: in brackets behind the column's name", default="")
     group: str = setting("text", "column by which the table falls into several lines", default="")
+    x_power: int = setting("integer", "x enters as this power: 2 for a string's force over its frequency", default=1)
     through_origin: bool = setting("flag", "force the line through the origin", default=False)
     tolerance: float | None = setting("value", "slope change allowed in the linear range", unit="1", default=None)
     name: str = ""

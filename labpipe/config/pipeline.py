@@ -8,7 +8,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from labpipe.campaign.settings import CompareSettings
 from labpipe.config.calibration import CalibrationSettings
+from labpipe.config.compare import bearing_files, read_comparisons
 from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
 from labpipe.config.rig import load_rig, override_channels
@@ -34,6 +36,7 @@ SECTIONS = (
     "frf",
     "identify",
     "calibrate",
+    "compare",
     "study",
     "report",
     "accept",
@@ -89,10 +92,16 @@ class Pipeline:
     rules: tuple[Rule, ...]
     rig: Rig | None
     study: StudyPlan | None = None
+    comparisons: tuple[CompareSettings, ...] = ()
 
     @property
     def folder(self) -> Path:
         return self.path.parent
+
+    @property
+    def side_files(self) -> list[Path]:
+        """Tables and bearing files that the result depends on beside recordings and FRFs."""
+        return [*(calibration.path for calibration in self.calibrations), *bearing_files(self.comparisons, self.folder)]
 
 
 def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
@@ -113,12 +122,14 @@ def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
     _check_formats(entries.get("report"), report, faults)
     study = _study(entries.get("study"), path.parent, faults)
     names = tuple(name for section in ("identify", "calibrate") if section in entries for name in faults.mapping(entries[section], section))
+    comparisons = read_comparisons(entries.get("compare"), path.parent, faults, names)
+    names = (*names, *(settings.name for settings in comparisons))
     names = (*names, STUDY) if "study" in entries else names
     rules = tuple(rule for section in ("accept", "expect") for rule in read_rules(section, entries.get(section), faults, names))
     _check_whole(tree, entries, tests, frf, faults)
     faults.raise_any()
     assert report is not None
-    return Pipeline(path, _title(entries, path), tests, frf, fits, calibrations, report, rules, rig, study)
+    return Pipeline(path, _title(entries, path), tests, frf, fits, calibrations, report, rules, rig, study, comparisons)
 
 
 def _title(entries: dict[str, Marked], path: Path) -> str:

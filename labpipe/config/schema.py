@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from labpipe.campaign.settings import CompareSettings
 from labpipe.config.calibration import CalibrationSettings
 from labpipe.config.pipeline import ReportSettings
 from labpipe.config.rig import ChannelSettings, RigSettings
@@ -48,6 +49,7 @@ def pipeline_schema() -> dict[str, Any]:
         "identify": {"type": "object", "additionalProperties": _object(FitSettings)},
         "study": _object(StudySettings),
         "calibrate": {"type": "object", "additionalProperties": _object(CalibrationSettings)},
+        "compare": {"type": "object", "additionalProperties": _object(CompareSettings)},
         "report": _object(ReportSettings),
         "accept": rules,
         "expect": rules,

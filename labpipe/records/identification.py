@@ -8,31 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.records.comparison import Comparison
 from labpipe.records.finding import Finding
+from labpipe.records.parameter import Parameter as Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.study import Study
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One estimated or derived parameter in SI units.
-
-    *std_error*, *t_ratio*, *ci95* are None where none can be given (at a bound, not determined). *significant*: |t| exceeds the
-    two-sided 95 % Student quantile. *vif*: variance inflation factor. *derived*: computed from the others (f_n, zeta, ...).
-    *std_error_inflated*: std_error times the root of chi-square per degree of freedom, where the residual exceeds the noise.
-    """
-
-    name: str
-    value: float
-    unit: str
-    std_error: float | None = None
-    t_ratio: float | None = None
-    ci95: tuple[float, float] | None = None
-    significant: bool | None = None
-    vif: float | None = None
-    derived: bool = False
-    at_bound: bool = False
-    std_error_inflated: float | None = None
 
 
 @dataclass(frozen=True)
@@ -139,6 +119,7 @@ class Identification:
     outcomes: tuple[RuleOutcome, ...] = ()
     version: str = ""
     studies: tuple[Study, ...] = ()
+    comparisons: tuple[Comparison, ...] = ()
 
     @property
     def accepted(self) -> bool:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.identification import Fit, Identification, RuleOutcome
 from labpipe.report import figures
+from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Block, Code, Document, Paragraph, Section, Table
 from labpipe.report.study import study_blocks
 from labpipe.report.wording import STARS_EXPLAINED, band_text, fit_title, parameter_row
@@ -24,6 +25,7 @@ def build(identification: Identification) -> Document:
         Section("Warnings", _warnings(identification)),
         *([Section("Notes", notes)] if (notes := _each_once(identification, NOTE)) else []),
         *(Section(f"Result: {_series_title(fits)}", _result(fits)) for fits in series),
+        *(Section(f"Comparison: {each.name}", comparison_blocks(each, identification.responses)) for each in identification.comparisons),
         *(Section(f"Study: {study.rig}", study_blocks(study)) for study in identification.studies),
         *([Section("Measurement", _measurement(identification))] if identification.responses else []),
         Section("Rig and conditions", _rig(identification)),

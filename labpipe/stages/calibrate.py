@@ -44,7 +44,7 @@ def _calibrate_one(settings: CalibrationSettings) -> list[Fit]:
     if not np.all(np.isfinite(values)):
         row, column = (int(n) for n in np.argwhere(~np.isfinite(values))[0])
         raise DataError(f"column '{names[column]}' has no number in row {row + 1}")
-    x = _column(table, settings.x, settings.x_unit, values[:, 0])
+    x = _powered(_column(table, settings.x, settings.x_unit, values[:, 0]), settings.x_power)
     y = _column(table, settings.y, settings.y_unit, values[:, 1])
     if settings.group:
         return _grouped(settings, x, y, _column(table, settings.group, "", values[:, 2]))
@@ -84,6 +84,13 @@ def _column(table: Table, name: str, stated: str, values: NDArray[np.float64]) -
     except UnitError as error:
         raise ConfigError(f"unit of column '{name}': {error.what}", hint=error.hint) from None
     return _Column(values * unit.factor + unit.offset, si_name(unit))
+
+
+def _powered(x: _Column, power: int) -> _Column:
+    """The column to a power of at least 1."""
+    if power < 1:
+        raise ConfigError("'x_power' must be at least 1")
+    return x if power == 1 else _Column(x.values**power, x.unit if x.unit == "1" else f"{x.unit}^{power}")
 
 
 def _units(x: _Column, y: _Column) -> tuple[str, str]:

@@ -20,6 +20,7 @@ from labpipe.records.identification import Fit, Identification
 from labpipe.records.response import FrequencyResponse
 from labpipe.registry import nearest
 from labpipe.stages.calibrate import calibrate
+from labpipe.stages.compare import compare_tests
 from labpipe.stages.judging import judge
 from labpipe.stages.study import study
 
@@ -42,6 +43,7 @@ def identify_stage(
     if existing is not None and (existing.sources, existing.settings, existing.version) == (listed, settings, __version__):
         return existing
     fits = [*_fits(pipeline, responses), *calibrate(pipeline.calibrations)]
+    comparisons = compare_tests(pipeline, fits, responses)
     studies = study(pipeline, tell, jobs)
     identification = Identification(
         fits=tuple(fits),
@@ -51,8 +53,9 @@ def identify_stage(
         settings=settings,
         rig=_rig_entry(pipeline),
         responses=tuple(responses),
-        outcomes=judge(pipeline.rules, fits, studies),
+        outcomes=judge(pipeline.rules, fits, studies, comparisons),
         studies=studies,
+        comparisons=comparisons,
         version=__version__,
     )
     write_identification(output.write_path(NAME), identification)
@@ -99,6 +102,7 @@ def settings_entry(pipeline: Pipeline) -> dict[str, Any]:
         "frf": None if pipeline.frf is None else dataclasses.asdict(pipeline.frf),
         "identify": [dataclasses.asdict(fit) for fit in pipeline.fits],
         "calibrate": [{**dataclasses.asdict(c), "path": c.table} for c in pipeline.calibrations],
+        "compare": [dataclasses.asdict(settings) for settings in pipeline.comparisons],
         "rules": [[rule.section, rule.text] for rule in pipeline.rules],
         "tests": [{"name": test.name, "conditions": test.conditions} for test in pipeline.tests],
         "title": pipeline.title,

@@ -10,10 +10,12 @@ from labpipe.config.rules import STUDY, Rule
 from labpipe.config.values import parse_uncertain
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, parse_value
+from labpipe.records.comparison import Comparison
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Fit, RuleOutcome
 from labpipe.records.study import Study, StudyCase
 from labpipe.registry import nearest
+from labpipe.stages.judging_comparisons import comparison_outcome
 
 _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 _STUDIED = re.compile(r"^(?P<fit>[^.\[\]]+)(?:\[(?P<noise>[^\]]*)\])?\.(?P<item>\w+)$")
@@ -35,11 +37,19 @@ _FIT_VALUES = {
 }
 
 
-def judge(rules: Iterable[Rule], fits: Sequence[Fit], studies: Sequence[Study] = ()) -> tuple[RuleOutcome, ...]:
+def judge(
+    rules: Iterable[Rule], fits: Sequence[Fit], studies: Sequence[Study] = (), comparisons: Sequence[Comparison] = ()
+) -> tuple[RuleOutcome, ...]:
     """The outcome of every rule; ConfigError at the rule's place when it addresses what the result does not have."""
-    return tuple(
-        _study_outcome(rule, studies) if rule.fit == STUDY else _outcome(rule, _addressed(rule, fits)) for rule in rules
-    )
+    return tuple(_ruled(rule, fits, studies, comparisons) for rule in rules)
+
+
+def _ruled(rule: Rule, fits: Sequence[Fit], studies: Sequence[Study], comparisons: Sequence[Comparison]) -> RuleOutcome:
+    if rule.fit == STUDY:
+        return _study_outcome(rule, studies)
+    if any(comparison.name == rule.fit for comparison in comparisons):
+        return comparison_outcome(rule, comparisons, _held)
+    return _outcome(rule, _addressed(rule, fits))
 
 
 def _study_outcome(rule: Rule, studies: Sequence[Study]) -> RuleOutcome:

@@ -1,0 +1,125 @@
+"""compare: fits and responses of several tests -> one Comparison per question. COMPARISONS by kind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+from labpipe.campaign.components import repeatability
+from labpipe.campaign.difference import difference
+from labpipe.campaign.observations import Campaign, observed
+from labpipe.campaign.ratio import rayleigh, stiffness_ratio
+from labpipe.campaign.reciprocal import reciprocal
+from labpipe.campaign.settings import CompareSettings
+from labpipe.campaign.theory import Matched, Rig, TheoryAt, match, overlay
+from labpipe.campaign.trend import trend
+from labpipe.errors import ConfigError, LabpipeError
+from labpipe.identify.settings import FitSettings
+from labpipe.records.comparison import Comparison, Overlay
+from labpipe.records.identification import Fit
+from labpipe.records.response import FrequencyResponse
+from labpipe.records.settings import Uncertain
+
+# The theory at a condition (value, SI unit) of one comparison.
+Theory = Callable[[float, str], TheoryAt]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """All that comparisons may look at: the tests' fits and responses, and with which settings the fits were made."""
+
+    fits: tuple[Fit, ...]
+    responses: tuple[FrequencyResponse, ...]
+    fit_settings: tuple[FitSettings, ...]
+
+    def campaign(self, settings: CompareSettings) -> Campaign:
+        return observed(settings, self.fits, {response.name: response.conditions for response in self.responses})
+
+    def response(self, test: str) -> FrequencyResponse:
+        """The response of a test; ConfigError where it is not at hand."""
+        found = next((response for response in self.responses if response.name == test), None)
+        if found is None:
+            raise ConfigError(f"the response of test '{test}' is not at hand")
+        return found
+
+    def settings_of(self, fit: str) -> FitSettings:
+        return next(settings for settings in self.fit_settings if settings.name == fit)
+
+
+def compare(settings: CompareSettings, evidence: Evidence, theory: Theory | None = None) -> Comparison:
+    """The comparison that the settings ask for; *theory* where they name one. LabpipeError where the tests cannot answer."""
+    return COMPARISONS[settings.kind](settings, evidence, theory)
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """The theory matched to every observation, and the curves of the first and the last."""
+
+    matched: list[Matched]
+    overlays: tuple[Overlay, ...]
+
+
+def _matched(campaign: Campaign, evidence: Evidence, theory: Theory) -> _Solved:
+    """FitError and ConfigError name the test."""
+    named = campaign.settings.theory
+    assert named is not None
+    rig = Rig(named.shaft or Uncertain(float("inf")), named.arm)
+    found: dict[str, TheoryAt] = {}
+    matched, overlays = [], []
+    last = len(campaign.observations) - 1
+    for number, each in enumerate(campaign.observations):
+        key = repr(each.condition)
+        found[key] = found.get(key) or theory(each.condition, campaign.condition_unit)
+        own = (each.fit, evidence.response(each.fit.test), evidence.settings_of(each.fit.name), found[key], rig)
+        matched.append(_named(each.fit.test, *own))
+        if number in (0, last):
+            overlays.append(overlay(*own, matched[-1]))
+    return _Solved(matched, tuple(overlays))
+
+
+def _named(test: str, fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig) -> Matched:
+    try:
+        return match(fit, response, settings, theory, rig)
+    except LabpipeError as error:
+        error.what = f"test {test}: {error.what}"
+        raise
+
+
+def _trend(settings: CompareSettings, evidence: Evidence, _: Theory | None) -> Comparison:
+    return trend(evidence.campaign(settings))
+
+
+def _difference(settings: CompareSettings, evidence: Evidence, _: Theory | None) -> Comparison:
+    return difference(evidence.campaign(settings))
+
+
+def _repeatability(settings: CompareSettings, evidence: Evidence, _: Theory | None) -> Comparison:
+    return repeatability(evidence.campaign(settings))
+
+
+def _ratio(settings: CompareSettings, evidence: Evidence, theory: Theory | None) -> Comparison:
+    if theory is None or settings.theory is None:
+        raise ConfigError("a ratio needs a theory", hint="theory: {bearing: FILE}")
+    campaign = evidence.campaign(replace(settings, parameter="k"))
+    shaft = settings.theory.shaft
+    solved = _matched(campaign, evidence, theory)
+    return stiffness_ratio(campaign, solved.matched, solved.overlays, shaft.std_error / shaft.value if shaft else 0.0)
+
+
+def _rayleigh(settings: CompareSettings, evidence: Evidence, theory: Theory | None) -> Comparison:
+    campaign = evidence.campaign(replace(settings, parameter="c"))
+    return rayleigh(campaign, None if theory is None else _matched(campaign, evidence, theory).matched)
+
+
+def _reciprocity(settings: CompareSettings, evidence: Evidence, _: Theory | None) -> Comparison:
+    return reciprocal(settings, evidence.responses)
+
+
+COMPARISONS: Mapping[str, Callable[[CompareSettings, Evidence, Theory | None], Comparison]] = {
+    "trend": _trend,
+    "difference": _difference,
+    "repeatability": _repeatability,
+    "ratio": _ratio,
+    "rayleigh": _rayleigh,
+    "reciprocity": _reciprocity,
+}

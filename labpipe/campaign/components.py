@@ -1,0 +1,101 @@
+"""Repeatability: how much of the scatter lies within a setting, how much between settings (one-way random effects)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from labpipe.campaign.amounts import chance, with_error
+from labpipe.campaign.observations import Campaign
+from labpipe.errors import FitError
+from labpipe.records.comparison import Comparison
+from labpipe.records.identification import Parameter
+
+TAIL = 0.025
+
+
+@dataclass(frozen=True)
+class Components:
+    """y_ij = mean + setting_i + repeat_ij: standard deviations *within* and *between* settings with 95 % intervals.
+
+    *between* is 0 where the settings scatter less than their repeats explain. p_value: chance of as large a scatter of settings
+    where there is none (F test). The mean's error is that of the settings' means, with *settings* - 1 degrees of freedom.
+    """
+
+    mean: float
+    mean_error: float
+    within: float
+    within_ci: tuple[float, float]
+    between: float
+    between_ci: tuple[float, float]
+    p_value: float
+    settings: int
+    repeats: int
+
+
+def components(values: NDArray[np.floating], groups: NDArray[np.str_]) -> Components:
+    """Variance components of values (n,) that belong to groups (n,), by the analysis of variance.
+
+    within^2 = MSW; between^2 = (MSB - MSW) / n_0, n_0 = (N - sum n_i^2 / N) / (a - 1). Interval of within^2 by chi-square, of
+    between^2 after Tukey (1951) and Williams (1962): SSB (1 - F_q / F) / (n_0 chi2_q) at both ends, exact to first order for equal n_i.
+    Searle, Casella and McCulloch, Variance Components (1992), sec. 3.5-3.6. FitError for fewer than two settings or no repeats.
+    """
+    names = np.unique(groups)
+    counts = np.array([np.sum(groups == name) for name in names])
+    a, n = names.size, values.size
+    if a < 2 or n <= a:
+        raise FitError(f"{n} test(s) in {a} setting(s) show no scatter within and between", hint="repeat tests in two settings or more")
+    means = np.array([np.mean(values[groups == name]) for name in names])
+    within_sum = float(sum(np.sum((values[groups == name] - mean) ** 2) for name, mean in zip(names, means, strict=True)))
+    between_sum = float(np.sum(counts * (means - np.mean(values)) ** 2))
+    within, between = within_sum / (n - a), between_sum / (a - 1)
+    if not within > 0:
+        raise FitError("the repeats do not scatter at all", hint="are they the same recording?")
+    n_0 = (n - np.sum(counts**2) / n) / (a - 1)
+    f = between / within
+    ends = [between_sum * (1 - stats.f.ppf(q, a - 1, n - a) / f) / (n_0 * stats.chi2.ppf(q, a - 1)) for q in (1 - TAIL, TAIL)]
+    low, high = (float(np.sqrt(max(end, 0.0))) for end in ends)
+    spread = (float(np.sqrt(within_sum / stats.chi2.ppf(1 - TAIL, n - a))), float(np.sqrt(within_sum / stats.chi2.ppf(TAIL, n - a))))
+    part = float(np.sqrt(max((between - within) / n_0, 0.0)))
+    error = float(np.sqrt(between / n))
+    return Components(float(np.mean(values)), error, float(np.sqrt(within)), spread, part, (low, high), _tail(f, a, n), a, n)
+
+
+def _tail(f: float, a: int, n: int) -> float:
+    return float(stats.f.sf(f, a - 1, n - a))
+
+
+def repeatability(campaign: Campaign) -> Comparison:
+    """Variance components of the parameter, and whether the fits' own standard errors explain the scatter within a setting."""
+    values, settings = campaign.value, campaign.settings
+    found = components(values, np.array([each.group for each in campaign.observations]))
+    noise = float(np.sqrt(np.mean(campaign.std_error**2)))
+    ratio = (found.within / noise) ** 2
+    dof = found.repeats - found.settings
+    noise_p = float(stats.chi2.sf(ratio * dof, dof))
+    verdict = "settings differ" if found.p_value < settings.level else "settings alike"
+    unit = campaign.unit
+    percent = [100 * part / abs(found.mean) for part in (found.within, found.between)]
+    said = f"{campaign.subject}: scatter within a setting {percent[0]:.3g} %, between settings {percent[1]:.3g} % (p = {found.p_value:.2g})"
+    explained = "is what the fits' standard errors say" if noise_p >= settings.level else "exceeds the fits' standard errors"
+    return Comparison(
+        name=settings.name,
+        kind="repeatability",
+        subject=campaign.subject,
+        unit=unit,
+        points=campaign.points(),
+        amounts=(
+            with_error("mean", unit, found.mean, found.mean_error, float(stats.t.ppf(1 - TAIL, found.settings - 1))),
+            Parameter("within", found.within, unit, ci95=found.within_ci),
+            Parameter("between", found.between, unit, ci95=found.between_ci, at_bound=found.between == 0),
+            Parameter("noise", noise, unit, derived=True),
+            chance("p_value", found.p_value),
+            chance("noise_p", noise_p),
+        ),
+        verdict=verdict,
+        statement=f"{said}: {verdict}; the scatter within {explained} (p = {noise_p:.2g}).",
+        condition=settings.group,
+    )

@@ -1,0 +1,81 @@
+"""Do two groups of tests differ: up against down, before against after, paired where the condition is the same?"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.campaign.amounts import chance, relative_change
+from labpipe.campaign.observations import Campaign
+from labpipe.campaign.trend import power_fit
+from labpipe.campaign.weighted import weighted_mean
+from labpipe.errors import ConfigError, FitError
+from labpipe.records.comparison import Comparison
+
+SAME = 1e-6
+
+
+def difference(campaign: Campaign) -> Comparison:
+    """Mean of ln(second / first) over the conditions at which both groups were tested, weighted, and its p-value.
+
+    Each log carries the fit's relative error and n s_x / x, the error of setting the condition (n: exponent of the trend of all tests).
+    ConfigError where the groups have no condition in common.
+    """
+    first, second = campaign.settings.groups
+    logs, errors, shared = _paired(campaign, first, second)
+    found = weighted_mean(logs, errors)
+    change = relative_change("difference", float(found.values[0]), found.std_error(0), found.quantile)
+    p_value = found.p_of(0)
+    verdict = "different" if p_value < campaign.settings.level else "no difference"
+    assert change.ci95 is not None
+    low, high = (100 * end for end in change.ci95)
+    said = f"{campaign.subject}: {second} against {first} {100 * change.value:+.2f} % (95 %: {low:+.2f} to {high:+.2f} %)"
+    pairs = f"{shared} condition(s) tested both ways" if campaign.settings.over else "all tests"
+    return Comparison(
+        name=campaign.settings.name,
+        kind="difference",
+        subject=campaign.subject,
+        unit=campaign.unit,
+        points=campaign.points(),
+        amounts=(change, chance("p_value", p_value), chance("scatter_p", found.p_value)),
+        verdict=verdict,
+        statement=f"{said} from {pairs}: {verdict} (p = {p_value:.2g}).",
+        condition=campaign.settings.over,
+        condition_unit=campaign.condition_unit,
+    )
+
+
+def _paired(campaign: Campaign, first: str, second: str) -> tuple[NDArray[np.floating], NDArray[np.floating], int]:
+    """ln(second / first) and its error at every shared condition."""
+    logs, errors = np.log(campaign.value), _errors(campaign)
+    groups = np.array([each.group for each in campaign.observations])
+    for name in (first, second):
+        if name not in groups:
+            raise ConfigError(f"no test has {campaign.settings.group}: {name}", hint=f"known: {', '.join(sorted(set(groups)))}")
+    found = []
+    for members in _strata(campaign):
+        one, other = members & (groups == first), members & (groups == second)
+        if np.any(one) and np.any(other):
+            means = [weighted_mean(logs[part], errors[part]) for part in (one, other)]
+            found.append((means[1].values[0] - means[0].values[0], np.hypot(means[0].std_error(0), means[1].std_error(0))))
+    if not found:
+        raise ConfigError(f"{first} and {second} were tested at no common '{campaign.settings.over}'", hint="leave `over` out")
+    return np.array([f[0] for f in found]), np.array([f[1] for f in found]), len(found)
+
+
+def _strata(campaign: Campaign) -> list[NDArray[np.bool_]]:
+    """Tests at the same condition; all of them where no condition pairs them."""
+    if not campaign.settings.over:
+        return [np.ones(len(campaign.observations), bool)]
+    x = campaign.condition
+    return [np.abs(x - value) <= SAME * np.abs(value) for value in np.unique(x)]
+
+
+def _errors(campaign: Campaign) -> NDArray[np.floating]:
+    """Relative errors of the values, with that of setting the condition."""
+    relative, setting = campaign.relative, campaign.settings.setting_error
+    if not setting:
+        return relative
+    if not campaign.settings.over:
+        raise FitError("'setting_error' needs the condition that was set", hint="name it with `over`")
+    return np.hypot(relative, power_fit(campaign).values[1] * setting)

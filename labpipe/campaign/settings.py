@@ -1,0 +1,68 @@
+"""The parameters of one comparison of tests; *name* is its key under ``compare:``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from labpipe.errors import ConfigError
+from labpipe.records.settings import Uncertain, setting
+
+KINDS = ("trend", "difference", "repeatability", "ratio", "rayleigh", "reciprocity")
+LAWS = ("line", "power")
+
+
+@dataclass(frozen=True)
+class TheorySettings:
+    """The bearing file that speaks for the theory, and how the rig saw the bearing."""
+
+    bearing: str = setting("text", "bearing file with the shaft on it, relative to this file")
+    entry: str = setting("text", "entry of the bearing file that the condition sets", default="loads.z")
+    shaft: Uncertain | None = setting("uncertain", "radial stiffness of the bending shaft; default: rigid", unit="N/m", default=None)
+    arm: float | None = setting("value", "tilts are measured as displacements at this distance", unit="m", default=None)
+
+    def __post_init__(self) -> None:
+        if self.shaft is not None and not self.shaft.value > 0:
+            raise ConfigError("'shaft' must be above zero")
+        if self.arm is not None and not self.arm > 0:
+            raise ConfigError("'arm' must be above zero")
+
+
+@dataclass(frozen=True)
+class CompareSettings:
+    """One entry below ``compare:``."""
+
+    kind: str = setting("choice", "what is asked of the tests", choices=KINDS)
+    fit: str = setting("text", "fit whose parameter is compared", default="")
+    term: str = setting("text", "diagonal term of a fit of peaks", default="")
+    parameter: str = setting("text", "parameter that is compared", default="k")
+    over: str = setting("text", "condition over which tests are ordered or paired", default="")
+    group: str = setting("text", "condition that makes the groups (difference, repeatability)", default="")
+    groups: tuple[str, ...] = setting("names", "difference: the two groups, the second against the first", default=())
+    law: str = setting("choice", "trend: straight line, or power law", choices=LAWS, default="line")
+    setting_error: float = setting("value", "relative standard error of setting the condition", unit="1", default=0.0)
+    theory: TheorySettings | None = setting("section", "theory to compare with", section=TheorySettings, default=None)
+    level: float = setting("value", "level of significance of tests", unit="1", default=0.05)
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        for needed in NEEDED[self.kind]:
+            if not getattr(self, needed):
+                raise ConfigError(f"'{needed}' is missing", hint=f"a comparison of kind {self.kind} needs it")
+        if self.kind == "difference" and len(self.groups) != 2:
+            raise ConfigError(f"two groups are compared, not {len(self.groups)}", hint="for example groups: [up, down]")
+        if not 0 < self.level < 1:
+            raise ConfigError("'level' must lie between 0 and 100 %")
+        if self.setting_error < 0:
+            raise ConfigError("'setting_error' must not be negative")
+        if self.theory is not None and not self.over:
+            raise ConfigError("'over' is missing", hint="the condition at which the theory is evaluated")
+
+
+NEEDED: dict[str, tuple[str, ...]] = {
+    "trend": ("fit", "over"),
+    "difference": ("fit", "group"),
+    "repeatability": ("fit", "group"),
+    "ratio": ("fit", "over", "theory"),
+    "rayleigh": ("fit", "over"),
+    "reciprocity": (),
+}

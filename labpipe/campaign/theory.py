@@ -1,0 +1,200 @@
+"""Fit with fit: the theory's own transfer function, fitted as the measured one was, and the factor by which both differ.
+
+A one-dof fit of a coupled transfer function is not K_ii, and a bending shaft makes radial fits softer still. So the theory's stiffness
+matrix is multiplied by a factor, put in series with the shaft, its curve fitted on the measured lines with the measured weights, and
+factor and damping are changed until that fit gives the measured k and c. What neighbouring modes do to the fit, they do to both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.bearings.bending_curve import bent_transfer_matrix
+from labpipe.bearings.rolling import DOFS, Matrix
+from labpipe.bearings.rolling_shaft import RigidShaft
+from labpipe.errors import ConfigError, FitError
+from labpipe.identify.fitting import identify
+from labpipe.identify.settings import FitSettings
+from labpipe.records.comparison import Overlay
+from labpipe.records.identification import Fit
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.settings import Uncertain
+from labpipe.spectra.bands import lines_in
+from labpipe.spectra.convert import receptance_factor
+
+TILTS = (3, 4)
+STEP = 1e-4
+TOLERANCE = 1e-9
+LOOPS = 25
+LARGEST_MOVE = 1.0
+
+
+@dataclass(frozen=True)
+class TheoryAt:
+    """The theory at one condition: K (5, 5) [N/m, N/rad, N m/rad], K at a condition larger by the share *step*, the shaft on it."""
+
+    stiffness: Matrix
+    near: Matrix
+    step: float
+    shaft: RigidShaft
+
+
+@dataclass(frozen=True)
+class Rig:
+    """How the rig sees the bearing: bending stiffness of the shaft [N/m] (infinite: rigid), arm of tilts [m]."""
+
+    bending: Uncertain
+    arm: float | None
+
+
+@dataclass(frozen=True)
+class Matched:
+    """The factor on the theory's K by which its curve gives the measured fit: ln ratio and ln beta with their covariance (2, 2).
+
+    *to_bending*, *to_condition*: change of both per relative change of the shaft's stiffness and of the condition. *theory*: (k, c) of
+    the fit of the theory's own curve, with the measured damping.
+    """
+
+    log: NDArray[np.floating]
+    covariance: NDArray[np.floating]
+    to_bending: NDArray[np.floating]
+    to_condition: NDArray[np.floating]
+    theory: NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """One term of a measured response on the lines of its fit, and the fit's settings for it alone."""
+
+    response: FrequencyResponse
+    settings: FitSettings
+    place: tuple[int, int]
+    arms: float
+
+
+def match(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig) -> Matched:
+    """Solve ln(k, c)(ratio, beta) = ln(k, c) measured by Newton's method with numerical slopes.
+
+    Raises ConfigError for a response whose dofs are not the bearing's, FitError where no ratio gives the measured fit.
+    """
+    curve = _curve(fit, response, settings, rig)
+    bending = rig.bending.value
+
+    def fitted(log: NDArray[np.floating], stiffness: Matrix, shaft_stiffness: float) -> NDArray[np.floating]:
+        beta = float(np.exp(log[1]))
+        return _log_fit(curve, theory.shaft, float(np.exp(log[0])) * stiffness, beta, shaft_stiffness)
+
+    measured = np.log([_positive(fit, "k"), _positive(fit, "c")])
+    start = np.array([0.0, measured[1] - measured[0]])
+    log, slopes = _solved(lambda u: fitted(u, theory.stiffness, bending), measured, start)
+    inverse = np.linalg.inv(slopes)
+    there = fitted(log, theory.stiffness, bending)
+    to_bending = np.zeros(2) if np.isinf(bending) else (fitted(log, theory.stiffness, bending * (1 + STEP)) - there) / STEP
+    to_condition = (fitted(log, theory.near, bending) - there) / theory.step
+    own = np.exp(fitted(np.array([0.0, log[1]]), theory.stiffness, bending))
+    covariance = inverse @ log_covariance(fit) @ inverse.T
+    return Matched(log, covariance, -inverse @ to_bending, -inverse @ to_condition, own)
+
+
+def _solved(
+    function: Callable[[NDArray[np.floating]], NDArray[np.floating]], wanted: NDArray[np.floating], start: NDArray[np.floating]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """The root of function(u) = wanted and the slopes (2, 2) there."""
+    at = start
+    for _ in range(LOOPS):
+        here = function(at)
+        slopes = np.column_stack([(function(at + STEP * unit) - here) / STEP for unit in np.eye(2)])
+        move = np.linalg.solve(slopes, wanted - here)
+        at = at + np.clip(move, -LARGEST_MOVE, LARGEST_MOVE)
+        if np.max(np.abs(move)) < TOLERANCE:
+            return at, slopes
+    hint = "check bearing, condition, arm and the shaft's bending stiffness"
+    raise FitError("no multiple of the theory's stiffness gives the measured fit", hint=hint)
+
+
+def _positive(fit: Fit, name: str) -> float:
+    value = fit.parameter(name).value
+    if not value > 0:
+        raise FitError(f"{name} of test {fit.test} is {value:g}, which no bearing of the theory has")
+    return value
+
+
+def log_covariance(fit: Fit) -> NDArray[np.floating]:
+    """Covariance of ln k and ln c, from the fit's standard errors and correlation."""
+    names = [parameter.name for parameter in fit.parameters if not parameter.derived]
+    places = [names.index("k"), names.index("c")]
+    chosen = [fit.parameters[place] for place in places]
+    if any(parameter.std_error is None for parameter in chosen):
+        raise FitError(f"k or c of test {fit.test} has no standard error")
+    relative = np.array([parameter.std_error / parameter.value for parameter in chosen])  # type: ignore[operator]
+    return fit.correlation[np.ix_(places, places)] * np.outer(relative, relative)
+
+
+def overlay(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig, matched: Matched) -> Overlay:
+    """|H| of the fitted term on all lines of the response: measured, theory with the measured damping, theory times the ratio."""
+    curve = _curve(fit, response, settings, rig, whole=True)
+    beta = float(np.exp(matched.log[1]))
+    curves = [
+        _theory_curve(curve, theory.shaft, factor * theory.stiffness, beta, rig.bending.value)
+        for factor in (1.0, float(np.exp(matched.log[0])))
+    ]
+    sizes = (tuple(np.abs(values).tolist()) for values in (curve.response.matrix[:, 0, 0], *curves))
+    return Overlay(fit.test, response.form, tuple(curve.response.frequency.tolist()), *sizes)
+
+
+def _theory_curve(curve: _Curve, shaft: RigidShaft, stiffness: Matrix, beta: float, bending: float) -> NDArray[np.complexfloating]:
+    """The term of the theory's transfer matrix as it is measured, (n_frequency,)."""
+    frequency = curve.response.frequency
+    receptance = bent_transfer_matrix(shaft, stiffness, frequency, beta, bending)[:, *curve.place] * curve.arms
+    return receptance * receptance_factor(curve.response.form, frequency)
+
+
+def _log_fit(curve: _Curve, shaft: RigidShaft, stiffness: Matrix, beta: float, bending: float) -> NDArray[np.floating]:
+    """ln(k, c) of the fit on the theory's curve."""
+    matrix = _theory_curve(curve, shaft, stiffness, beta, bending)[:, None, None]
+    (fit,) = identify(replace(curve.response, matrix=matrix), curve.settings)
+    return np.log([_positive(fit, "k"), _positive(fit, "c")])
+
+
+def _curve(fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Rig, whole: bool = False) -> _Curve:
+    """The part of the response that *fit* was made of; *whole*: its term on all lines."""
+    if settings.model != "sdof" or fit.curve is None:
+        raise ConfigError(f"fit '{fit.name}' is not of the model sdof", hint="only one-dof fits are compared with the theory's own")
+    row = [port.label for port in response.outputs].index(fit.curve.outputs[0])
+    column = [port.label for port in response.inputs].index(fit.curve.inputs[0])
+    lines = np.ones(response.n_frequency, bool) if whole else lines_in(response.frequency, fit.band_hz)
+    element = row * len(response.inputs) + column
+    covariance = None if response.covariance is None else response.covariance[lines][:, element, None][:, :, element, None]
+    part = FrequencyResponse(
+        response.frequency[lines],
+        response.matrix[lines][:, row, None][:, :, column, None],
+        (response.outputs[row],),
+        (response.inputs[column],),
+        response.form,
+        covariance,
+        averages=response.averages,
+        covariance_dof=response.covariance_dof,
+    )
+    places = (_place(response.outputs[row]), _place(response.inputs[column]))
+    alone = replace(settings, peaks=(), bands=(fit.band_hz,), band=None, sliding=None, input=(), output=(), bootstrap=0, compare=False)
+    return _Curve(part, alone, places, _arm(rig, places[0]) * _arm(rig, places[1]))
+
+
+def _place(port: Port) -> int:
+    name = next((name for name in (port.dof, port.label) if name in DOFS), None)
+    if name is None:
+        raise ConfigError(f"'{port.label}' is no dof of the bearing's theory", hint=f"give its dof in the rig file: {', '.join(DOFS)}")
+    return DOFS.index(name)
+
+
+def _arm(rig: Rig, place: int) -> float:
+    """Displacement measured per dof; ConfigError for a tilt without an arm."""
+    if place not in TILTS:
+        return 1.0
+    if rig.arm is None:
+        raise ConfigError(f"the tilt {DOFS[place]} is compared without an arm", hint="theory: {arm: 100 mm}, the place of the shaker")
+    return rig.arm

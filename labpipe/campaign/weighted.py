@@ -1,0 +1,66 @@
+"""Weighted means and lines of a few values with known errors, and what their scatter says about those errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from labpipe.errors import FitError
+
+# Scatter with a smaller chance than this cannot come from the stated errors alone.
+SCATTER_LEVEL = 0.05
+
+
+@dataclass(frozen=True)
+class WeightedFit:
+    """Least squares with weights 1 / s_i^2: values and covariance of the parameters, and chi-square of the residual.
+
+    Where the scatter exceeds the stated errors (p_value below SCATTER_LEVEL), *covariance* holds them enlarged by Birge's ratio
+    sqrt(chi2 / dof), and intervals use Student's t instead of the normal distribution.
+    """
+
+    values: NDArray[np.floating]
+    covariance: NDArray[np.floating]
+    chi2: float
+    dof: int
+    p_value: float | None
+    inflated: bool
+
+    @property
+    def quantile(self) -> float:
+        """Standard errors to either side of a 95 % interval."""
+        return float(stats.t.ppf(0.975, self.dof) if self.inflated else stats.norm.ppf(0.975))
+
+    def std_error(self, number: int) -> float:
+        return float(np.sqrt(self.covariance[number, number]))
+
+    def p_of(self, number: int, value: float = 0.0) -> float:
+        """Two-sided p-value of the parameter being *value*."""
+        ratio = abs(self.values[number] - value) / self.std_error(number)
+        return float(2 * (stats.t.sf(ratio, self.dof) if self.inflated else stats.norm.sf(ratio)))
+
+
+def weighted_fit(columns: NDArray[np.floating], values: NDArray[np.floating], std_errors: NDArray[np.floating]) -> WeightedFit:
+    """values (n,) = columns (n, n_parameter) p with standard errors (n,); FitError where p is not determined."""
+    if values.size < columns.shape[1]:
+        raise FitError(f"{values.size} tests cannot determine {columns.shape[1]} parameters")
+    if not np.all(std_errors > 0):
+        raise FitError("a value has no error, so tests cannot be weighed", hint="a response without noise gives none")
+    design = columns / std_errors[:, None]
+    if np.linalg.matrix_rank(design) < columns.shape[1]:
+        raise FitError("the tests do not differ in the condition", hint="a trend needs at least two different values")
+    covariance = np.linalg.inv(design.T @ design)
+    solved = covariance @ design.T @ (values / std_errors)
+    chi2 = float(np.sum(((values - columns @ solved) / std_errors) ** 2))
+    dof = values.size - columns.shape[1]
+    p_value = float(stats.chi2.sf(chi2, dof)) if dof else None
+    inflated = p_value is not None and p_value < SCATTER_LEVEL
+    return WeightedFit(solved, covariance * chi2 / dof if inflated else covariance, chi2, dof, p_value, inflated)
+
+
+def weighted_mean(values: NDArray[np.floating], std_errors: NDArray[np.floating]) -> WeightedFit:
+    """The mean of values (n,) with standard errors (n,)."""
+    return weighted_fit(np.ones((values.size, 1)), values, std_errors)

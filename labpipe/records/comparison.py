@@ -1,0 +1,70 @@
+"""What a comparison of tests that differ in a condition gives: its points, its amounts with their doubt, and a verdict in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from labpipe.records.finding import Finding
+from labpipe.records.parameter import Parameter
+
+
+@dataclass(frozen=True)
+class ComparedPoint:
+    """One test's part in a comparison, in SI units.
+
+    *value* with its 95 % interval *ci95*; *condition* [condition_unit of the comparison] and *group* tell it from the others.
+    *theory*: the same fit on the theory's own curve; *ratio* measured / theory with *ratio_ci95*. *p_value* where the point is a test
+    of its own (reciprocity of a pair of dofs).
+    """
+
+    test: str
+    value: float
+    ci95: tuple[float, float] | None = None
+    condition: float | None = None
+    group: str = ""
+    theory: float | None = None
+    ratio: float | None = None
+    ratio_ci95: tuple[float, float] | None = None
+    p_value: float | None = None
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """|H| of one test measured, of the theory, and of the theory changed until it fits; (n_frequency,) each, *form* in SI."""
+
+    test: str
+    form: str
+    frequency: tuple[float, ...]
+    measured: tuple[float, ...]
+    theory: tuple[float, ...]
+    matched: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Tests held against each other: *kind*, what was compared over which *condition*, and what came out.
+
+    *verdict* is one word or two for rules ("no difference"), *statement* the same as a sentence for people. *line*: condition and value
+    of the fitted trend, for drawing; *overlays*: measured curves and the theory's, at the first and the last condition.
+    """
+
+    name: str
+    kind: str
+    subject: str
+    unit: str
+    points: tuple[ComparedPoint, ...]
+    amounts: tuple[Parameter, ...]
+    verdict: str
+    statement: str
+    condition: str = ""
+    condition_unit: str = ""
+    findings: tuple[Finding, ...] = ()
+    line: tuple[tuple[float, float], ...] = ()
+    overlays: tuple[Overlay, ...] = ()
+
+    def amount(self, name: str) -> Parameter:
+        """The amount of that name; KeyError with the known names otherwise."""
+        for amount in self.amounts:
+            if amount.name == name:
+                return amount
+        raise KeyError(f"no amount '{name}'; known: {', '.join(a.name for a in self.amounts)}")

@@ -1,0 +1,27 @@
+"""An estimated or derived parameter that travels with its doubt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One estimated or derived parameter in SI units.
+
+    *std_error*, *t_ratio*, *ci95* are None where none can be given (at a bound, not determined). *significant*: |t| exceeds the
+    two-sided 95 % Student quantile. *vif*: variance inflation factor. *derived*: computed from the others (f_n, zeta, ...).
+    *std_error_inflated*: std_error times the root of chi-square per degree of freedom, where the residual exceeds the noise.
+    """
+
+    name: str
+    value: float
+    unit: str
+    std_error: float | None = None
+    t_ratio: float | None = None
+    ci95: tuple[float, float] | None = None
+    significant: bool | None = None
+    vif: float | None = None
+    derived: bool = False
+    at_bound: bool = False
+    std_error_inflated: float | None = None

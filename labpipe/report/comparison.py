@@ -1,0 +1,90 @@
+"""The part of a report that a comparison of tests fills: the answer in words, its amounts, figures, and the tests behind it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from labpipe.quantities import display_unit, to_display
+from labpipe.records.comparison import ComparedPoint, Comparison
+from labpipe.records.parameter import Parameter
+from labpipe.records.response import FrequencyResponse
+from labpipe.report.comparison_figures import comparison_figures
+from labpipe.report.document import Block, Paragraph, Table
+from labpipe.report.wording import rounded, unit_text
+
+AMOUNT_HEADER = ("amount", "value", "unit", "std. error", "95 % interval")
+EXPLAINED = {
+    "trend": "Weights: the fits' standard errors and the error of setting the condition.",
+    "difference": "Tests at the same condition are paired; the logarithm of their ratio is averaged with weights.",
+    "repeatability": "One-way random effects: the scatter of repeats without a new setting, and that of the settings beyond it.",
+    "ratio": (
+        "A one-dof fit of a coupled transfer function is not K_ii, and the shaft bends. So the theory's stiffness matrix times the ratio, "
+        "in series with the shaft, gives a curve whose fit on the same lines equals the measured fit. The intervals hold the noise of "
+        "the fits, the error of setting the condition and that of the shaft's stiffness."
+    ),
+    "rayleigh": "Rayleigh damping has one beta = c / k for all tests; the chi-square of the tests' beta about their mean judges it.",
+    "reciprocity": "H of a response to a force against H of the reverse; pairs with a difference near 140 % are noise, so not coupled.",
+}
+
+
+def comparison_blocks(comparison: Comparison, responses: Sequence[FrequencyResponse]) -> tuple[Block, ...]:
+    """Statement, amounts, figures, tests."""
+    return (
+        Paragraph(comparison.statement, "note"),
+        Paragraph(EXPLAINED[comparison.kind]),
+        Table(AMOUNT_HEADER, tuple(_amount_row(amount) for amount in comparison.amounts), f"Amounts of {comparison.name}", (1, 3, 4)),
+        *comparison_figures(comparison, responses),
+        _point_table(comparison),
+    )
+
+
+def _amount_row(amount: Parameter) -> tuple[str, ...]:
+    unit = display_unit(amount.unit)
+    error = None if amount.std_error is None else to_display(amount.std_error, unit)
+    ends = "" if amount.ci95 is None else " to ".join(_shown(to_display(end, unit), error) for end in amount.ci95)
+    value = "not tested" if math.isnan(amount.value) else _shown(to_display(amount.value, unit), error)
+    return (amount.name, value, unit_text(amount.unit), "" if error is None else f"{error:.2g}", ends)
+
+
+def _shown(value: float, error: float | None) -> str:
+    return rounded(value, error) if error else f"{value:.4g}"
+
+
+def _point_table(comparison: Comparison) -> Table:
+    """The tests; columns that none of them fills are left out."""
+    unit = unit_text(comparison.unit)
+    titles = [
+        "test",
+        f"{comparison.condition or 'condition'} [{unit_text(comparison.condition_unit) or '-'}]",
+        "group",
+        f"value{f' [{unit}]' if unit else ''}",
+        "95 % interval",
+        "theory",
+        "ratio",
+        "95 % interval of the ratio",
+        "p-value",
+    ]
+    rows = [_point_row(comparison, point) for point in comparison.points]
+    used = [number for number in range(len(titles)) if any(row[number] for row in rows)]
+    shown = tuple(tuple(row[number] for number in used) for row in rows)
+    return Table(tuple(titles[number] for number in used), shown, f"Tests of {comparison.name}", tuple(range(1, len(used))))
+
+
+def _point_row(comparison: Comparison, point: ComparedPoint) -> tuple[str, ...]:
+    unit = display_unit(comparison.unit)
+
+    def number(value: float | None) -> str:
+        return "" if value is None else f"{to_display(value, unit):.6g}"
+
+    return (
+        point.test,
+        "" if point.condition is None else f"{to_display(point.condition, display_unit(comparison.condition_unit)):g}",
+        point.group,
+        number(point.value),
+        "" if point.ci95 is None else f"{number(point.ci95[0])} to {number(point.ci95[1])}",
+        number(point.theory),
+        "" if point.ratio is None else f"{point.ratio:.4f}",
+        "" if point.ratio_ci95 is None else f"{point.ratio_ci95[0]:.4f} to {point.ratio_ci95[1]:.4f}",
+        "" if point.p_value is None else f"{point.p_value:.2g}",
+    )

@@ -1,0 +1,57 @@
+"""compare: the fits of all tests held against each other, and against the theory of a bearing file at each test's condition."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from labpipe.bearings.rolling import DOFS
+from labpipe.campaign.compare import Evidence, Theory, compare
+from labpipe.campaign.settings import CompareSettings, TheorySettings
+from labpipe.campaign.theory import TheoryAt
+from labpipe.config.pipeline import Pipeline
+from labpipe.errors import ConfigError, LabpipeError
+from labpipe.marked_yaml import set_entry
+from labpipe.records.comparison import Comparison
+from labpipe.records.identification import Fit
+from labpipe.records.response import FrequencyResponse
+from labpipe.stages.bearing import BearingFile, open_bearing
+
+# The condition is raised by this share for the slope of the theory.
+STEP = 1e-3
+
+
+def compare_tests(pipeline: Pipeline, fits: Sequence[Fit], responses: Sequence[FrequencyResponse]) -> tuple[Comparison, ...]:
+    """Every comparison of the pipeline, in its order; LabpipeError names the comparison."""
+    evidence = Evidence(tuple(fits), tuple(responses), pipeline.fits)
+    return tuple(_compared(pipeline.path, settings, evidence) for settings in pipeline.comparisons)
+
+
+def _compared(path: Path, settings: CompareSettings, evidence: Evidence) -> Comparison:
+    try:
+        return compare(settings, evidence, None if settings.theory is None else theory_of(path.parent, settings.theory))
+    except LabpipeError as error:
+        error.where = error.where or f"{path}: compare.{settings.name}"
+        raise
+
+
+def theory_of(folder: Path, settings: TheorySettings) -> Theory:
+    """The bearing file as a function of the condition [SI]; ConfigError for a bearing without five dofs, or without a shaft on it."""
+    file = open_bearing(folder / settings.bearing)
+
+    def at(condition: float, unit: str) -> TheoryAt:
+        low, high = (_settings_at(file, settings.entry, condition * factor, unit) for factor in (1.0, 1 + STEP))
+        here, near = file.coefficients([low, high])
+        shaft = getattr(low, "shaft", None)
+        if here.dofs != DOFS or shaft is None:
+            hint = "a ball or roller bearing with shaft: {mass, inertia_x} is needed"
+            raise ConfigError("the bearing file has no shaft on a bearing of five dofs", where=str(file.path), hint=hint)
+        return TheoryAt(here.stiffness, near.stiffness, STEP, shaft.body)
+
+    return at
+
+
+def _settings_at(file: BearingFile, entry: str, condition: float, unit: str) -> Any:
+    set_entry(file.tree, f"{entry}={condition!r} {unit}")
+    return file.settings()
