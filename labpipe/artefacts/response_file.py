@@ -18,6 +18,7 @@ from labpipe.artefacts.parquet import HEADER_KEY, open_parquet, read_header
 from labpipe.records.response import FrequencyResponse, Port
 
 SUFFIX = ".frf.parquet"
+_BY_ELEMENT = {"coherence": ":coh", "partial_coherence": ":partial_coh", "distortion": ":distortion"}
 
 
 def write_response(path: Path, response: FrequencyResponse, header: Header) -> None:
@@ -27,8 +28,10 @@ def write_response(path: Path, response: FrequencyResponse, header: Header) -> N
         for i, port in enumerate(response.inputs):
             columns[f"{output.label}/{port.label}:re"] = response.matrix[:, o, i].real
             columns[f"{output.label}/{port.label}:im"] = response.matrix[:, o, i].imag
-            if response.coherence is not None:
-                columns[f"{output.label}/{port.label}:coh"] = response.coherence[:, o, i]
+            for attribute, suffix in _BY_ELEMENT.items():
+                values = getattr(response, attribute)
+                if values is not None:
+                    columns[f"{output.label}/{port.label}{suffix}"] = values[:, o, i]
         if response.multiple_coherence is not None:
             columns[f"{output.label}:multiple_coh"] = response.multiple_coherence[:, o]
     if response.covariance is not None:
@@ -73,7 +76,7 @@ def read_response(path: Path) -> FrequencyResponse:
     real, imaginary = _matrix(columns, pairs, ":re"), _matrix(columns, pairs, ":im")
     dof = contents["covariance_dof"]
     snr_channels = tuple(contents["snr_channels"])
-    has_coherence = f"{pairs[0][0]}:coh" in columns
+    by_element = {name: _matrix(columns, pairs, suffix) for name, suffix in _BY_ELEMENT.items() if pairs[0][0] + suffix in columns}
     has_multiple = f"{outputs[0].label}:multiple_coh" in columns
     return FrequencyResponse(
         frequency=columns["frequency_hz"],
@@ -82,7 +85,7 @@ def read_response(path: Path) -> FrequencyResponse:
         inputs=inputs,
         form=contents["form"],
         covariance=_covariance(columns, len(outputs) * len(inputs)),
-        coherence=_matrix(columns, pairs, ":coh") if has_coherence else None,
+        **by_element,
         multiple_coherence=np.stack([columns[f"{o.label}:multiple_coh"] for o in outputs], 1) if has_multiple else None,
         snr=np.stack([columns[f"{name}:snr"] for name in snr_channels], 1) if snr_channels else None,
         snr_channels=snr_channels,

@@ -44,6 +44,9 @@ class FrequencyResponse:
                      in the real and half in the imaginary part (circular)
     coherence        (n_frequency, n_output, n_input) ordinary, or None
     multiple_coherence (n_frequency, n_output), or None
+    partial_coherence (n_frequency, n_output, n_input) of each force alone, or None
+    distortion       (n_frequency, n_output, n_input) standard deviation [unit of the form] that nonlinearity adds to the FRF of one
+                     realisation of the excitation's phases, or None
     snr              (n_frequency, n_channel) signal-to-noise amplitude ratio per channel at the line (periodic data), or None;
                      its columns are named by snr_channels
     covariance_dof   effective number of complex degrees of freedom behind the covariance estimate (inf: known)
@@ -58,6 +61,8 @@ class FrequencyResponse:
     covariance: NDArray[np.complexfloating] | None = None
     coherence: NDArray[np.floating] | None = None
     multiple_coherence: NDArray[np.floating] | None = None
+    partial_coherence: NDArray[np.floating] | None = None
+    distortion: NDArray[np.floating] | None = None
     snr: NDArray[np.floating] | None = None
     snr_channels: tuple[str, ...] = ()
     averages: float = 1.0
@@ -85,6 +90,8 @@ class FrequencyResponse:
             "covariance": (np.complex128, (n_f, n, n)),
             "coherence": (np.float64, (n_f, n_o, n_i)),
             "multiple_coherence": (np.float64, (n_f, n_o)),
+            "partial_coherence": (np.float64, (n_f, n_o, n_i)),
+            "distortion": (np.float64, (n_f, n_o, n_i)),
             "snr": (np.float64, (n_f, len(self.snr_channels))),
         }
         for attribute, (dtype, shape) in shapes.items():

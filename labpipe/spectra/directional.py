@@ -22,7 +22,7 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
     """The dFRF H_d = A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]], A = [[1, 1], [-j, j]], with its covariance (Mendes et al.).
 
     Rows and columns are labelled f and b. The two responses and the two forces may stand at any two known angles; they are
-    turned to x and y first. An isotropic rotor has H_fb = H_bf = 0. Coherence does not carry over. Raises DataError when there
+    turned to x and y first. An isotropic rotor has H_fb = H_bf = 0. Coherence and distortion do not carry over. Raises DataError when there
     are not two responses and two forces in known, different directions.
     """
     to_xy = np.linalg.inv(directions(response.outputs, "responses"))
@@ -41,6 +41,8 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
         inputs=ports,
         coherence=None,
         multiple_coherence=None,
+        partial_coherence=None,
+        distortion=None,
         snr=None,
         snr_channels=(),
     )

@@ -11,7 +11,7 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.bands import line_range
-from labpipe.spectra.coherence import multiple_coherence, ordinary_coherence
+from labpipe.spectra.coherence import multiple_coherence, ordinary_coherence, partial_coherence
 from labpipe.spectra.estimators import ESTIMATORS, INSTRUMENTS
 from labpipe.spectra.independence import check_forces, check_responses
 from labpipe.spectra.parts import Parts, coherence_findings, lines_left
@@ -52,6 +52,7 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
         findings=coherence_findings(multiple, layout) if enough else _no_average_finding(averages),
         coherence=ordinary_coherence(s_uu, s_yu, s_yy),
         multiple_coherence=multiple,
+        partial_coherence=partial_coherence(s_uu, s_yu, s_yy) if n_input > 1 else None,
         line_correlation=spectra[0].line_correlation,
     )
 

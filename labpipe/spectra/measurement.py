@@ -17,6 +17,8 @@ from labpipe.spectra.from_random import random_parts
 from labpipe.spectra.masks import mask_findings, masked_bands
 from labpipe.spectra.parts import Parts
 from labpipe.spectra.ports import Layout, find_layout
+from labpipe.spectra.realisations import realisations, robust_mean
+from labpipe.spectra.reciprocity import reciprocity_findings
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.synchronous import cleaned
 
@@ -37,6 +39,19 @@ def measure(
     or whose forces do not excite independent directions.
     """
     _check_rates(sources)
+    if settings.realisations:
+        found = [_measured(own, settings, name, conditions) for own in realisations(sources)]
+        response = robust_mean(found, settings.smooth)
+    else:
+        response = _measured(sources, settings, name, conditions)
+    response = dataclasses.replace(response, findings=(*response.findings, *reciprocity_findings(response)))
+    return directional(response) if settings.directional else response
+
+
+def _measured(
+    sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None
+) -> FrequencyResponse:
+    """The response in the directions of the sensors, all recordings averaged."""
     layout = find_layout(sources)
     bands = masked_bands(sources, settings)
     settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
@@ -46,7 +61,7 @@ def measure(
     turn = layout.undelayed(parts.frequency)
     flat = turn.reshape(turn.shape[0], -1)
     covariance = None if parts.covariance is None else parts.covariance * (flat[:, :, None] * flat[:, None, :].conj())
-    response = FrequencyResponse(
+    return FrequencyResponse(
         frequency=parts.frequency,
         matrix=parts.matrix * turn,
         outputs=layout.outputs,
@@ -55,6 +70,7 @@ def measure(
         covariance=covariance,
         coherence=parts.coherence,
         multiple_coherence=parts.multiple_coherence,
+        partial_coherence=parts.partial_coherence,
         snr=parts.snr,
         snr_channels=tuple(port.label for port in (*layout.inputs, *layout.outputs)) if parts.snr is not None else (),
         averages=parts.averages,
@@ -64,7 +80,6 @@ def measure(
         findings=findings,
         conditions=dict(conditions or {}),
     )
-    return directional(response) if settings.directional else response
 
 
 def _check_rates(sources: Sequence[SampleSource]) -> None:

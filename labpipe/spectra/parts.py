@@ -30,6 +30,7 @@ class Parts:
     findings: tuple[Finding, ...] = ()
     coherence: NDArray[np.floating] | None = None
     multiple_coherence: NDArray[np.floating] | None = None
+    partial_coherence: NDArray[np.floating] | None = None
     snr: NDArray[np.floating] | None = None
     line_correlation: tuple[float, ...] = ()
 

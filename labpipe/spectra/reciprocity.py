@@ -9,10 +9,14 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from labpipe.errors import DataError
+from labpipe.records.finding import Finding, note
 from labpipe.records.response import FrequencyResponse
 
 # Neighbouring lines of a windowed spectrum share noise over this many lines.
 SHARED_LINES = 3
+# Pairs told of, and the chance below which a difference is no noise.
+MOST_PAIRS = 6
+NOT_BY_CHANCE = 0.01
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,21 @@ def reciprocity(response: FrequencyResponse) -> tuple[Reciprocity, ...]:
         raise DataError("reciprocity needs two dofs that are both excited and measured")
     pairs = [(i, j) for number, i in enumerate(shared) for j in shared[number + 1 :]]
     return tuple(_pair(response, i, j, (rows[i], columns[j]), (rows[j], columns[i])) for i, j in pairs)
+
+
+def reciprocity_findings(response: FrequencyResponse) -> tuple[Finding, ...]:
+    """A note on every pair of dofs excited and measured, the least reciprocal first; none where reciprocity cannot be judged."""
+    try:
+        pairs = sorted(reciprocity(response), key=lambda pair: (pair.p_value, -pair.difference))
+    except DataError:
+        return ()
+    return tuple(note("reciprocity", _told(pair)) for pair in pairs[:MOST_PAIRS])
+
+
+def _told(pair: Reciprocity) -> str:
+    verdict = "as noise explains" if pair.p_value > NOT_BY_CHANCE else "more than noise explains"
+    what = f"H of {pair.first} to {pair.second} and of {pair.second} to {pair.first}"
+    return f"{what} differ by {100 * pair.difference:.2g} % (rms), {verdict} (p = {pair.p_value:.2g})"
 
 
 def _pair(response: FrequencyResponse, first: str, second: str, one: tuple[int, int], other: tuple[int, int]) -> Reciprocity:

@@ -85,6 +85,7 @@ class FrfSettings:
     remove: ShaftLines | None = setting(
         "section", "synchronous part taken out of all channels by averaging over revolutions (random)", section=ShaftLines, default=None
     )
+    realisations: bool = setting("flag", "recordings of one force differ in phases, which shows distortion (periodic)", default=False)
     impact: ImpactSettings = setting("section", "hits of a hammer", section=ImpactSettings, default=ImpactSettings())
     directional: bool = setting("flag", "the response in forward and backward terms (two responses, two forces)", default=False)
 
@@ -100,6 +101,8 @@ class FrfSettings:
                 raise ConfigError(f"'{count}' must not be negative")
         if not 0 <= self.overlap < 1:
             raise ConfigError("'overlap' must be at least 0 and below 100 %")
+        if self.realisations and self.excitation != "periodic":
+            raise ConfigError(f"'realisations' are of periodic excitation, not of {self.excitation}", hint="leave it out")
         if self.remove is not None and self.excitation != "random":
             what = f"'remove' works on random excitation, not on {self.excitation}"
             raise ConfigError(what, hint="leave the lines out with `mask`")

@@ -7,8 +7,11 @@ import pytest
 
 from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse, Port
+from labpipe.simulate.white_noise_rig import WhiteNoiseRig, white_noise_runs
 from labpipe.spectra.convert import converted, dynamic_stiffness, dynamic_stiffness_covariance
+from labpipe.spectra.measurement import measure
 from labpipe.spectra.reciprocity import reciprocity
+from labpipe.spectra.settings import FrfSettings
 
 N = 40
 FREQUENCY = np.arange(10.0, 10.0 + N)
@@ -89,3 +92,14 @@ def test_covariance_of_the_dynamic_stiffness_is_the_scatter_of_inverses(form: st
 
 def test_without_covariance_there_is_none_of_the_stiffness() -> None:
     assert dynamic_stiffness_covariance(FrequencyResponse(FREQUENCY[:1], TRUTH[None], PORTS, PORTS)) is None
+
+
+@pytest.mark.parametrize(("k_yx", "verdict"), [(30e3, "as noise explains"), (-20e3, "more than noise explains")])
+def test_the_frf_stage_tells_of_it_in_a_note(k_yx: float, verdict: str) -> None:
+    stiffness = ((620e3, 30e3), (k_yx, 690e3))
+    rig = WhiteNoiseRig("virtual-white-noise-rig", stiffness, ((190.0, 15.0), (15.0, 160.0)), 2.4, blocks=8, unbalance=0.0)
+    response = measure(white_noise_runs(rig, 3), FrfSettings("random", block=5.0, band=(50.0, 110.0)))
+    (finding,) = [f for f in response.findings if f.code == "reciprocity"]
+    assert finding.level == "note" and verdict in finding.message and finding.message.startswith("H of x to y and of y to x differ by")
+    alone = measure(white_noise_runs(rig, 3, ["along-x"]), FrfSettings("random", block=5.0, band=(50.0, 110.0)))
+    assert not [f for f in alone.findings if f.code == "reciprocity"]
