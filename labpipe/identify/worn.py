@@ -47,7 +47,9 @@ MOST_RIVALS, NEAR = 3, 0.5
 # Information on a parameter that is not felt, as the angle of no wear: a standard error of 10,000 scaled units instead of infinity.
 UNFELT = 1e-8
 LEAST_FELT = 1e-6
-# Rounds in which the residual tells its own standard deviation, beside what is known beforehand.
+# Increase of chi-square below which a bearing without wear explains the response as well as the best wear.
+ALIKE = 1e-3
+# Rounds in which the residual tells its own standard deviation; one where nothing is known beforehand, since no minimum moves then.
 SIZINGS = 2
 NAMES = {"complex": "ml", "log": "log-amplitude"}
 
@@ -121,14 +123,18 @@ def _solve(data: WornData, wear: WearSettings) -> _Solved:
     found = minima(misfit, start_mesh(wear, misfit))
     for _ in range(0 if misfit.weighted else SIZINGS):
         own, ranked = _ranked(misfit, found[:1])
-        misfit = misfit.sized(misfit.size * _size(own, ranked[0]))
+        ratio = _size(own, ranked[0])
+        misfit = misfit.sized(misfit.size * ratio)
+        if not misfit.n_known:
+            found = [replace(one, chi2=one.chi2 / ratio**2) for one in found]
+            break
         found = minima(misfit, start_mesh(wear, misfit))
     misfit, ranked = _ranked(misfit, found)
     healthy_chi2 = None
     if DEPTH in misfit.model.names:
         without, healthy = healthy_minimum(misfit, ranked[0])
         healthy_chi2 = healthy.chi2
-        if healthy.chi2 < ranked[0].chi2:
+        if healthy.chi2 < ranked[0].chi2 + ALIKE:
             misfit, ranked = without, merged([healthy, *ranked])
     jacobian = misfit.jacobian(ranked[0].parameters)
     return _Solved(misfit, tuple(ranked), np.linalg.inv(jacobian.T @ jacobian + UNFELT * np.eye(jacobian.shape[1])), healthy_chi2)

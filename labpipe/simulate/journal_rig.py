@@ -38,7 +38,7 @@ Complex = NDArray[np.complexfloating]
 class JournalNoise:
     """Standard deviations of the measuring noise, white up to half the sampling rate."""
 
-    displacement: float = setting("value", "displacement sensors", unit="m", default=4e-6)
+    displacement: float = setting("value", "displacement sensors", unit="m", default=1e-6)
     force: float = setting("value", "force transducer", unit="N", default=0.05)
 
 
