@@ -14,6 +14,9 @@ from labpipe.records.study import Study
 from labpipe.report.wording import threshold_text
 
 MAX_BANDS = 8
+MAX_NOTES = 8
+# Mode shapes and the like are many; they stand in identification.json and the report.
+IN_REPORT_ONLY = ("shape_", "participation_")
 
 
 def echo_identification(identification: Identification, quiet: bool) -> None:
@@ -65,11 +68,16 @@ def _echo_fit(fit: Fit) -> None:
     chi2 = "" if fit.gof.chi2_reduced is None else f", chi2/dof {fit.gof.chi2_reduced:.2f}"
     click.echo(f"{fit.name}{term}{test}: {fit.model}, {fit.estimator}{band}, G.o.F {fit.gof.r2_adjusted:.4f}{chi2}")
     for parameter in fit.parameters:
-        click.echo(f"  {_parameter_line(parameter)}")
+        if not parameter.name.startswith(IN_REPORT_ONLY):
+            click.echo(f"  {_parameter_line(parameter)}")
+    if fit.candidates:
+        best = fit.candidates[0]
+        quality = f"{best.parameters} parameters, chi2/dof {best.chi2 / best.dof:.2f}"
+        click.echo(f"  best of {len(fit.candidates)} models by AIC: {best.name} ({quality})")
 
 
 def _parameter_line(parameter: Parameter) -> str:
-    unit = display_unit(parameter.unit)
+    unit = display_unit(parameter.unit, parameter.value)
     value = to_display(parameter.value, unit)
     mark = "" if parameter.significant is not False or parameter.derived else " *"
     if parameter.std_error is None:
@@ -79,15 +87,19 @@ def _parameter_line(parameter: Parameter) -> str:
 
 
 def _echo_findings(carriers: list[tuple[Finding, ...]], what: str) -> None:
-    """Each finding once, with the number of fits or tests that carry it; warnings before notes."""
-    for level, colour in ((WARNING, "yellow"), (NOTE, "cyan")):
-        seen: dict[str, dict[int, str]] = {}
-        for number, findings in enumerate(carriers):
-            for finding in of_level(level, findings):
-                seen.setdefault(finding.code, {}).setdefault(number, finding.message)
-        for code, messages in seen.items():
-            times = "" if len(carriers) == 1 else f" (in {len(messages)} of {len(carriers)} {what}; the first:)"
-            click.echo(f"  {_coloured(level, colour)} {code}{times}: {next(iter(messages.values()))}")
+    """Each kind of warning once, with the number of fits or tests that carry it, then the notes, each in full up to a number."""
+    seen: dict[str, dict[int, str]] = {}
+    for number, findings in enumerate(carriers):
+        for finding in of_level(WARNING, findings):
+            seen.setdefault(finding.code, {}).setdefault(number, finding.message)
+    for code, messages in seen.items():
+        times = "" if len(carriers) == 1 else f" (in {len(messages)} of {len(carriers)} {what}; the first:)"
+        click.echo(f"  {_coloured('warning', 'yellow')} {code}{times}: {next(iter(messages.values()))}")
+    notes = list(dict.fromkeys(finding for findings in carriers for finding in of_level(NOTE, findings)))
+    for finding in notes[:MAX_NOTES]:
+        click.echo(f"  {_coloured('note', 'cyan')} {finding.code}: {finding.message}")
+    if len(notes) > MAX_NOTES:
+        click.echo(f"  ... {len(notes) - MAX_NOTES} more notes in the report ...")
 
 
 def _coloured(text: str, colour: str) -> str:

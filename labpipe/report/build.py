@@ -5,16 +5,21 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
+from labpipe.quantities import display_unit
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.identification import Fit, Identification, RuleOutcome
 from labpipe.report import figures
+from labpipe.report.candidates import candidate_blocks
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Block, Code, Document, Paragraph, Section, Table
+from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figure
+from labpipe.report.spectral_figures import spectral_blocks
 from labpipe.report.study import study_blocks
-from labpipe.report.wording import STARS_EXPLAINED, band_text, fit_title, parameter_row
+from labpipe.report.wording import STARS_EXPLAINED, band_text, fit_title, inflated_text, parameter_row, unit_text
 
 PARAMETER_HEADER = ("parameter", "value", "unit", "std. error", "95 % interval", "t-ratio", "significance", "VIF")
 NUMERIC = (1, 3, 4, 5, 7)
+MOST_NOTES = 12
 
 
 def build(identification: Identification) -> Document:
@@ -23,7 +28,7 @@ def build(identification: Identification) -> Document:
     sections = (
         Section("Verdict", _verdict(identification)),
         Section("Warnings", _warnings(identification)),
-        *([Section("Notes", notes)] if (notes := _each_once(identification, NOTE)) else []),
+        *([Section("Notes", notes)] if (notes := _notes(identification)) else []),
         *(Section(f"Result: {_series_title(fits)}", _result(fits)) for fits in series),
         *(Section(f"Comparison: {each.name}", comparison_blocks(each, identification.responses)) for each in identification.comparisons),
         *(Section(f"Study: {study.rig}", study_blocks(study)) for study in identification.studies),
@@ -95,15 +100,21 @@ def _all_findings(identification: Identification, level: str) -> dict[str, list[
 def _warnings(identification: Identification) -> tuple[Block, ...]:
     """Each kind of warning once in full, with the number of fits that carry it."""
     none = "None. No rule for collinear excitation, coherence, significance, residuals or clipping was broken."
-    return _each_once(identification, WARNING) or (Paragraph(none, "passed"),)
-
-
-def _each_once(identification: Identification, level: str) -> tuple[Block, ...]:
     blocks: list[Block] = []
-    for code, entries in _all_findings(identification, level).items():
+    for code, entries in _all_findings(identification, WARNING).items():
         origin, finding = entries[0]
         more = f" ({len(entries)} times in all; this is the first)" if len(entries) > 1 else ""
-        blocks.append(Paragraph(f"{code}: {origin}{more}: {finding.message}", level))
+        blocks.append(Paragraph(f"{code}: {origin}{more}: {finding.message}", "warning"))
+    return tuple(blocks) or (Paragraph(none, "passed"),)
+
+
+def _notes(identification: Identification) -> tuple[Block, ...]:
+    """Each kind of note in one box, every note in full up to a number: they tell what was done, test by test."""
+    blocks: list[Block] = []
+    for code, entries in _all_findings(identification, NOTE).items():
+        told = list(dict.fromkeys(f"{origin}: {finding.message}" for origin, finding in entries))
+        more = [f"and {len(told) - MOST_NOTES} more"] if len(told) > MOST_NOTES else []
+        blocks.append(Paragraph(f"{code}: {'; '.join([*told[:MOST_NOTES], *more])}.", "note"))
     return tuple(blocks)
 
 
@@ -120,9 +131,11 @@ def _single(fit: Fit) -> tuple[Block, ...]:
         Table(PARAMETER_HEADER, rows, f"Parameters of {fit_title(fit)}", NUMERIC),
         Paragraph(STARS_EXPLAINED),
         *(Paragraph(note, "note") for note in fit.notes),
+        *candidate_blocks(fit),
     ]
     if fit.curve is not None:
-        blocks.append(figures.fitted_curve_figure(fit, fit.curve))
+        many = len(fit.curve.outputs) * len(fit.curve.inputs) > MOST_TOGETHER
+        blocks.append(matrix_figure(fit, fit.curve) if many else figures.fitted_curve_figure(fit, fit.curve))
     if fit.correlation.shape[0] > 1:
         blocks.append(figures.correlation_figure(fit))
     return tuple(blocks)
@@ -140,7 +153,7 @@ def _described(fit: Fit) -> str:
     return (
         f"Model {fit.model}, estimator {fit.estimator}, band {band_text(fit)}: {fit.lines} frequency lines, {fit.equations} real "
         f"equations, {fit.dof} degrees of freedom, {end}. G.o.F (adjusted R²) {fit.gof.r2_adjusted:.5f}.{chi2} "
-        f"Condition number {fit.condition_number:.3g}."
+        f"Condition number {fit.condition_number:.3g}.{inflated_text(fit)}"
     )
 
 
@@ -165,11 +178,12 @@ def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
 
 
 def _unit(fit: Fit, name: str) -> str:
-    return parameter_row(fit.parameter(name), fit.dof)[2]
+    return unit_text(fit.parameter(name).unit)
 
 
 def _with_error(fit: Fit, name: str) -> str:
-    _, value, _, error, _, _, significance, _ = parameter_row(fit.parameter(name), fit.dof)
+    parameter = fit.parameter(name)
+    _, value, _, error, _, _, significance, _ = parameter_row(parameter, fit.dof, display_unit(parameter.unit))
     mark = " n.s." if significance == "n.s." else ""
     return f"{value} ± {error}{mark}"
 
@@ -191,6 +205,7 @@ def _measurement(identification: Identification) -> tuple[Block, ...]:
         averages = f"{response.averages:.4g} effective averages"
         blocks.append(Paragraph(f"{response.name or 'Measurement'}: {response.form}, {size}, {averages}."))
         blocks.append(figures.response_figure(response))
+        blocks.extend(spectral_blocks(response))
     return tuple(blocks)
 
 

@@ -9,7 +9,7 @@ EXPLAINED = (
     "AIC = chi² + 2 parameters: the least is the best supported; 10 above it a model has practically no support. p: chance of so large "
     "an improvement by the richer model that contains this one, if this one is right."
 )
-HEADER = ("model", "parameters", "chi²", "degrees of freedom", "AIC above the best", "p")
+HEADER = ("model", "parameters", "chi²", "dof", "AIC - best", "p")
 
 
 def candidate_blocks(fit: Fit) -> tuple[Block, ...]:

@@ -36,9 +36,12 @@ def rounded(value: float, std_error: float | None) -> str:
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
-def parameter_row(parameter: Parameter, dof: int) -> tuple[str, ...]:
-    """Name, value, unit, standard error, 95 % interval, t-ratio, significance, variance inflation factor."""
-    unit = display_unit(parameter.unit)
+def parameter_row(parameter: Parameter, dof: int, unit: str = "") -> tuple[str, ...]:
+    """Name, value, unit, standard error, 95 % interval, t-ratio, significance, variance inflation factor.
+
+    *unit*: the one that a whole table has; by default the one that suits the value.
+    """
+    unit = unit or display_unit(parameter.unit, parameter.value)
     error = None if parameter.std_error is None else abs(to_display(parameter.std_error, unit) - to_display(0.0, unit))
     value = to_display(parameter.value, unit)
     interval = "none"
@@ -48,7 +51,7 @@ def parameter_row(parameter: Parameter, dof: int) -> tuple[str, ...]:
     return (
         parameter.name,
         rounded(value, error),
-        unit_text(parameter.unit),
+        LEGIBLE.get(unit, unit),
         "none" if error is None else f"{error:.2g}",
         interval,
         "" if parameter.t_ratio is None or parameter.derived else f"{parameter.t_ratio:.4g}",

@@ -13,7 +13,7 @@ from labpipe.report.candidates import candidate_blocks
 from labpipe.report.document import Figure, Paragraph, Table
 from labpipe.report.matrix_figure import matrix_figure
 from labpipe.report.study import study_blocks
-from labpipe.report.wording import inflated_text, threshold_text
+from labpipe.report.wording import inflated_text, parameter_row, threshold_text
 
 K = StudiedParameter("k_1_1", "N/m", 2.0, 2.1, 0.2, 0.16, 0.19, 0.94)
 CASE = StudyCase("ml", "ml", 0.011, 25, 500, 3, 0.00297, 0.00259, 3.4e-6, (0.998,), 0.975, 0.957, (K,))
@@ -89,3 +89,10 @@ def test_every_element_of_a_large_matrix_has_its_panel() -> None:
     measured, fitted = panels[5].lines
     np.testing.assert_allclose(measured.get_ydata(), np.abs(matrix[:, 1, 2]) * 1e6)
     np.testing.assert_allclose(fitted.get_ydata(), 1.1 * np.abs(matrix[:, 1, 2]) * 1e6)
+
+
+def test_soft_springs_stay_in_newtons_per_metre_but_tables_keep_one_unit() -> None:
+    soft = Parameter("k", 2.0, "N/m", 0.02, ci95=(1.96, 2.04))
+    assert parameter_row(soft, 10)[1:4] == ("2.000", "N/m", "0.02")
+    assert parameter_row(soft, 10, "kN/m")[1:3] == ("0.002000", "kN/m")
+    assert parameter_row(replace(soft, value=2000.0), 10)[1:3] == ("2.000000", "kN/m")
