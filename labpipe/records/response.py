@@ -45,8 +45,8 @@ class FrequencyResponse:
     coherence        (n_frequency, n_output, n_input) ordinary, or None
     multiple_coherence (n_frequency, n_output), or None
     partial_coherence (n_frequency, n_output, n_input) of each force alone, or None
-    distortion       (n_frequency, n_output, n_input) standard deviation [unit of the form] that nonlinearity adds to the FRF of one
-                     realisation of the excitation's phases, or None
+    distortion       (n_frequency, n_output, n_input) the part of the standard deviation [unit of the form] that is due to
+                     nonlinearity, or None; the variance less its square is noise
     snr              (n_frequency, n_channel) signal-to-noise amplitude ratio per channel at the line (periodic data), or None;
                      its columns are named by snr_channels
     covariance_dof   effective number of complex degrees of freedom behind the covariance estimate (inf: known)

@@ -172,13 +172,15 @@ def response_figure(response: FrequencyResponse) -> Figure:
 
 
 def _quality(axes: Axes, response: FrequencyResponse) -> str:
-    if response.coherence is not None:
+    several = response.partial_coherence is not None
+    coherence = response.partial_coherence if several else response.coherence
+    if coherence is not None:
         for o, output in enumerate(response.outputs):
             for i, port in enumerate(response.inputs):
-                axes.plot(response.frequency, response.coherence[:, o, i], linewidth=1, label=f"{output.label}/{port.label}")
+                axes.plot(response.frequency, coherence[:, o, i], linewidth=1, label=f"{output.label}/{port.label}")
         axes.set_ylim(0, 1.02)
-        axes.set_ylabel("coherence")
-        return "its coherence"
+        axes.set_ylabel("partial coherence" if several else "coherence")
+        return "the partial coherence of each response and force, the other forces taken out" if several else "its coherence"
     if response.snr is not None:
         for number, channel in enumerate(response.snr_channels):
             axes.plot(response.frequency, np.maximum(response.snr[:, number], 1e-3), linewidth=1, label=channel)

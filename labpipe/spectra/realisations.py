@@ -57,7 +57,7 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
         first,
         matrix=matrix,
         covariance=(covariance + uncorrelated(distortion**2)) / m,
-        distortion=distortion,
+        distortion=distortion / np.sqrt(m),
         snr=None if first.snr is None else np.mean([response.snr for response in responses if response.snr is not None], axis=0),
         averages=sum(response.averages for response in responses),
         covariance_dof=min(sum(response.covariance_dof for response in responses), (m - 1) * (2 * half_width + 1.0)),

@@ -17,6 +17,7 @@ SHARED_LINES = 3
 # Pairs told of, and the chance below which a difference is no noise.
 MOST_PAIRS = 6
 NOT_BY_CHANCE = 0.01
+LEAST_CHANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,9 @@ def reciprocity_findings(response: FrequencyResponse) -> tuple[Finding, ...]:
 
 def _told(pair: Reciprocity) -> str:
     verdict = "as noise explains" if pair.p_value > NOT_BY_CHANCE else "more than noise explains"
+    chance = f"= {pair.p_value:.2g}" if pair.p_value >= LEAST_CHANCE else f"< {LEAST_CHANCE:g}"
     what = f"H of {pair.first} to {pair.second} and of {pair.second} to {pair.first}"
-    return f"{what} differ by {100 * pair.difference:.2g} % (rms), {verdict} (p = {pair.p_value:.2g})"
+    return f"{what} differ by {100 * pair.difference:.3g} % (rms), {verdict} (p {chance})"
 
 
 def _pair(response: FrequencyResponse, first: str, second: str, one: tuple[int, int], other: tuple[int, int]) -> Reciprocity:
