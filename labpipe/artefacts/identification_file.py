@@ -168,7 +168,7 @@ def _curve(entry: dict[str, Any]) -> FittedCurve:
     )
 
 
-_OPTIONAL_ARRAYS = ("coherence", "multiple_coherence", "snr")
+_OPTIONAL_ARRAYS = ("coherence", "multiple_coherence", "partial_coherence", "distortion", "snr")
 
 
 def _response_entry(response: FrequencyResponse) -> dict[str, Any]:
@@ -203,7 +203,7 @@ def _response(entry: dict[str, Any]) -> FrequencyResponse:
         inputs=tuple(Port(**port) for port in entry["inputs"]),
         form=entry["form"],
         covariance=None if variance is None else uncorrelated(np.array(variance, np.float64)),
-        **{name: None if entry[name] is None else np.array(entry[name], np.float64) for name in _OPTIONAL_ARRAYS},
+        **{name: None if entry.get(name) is None else np.array(entry[name], np.float64) for name in _OPTIONAL_ARRAYS},
         snr_channels=tuple(entry["snr_channels"]),
         averages=entry["averages"],
         covariance_dof=math.inf if dof is None else dof,

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from labpipe import __version__
+from labpipe.artefacts.identification_file import read_identification, write_identification
 from labpipe.records.identification import Identification
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.report import figures
@@ -117,3 +120,11 @@ def test_partial_coherence_takes_the_place_of_ordinary_where_there_are_several_f
     assert figure.drawing.axes[1].get_ylabel() == "partial coherence" and curves(figure, 1)[0][1][0] == 0.9
     ordinary = figures.response_figure(replace(both, partial_coherence=None))
     assert ordinary.drawing.axes[1].get_ylabel() == "coherence" and "the other forces" not in ordinary.caption
+
+
+def test_a_report_made_later_from_the_file_shows_the_same(tmp_path: Path) -> None:
+    plain = response()
+    both = replace(plain, distortion=np.full(plain.matrix.shape, 1e-9), partial_coherence=np.full(plain.matrix.shape, 0.9))
+    now = Identification((), "Rotor", responses=(both, directional(plain)), version=__version__)
+    write_identification(tmp_path / "identification.json", now)
+    assert html_report(read_identification(tmp_path / "identification.json")) == html_report(now)
