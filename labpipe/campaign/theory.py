@@ -28,8 +28,10 @@ from labpipe.spectra.convert import receptance_factor
 
 TILTS = (3, 4)
 STEP = 1e-4
-TOLERANCE = 1e-9
-LOOPS = 25
+TOLERANCE = 1e-8
+# Steps smaller than this keep the slopes of the one before.
+NEAR = 1e-3
+LOOPS = 20
 LARGEST_MOVE = 1.0
 
 
@@ -103,14 +105,16 @@ def match(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: 
 def _solved(
     function: Callable[[NDArray[np.floating]], NDArray[np.floating]], wanted: NDArray[np.floating], start: NDArray[np.floating]
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """The root of function(u) = wanted and the slopes (2, 2) there."""
-    at = start
+    """The root of function(u) = wanted and the slopes (2, 2) next to it; FitError where there is none in reach."""
+    at, slopes, size = start, np.eye(2), np.inf
     for _ in range(LOOPS):
         here = function(at)
-        slopes = np.column_stack([(function(at + STEP * unit) - here) / STEP for unit in np.eye(2)])
+        if size > NEAR:
+            slopes = np.column_stack([(function(at + STEP * unit) - here) / STEP for unit in np.eye(2)])
         move = np.linalg.solve(slopes, wanted - here)
         at = at + np.clip(move, -LARGEST_MOVE, LARGEST_MOVE)
-        if np.max(np.abs(move)) < TOLERANCE:
+        size = float(np.max(np.abs(move)))
+        if size < TOLERANCE:
             return at, slopes
     hint = "check bearing, condition, arm and the shaft's bending stiffness"
     raise FitError("no multiple of the theory's stiffness gives the measured fit", hint=hint)
