@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
 from labpipe.identify.worn_misfit import Misfit
@@ -12,8 +13,12 @@ from labpipe.identify.worn_profile import profile_distance
 from labpipe.identify.worn_search import Minimum, descend, refined
 
 # Beyond this increase of chi-square the sum below is that of a narrow peak, and the healthy bearing has lost.
-NARROW = 40.0
-N_DEPTH, N_ANGLE = 13, 7
+NARROW = 20.0
+N_DEPTH, N_ANGLE = 13, 5
+# Ticks around the best wear in standard errors.
+AROUND = np.linspace(-3.0, 3.0, 7)
+
+Array = NDArray[np.floating]
 
 
 def healthy_minimum(misfit: Misfit, best: Minimum) -> tuple[Misfit, Minimum]:
@@ -37,23 +42,33 @@ def healthy_probability(misfit: Misfit, best: Minimum, healthy_chi2: float) -> f
 
 def _peak_share(misfit: Misfit, best: Minimum) -> float:
     """Mean over the range of exp(-(chi2 - chi2_min) / 2) for one narrow peak: 2 pi sqrt(det cov) over the area."""
-    jacobian = misfit.jacobian(best.parameters)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian)[:2, :2]
     area = float(np.prod(misfit.model.high[:2] - misfit.model.low[:2]))
-    return min(float(2 * np.pi * np.sqrt(max(np.linalg.det(covariance), 1e-12))) / area, 1.0)
+    return min(float(2 * np.pi * np.sqrt(max(np.linalg.det(_spread(misfit, best)), 1e-12))) / area, 1.0)
+
+
+def _spread(misfit: Misfit, best: Minimum) -> Array:
+    """Covariance of depth and angle (2, 2), scaled."""
+    jacobian = misfit.jacobian(best.parameters)
+    return np.linalg.pinv(jacobian.T @ jacobian)[:2, :2]
 
 
 def _mean_likelihood(misfit: Misfit, best: Minimum) -> float:
-    """The same mean on a mesh that is dense at small depths, where alone a wear is this hard to see."""
+    """The same mean on a mesh that is dense at small depths and around the best wear."""
     low, high = misfit.model.low[:2], misfit.model.high[:2]
-    depths = high[0] * np.linspace(0, 1, N_DEPTH) ** 3
-    angles = np.linspace(low[1], high[1], N_ANGLE)
-    likelihood = np.zeros((N_DEPTH, N_ANGLE))
+    widths = np.minimum(np.sqrt(np.diag(_spread(misfit, best))), (high - low) / 8)
+    places = [best.parameters[number] + widths[number] * AROUND for number in (0, 1)]
+    depths = _mesh(high[0] * np.linspace(0, 1, N_DEPTH) ** 3, places[0], low[0], high[0])
+    angles = _mesh(np.linspace(low[1], high[1], N_ANGLE), places[1], low[1], high[1])
+    along_angle = np.zeros(depths.size)
     for row, depth in enumerate(depths):
-        for column, angle in enumerate(angles):
-            far = profile_distance(misfit, best, {0: float(depth), 1: float(angle)})
-            likelihood[row, column] = np.exp(-(far**2) / 2)
-        if row > 1 and likelihood[row].max() < 1e-6:
+        far = [profile_distance(misfit, best, {0: float(depth), 1: float(angle)}) for angle in angles]
+        along_angle[row] = trapezoid(np.exp(-np.square(far) / 2), angles)
+        if depth > best.parameters[0] and along_angle[row] < 1e-6 * along_angle.max():
             break
-    along_angle = trapezoid(likelihood, angles, axis=1)
     return float(trapezoid(along_angle, depths)) / float(np.prod(high - low))
+
+
+def _mesh(ticks: Array, around: Array, low: float, high: float) -> Array:
+    """Rising ticks of both, within the range."""
+    both = np.concatenate([ticks, around])
+    return np.unique(both[(both >= low) & (both <= high)])

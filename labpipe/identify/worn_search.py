@@ -21,7 +21,7 @@ SAME, SHALLOW = 0.1, 0.5
 TOLERANCE = 1e-10
 MOST_EVALUATIONS = 60
 # Change of a refined minimum, in standard errors, below which it has settled, and the corrections it may take.
-SETTLED, MOST_REFINEMENTS = 0.01, 12
+SETTLED, MOST_REFINEMENTS = 0.03, 12
 
 Array = NDArray[np.floating]
 

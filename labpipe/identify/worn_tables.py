@@ -20,8 +20,8 @@ from labpipe.identify.worn_rig import BearingPlace
 from labpipe.rotors.parts import Support
 from labpipe.rotors.worn import VaryingSupport
 
-# Nodes of depth and angle of a table with and without further axes: what suffices for the source's rig (METHODS, section 3).
-WEAR_NODES, WEAR_NODES_WIDE = (41, 9), (21, 7)
+# Nodes of depth and angle by the number of further axes. Tables lead the search; the films themselves settle what it finds.
+WEAR_NODES = ((41, 9), (21, 7), (13, 5))
 # A table of a bearing without wear still has axes for it; only the row of zero depth is used.
 SHALLOW, FEWEST = 1e-6, 4
 WEAR = ("wear_depth", "wear_angle")
@@ -48,7 +48,8 @@ class Ranges:
 
     def of_table(self, worn: bool) -> TableRange:
         """The table's axes, of a worn bearing or of one without wear."""
-        nodes = (WEAR_NODES_WIDE if self.wide else WEAR_NODES) if worn else (FEWEST, FEWEST)
+        further = (self.viscosity_factor > 1 or self.clearance_factor > 1) + (self.cavitation_pressure < 0)
+        nodes = WEAR_NODES[further] if worn else (FEWEST, FEWEST)
         return TableRange(
             self.depth if worn else SHALLOW,
             self.angle,
