@@ -32,7 +32,7 @@ from labpipe.identify.worn_findings import (
     rival_findings,
     search_note,
 )
-from labpipe.identify.worn_healthy import healthy_minimum, healthy_probability
+from labpipe.identify.worn_healthy import UNFELT, healthy_minimum, healthy_probability
 from labpipe.identify.worn_misfit import MISFITS, Misfit
 from labpipe.identify.worn_model import worn_model
 from labpipe.identify.worn_profile import Interval, profile_interval
@@ -44,8 +44,6 @@ from labpipe.records.response import FrequencyResponse
 
 # Rival minima are refined as the best one is, up to so many, while their chi-square is this near in units of the whole.
 MOST_RIVALS, NEAR = 3, 0.5
-# Information on a parameter that is not felt, as the angle of no wear: a standard error of 10,000 scaled units instead of infinity.
-UNFELT = 1e-8
 LEAST_FELT = 1e-6
 # Increase of chi-square below which a bearing without wear explains the response as well as the best wear.
 ALIKE = 1e-3

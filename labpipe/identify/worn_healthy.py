@@ -17,6 +17,8 @@ NARROW = 20.0
 N_DEPTH, N_ANGLE = 13, 5
 # Ticks around the best wear in standard errors.
 AROUND = np.linspace(-3.0, 3.0, 7)
+# Information on a parameter that is not felt, as the angle of no wear: a standard error of 10,000 scaled units instead of infinity.
+UNFELT = 1e-8
 
 Array = NDArray[np.floating]
 
@@ -49,7 +51,8 @@ def _peak_share(misfit: Misfit, best: Minimum) -> float:
 def _spread(misfit: Misfit, best: Minimum) -> Array:
     """Covariance of depth and angle (2, 2), scaled."""
     jacobian = misfit.jacobian(best.parameters)
-    return np.linalg.pinv(jacobian.T @ jacobian)[:2, :2]
+    spread: Array = np.linalg.inv(jacobian.T @ jacobian + UNFELT * np.eye(jacobian.shape[1]))[:2, :2]
+    return spread
 
 
 def _mean_likelihood(misfit: Misfit, best: Minimum) -> float:
