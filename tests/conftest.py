@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import os
+
+# Small matrices all the way: threads of the linear algebra would only compete with each other, and blur the ratios of the benchmarks.
+for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_threads, "1")
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

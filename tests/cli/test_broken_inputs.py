@@ -192,7 +192,7 @@ def test_all_faults_of_both_files_in_one_pass(project: Path, labpipe) -> None:
         (["excite", "-o", "s.mp3"], "no signal format for the ending '.mp3'"),
         (["excite", "-o", "s.csv", "--band", "10 Hz"], "--band: '10 Hz' is not a band"),
         (["excite", "-o", "s.csv", "--level", "1 N"], "--level: 'N' has the wrong dimension"),
-        (["simulate", "rig.yaml", "-o", "out"], "unknown key"),
+        (["simulate", "rig.yaml", "-o", "out"], "kind: is missing; known: virtual-magnetic-rig"),
         (["calibrate", "-c", "pipeline.yaml", "-o", "out"], "calibrate: is missing"),
         (["export", "run.csv", "--to", "csv", "-o", "x.csv"], "is not a readable Parquet file"),
         (["check", "none.yaml"], "no such file"),
