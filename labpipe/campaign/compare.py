@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from labpipe.campaign.components import repeatability
 from labpipe.campaign.difference import difference
 from labpipe.campaign.observations import Campaign, observed
 from labpipe.campaign.ratio import rayleigh, stiffness_ratio
 from labpipe.campaign.reciprocal import reciprocal
-from labpipe.campaign.settings import CompareSettings
+from labpipe.campaign.settings import CompareSettings, TheorySettings
 from labpipe.campaign.theory import Matched, Rig, TheoryAt, match, overlay
 from labpipe.campaign.trend import trend
 from labpipe.errors import ConfigError, LabpipeError
@@ -25,12 +25,24 @@ Theory = Callable[[float, str], TheoryAt]
 
 
 @dataclass(frozen=True)
+class _Solved:
+    """The theory matched to every observation, and the curves of the first and the last."""
+
+    matched: list[Matched]
+    overlays: tuple[Overlay, ...]
+
+
+@dataclass(frozen=True)
 class Evidence:
-    """All that comparisons may look at: the tests' fits and responses, and with which settings the fits were made."""
+    """All that comparisons may look at: the tests' fits and responses, and with which settings the fits were made.
+
+    *solved*: theories matched already, by fit, term and theory, since several comparisons ask for the same.
+    """
 
     fits: tuple[Fit, ...]
     responses: tuple[FrequencyResponse, ...]
     fit_settings: tuple[FitSettings, ...]
+    solved: dict[tuple[str, str, TheorySettings], _Solved] = field(default_factory=dict)
 
     def campaign(self, settings: CompareSettings) -> Campaign:
         return observed(settings, self.fits, {response.name: response.conditions for response in self.responses})
@@ -51,18 +63,17 @@ def compare(settings: CompareSettings, evidence: Evidence, theory: Theory | None
     return COMPARISONS[settings.kind](settings, evidence, theory)
 
 
-@dataclass(frozen=True)
-class _Solved:
-    """The theory matched to every observation, and the curves of the first and the last."""
-
-    matched: list[Matched]
-    overlays: tuple[Overlay, ...]
-
-
 def _matched(campaign: Campaign, evidence: Evidence, theory: Theory) -> _Solved:
     """FitError and ConfigError name the test."""
     named = campaign.settings.theory
     assert named is not None
+    asked = (campaign.settings.fit, campaign.settings.term, named)
+    if asked not in evidence.solved:
+        evidence.solved[asked] = _newly_matched(campaign, evidence, theory, named)
+    return evidence.solved[asked]
+
+
+def _newly_matched(campaign: Campaign, evidence: Evidence, theory: Theory, named: TheorySettings) -> _Solved:
     rig = Rig(named.shaft or Uncertain(float("inf")), named.arm)
     found: dict[str, TheoryAt] = {}
     matched, overlays = [], []
@@ -101,14 +112,21 @@ def _ratio(settings: CompareSettings, evidence: Evidence, theory: Theory | None)
     if theory is None or settings.theory is None:
         raise ConfigError("a ratio needs a theory", hint="theory: {bearing: FILE}")
     campaign = evidence.campaign(replace(settings, parameter="k"))
-    shaft = settings.theory.shaft
     solved = _matched(campaign, evidence, theory)
-    return stiffness_ratio(campaign, solved.matched, solved.overlays, shaft.std_error / shaft.value if shaft else 0.0)
+    return stiffness_ratio(campaign, solved.matched, solved.overlays, _bending_error(settings))
 
 
 def _rayleigh(settings: CompareSettings, evidence: Evidence, theory: Theory | None) -> Comparison:
     campaign = evidence.campaign(replace(settings, parameter="c"))
-    return rayleigh(campaign, None if theory is None else _matched(campaign, evidence, theory).matched)
+    if theory is None:
+        return rayleigh(campaign, None)
+    return rayleigh(campaign, _matched(campaign, evidence, theory).matched, _bending_error(settings))
+
+
+def _bending_error(settings: CompareSettings) -> float:
+    """Relative standard error of the shaft's bending stiffness."""
+    shaft = None if settings.theory is None else settings.theory.shaft
+    return shaft.std_error / shaft.value if shaft else 0.0
 
 
 def _reciprocity(settings: CompareSettings, evidence: Evidence, _: Theory | None) -> Comparison:

@@ -23,19 +23,14 @@ SERIES = "; the bending shaft is taken out"
 def stiffness_ratio(
     campaign: Campaign, matched: Sequence[Matched], overlays: tuple[Overlay, ...], bending_error: float
 ) -> Comparison:
-    """The weighted mean of ln(measured / theory) over the tests; *bending_error*: relative standard error of the shaft's stiffness.
+    """The mean of ln(measured / theory) over the tests by generalised least squares with `joint_covariance`.
 
-    s_i^2 = s_fit^2 + (d ln ratio / d ln x  s_x)^2 weighs the tests; the shaft's error is common to all and added to the mean.
+    *bending_error*: relative standard error of the shaft's stiffness.
     """
     logs = np.array([each.log[0] for each in matched])
-    fits = np.sqrt([each.covariance[0, 0] for each in matched])
-    setting = np.array([each.to_condition[0] for each in matched]) * campaign.settings.setting_error
-    common = np.array([each.to_bending[0] for each in matched]) * bending_error
-    errors = np.hypot(fits, setting)
-    found = weighted_mean(logs, errors)
-    weights = errors**-2 / np.sum(errors**-2)
-    error = float(np.hypot(found.std_error(0), weights @ common))
-    ratio = from_log("ratio", "1", float(found.values[0]), error, found.quantile)
+    covariance = joint_covariance(matched, 0, campaign.settings.setting_error, bending_error)
+    found = weighted_mean(logs, covariance)
+    ratio = from_log("ratio", "1", float(found.values[0]), found.std_error(0), found.quantile)
     beta = float(np.exp(np.mean([each.log[1] for each in matched])))
     verdict = _ratio_verdict(ratio.ci95)
     return Comparison(
@@ -43,7 +38,7 @@ def stiffness_ratio(
         kind="ratio",
         subject=campaign.subject,
         unit=campaign.unit,
-        points=_points(campaign, matched, np.hypot(errors, common)),
+        points=_points(campaign, matched, np.sqrt(np.diag(covariance))),
         amounts=(ratio, chance("scatter_p", found.p_value), from_log("beta", "s", float(np.log(beta)), 0.0, 0.0)),
         verdict=verdict,
         statement=_ratio_statement(campaign, ratio.value, ratio.ci95, found, SERIES if any(m.to_bending.any() for m in matched) else ""),
@@ -51,6 +46,18 @@ def stiffness_ratio(
         condition_unit=campaign.condition_unit,
         overlays=overlays,
     )
+
+
+def joint_covariance(matched: Sequence[Matched], number: int, setting_error: float, bending_error: float) -> NDArray[np.floating]:
+    """Covariance (n, n) of the tests' ln ratio (*number* 0) or ln beta (1).
+
+    V = diag(s_fit^2 + (d ln / d ln x  s_x)^2) + b b^T, b = d ln / d ln k_s  s_ks: noise and the setting of the condition are each
+    test's own, the shaft's stiffness is wrong for all tests alike.
+    """
+    fits = np.array([each.covariance[number, number] for each in matched])
+    setting = np.array([each.to_condition[number] for each in matched]) * setting_error
+    shared = np.array([each.to_bending[number] for each in matched]) * bending_error
+    return np.diag(fits + setting**2) + np.outer(shared, shared)
 
 
 def _ratio_verdict(interval: tuple[float, float] | None) -> str:
@@ -74,24 +81,28 @@ def _points(campaign: Campaign, matched: Sequence[Matched], errors: NDArray[np.f
     return tuple(points)
 
 
-def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None) -> Comparison:
+def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_error: float = 0.0) -> Comparison:
     """Is damping proportional to stiffness, c = beta k? chi-square of the tests' beta = c / k about one value, and ln c over ln k.
 
     With a theory (*matched*), beta is the factor by which the theory's curve has the measured damping, free of neighbouring modes and
     of the bending shaft; without, the fit's c / k.
     """
-    logs, errors = _log_betas([each.fit for each in campaign.observations]) if matched is None else _matched_betas(matched)
-    found = weighted_mean(logs, errors)
+    if matched is None:
+        logs, covariance = _log_betas([each.fit for each in campaign.observations])
+    else:
+        logs = np.array([each.log[1] for each in matched])
+        covariance = joint_covariance(matched, 1, campaign.settings.setting_error, bending_error)
+    found = weighted_mean(logs, covariance)
     stiffness = np.log([each.fit.parameter("k").value for each in campaign.observations])
     columns = np.column_stack([np.ones_like(stiffness), stiffness - np.mean(stiffness)])
-    change = weighted_fit(columns, logs, errors)
+    change = weighted_fit(columns, logs, covariance)
     exponent = with_error("exponent", "1", 1 + float(change.values[1]), change.std_error(1), change.quantile)
     if found.p_value is None:
         raise FitError("one test cannot show whether damping is proportional to stiffness")
     verdict = "not proportional" if found.p_value < campaign.settings.level else "proportional"
     beta = from_log("beta", "s", float(found.values[0]), found.std_error(0), found.quantile)
     said = f"c / k{campaign.subject[1:]}: beta = {1e6 * beta.value:.4g} us, c goes as k^{exponent.value:.3f}"
-    points = tuple(_beta_point(*each, beta.value) for each in zip(campaign.points(), logs, errors, strict=True))
+    points = tuple(_beta_point(*each, beta.value) for each in zip(campaign.points(), logs, np.sqrt(np.diag(covariance)), strict=True))
     return Comparison(
         name=campaign.settings.name,
         kind="rayleigh",
@@ -106,15 +117,11 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None) -> Compariso
     )
 
 
-def _matched_betas(matched: Sequence[Matched]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    return np.array([each.log[1] for each in matched]), np.sqrt([each.covariance[1, 1] for each in matched])
-
-
 def _log_betas(fits: Sequence[Fit]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """ln(c / k) and its standard error, with the correlation of c and k."""
+    """ln(c / k) and its covariance (n, n), from that of c and k in each fit."""
     covariances = [log_covariance(fit) for fit in fits]
     logs = np.array([np.log(fit.parameter("c").value / fit.parameter("k").value) for fit in fits])
-    return logs, np.sqrt([c[0, 0] + c[1, 1] - 2 * c[0, 1] for c in covariances])
+    return logs, np.diag([c[0, 0] + c[1, 1] - 2 * c[0, 1] for c in covariances])
 
 
 def _beta_point(point: ComparedPoint, log: float, error: float, beta: float) -> ComparedPoint:

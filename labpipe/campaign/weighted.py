@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import linalg, stats
 
 from labpipe.errors import FitError
 
@@ -16,7 +16,7 @@ SCATTER_LEVEL = 0.05
 
 @dataclass(frozen=True)
 class WeightedFit:
-    """Least squares with weights 1 / s_i^2: values and covariance of the parameters, and chi-square of the residual.
+    """Least squares weighted by the covariance of the values: parameters with their covariance, and chi-square of the residual.
 
     Where the scatter exceeds the stated errors (p_value below SCATTER_LEVEL), *covariance* holds them enlarged by Birge's ratio
     sqrt(chi2 / dof), and intervals use Student's t instead of the normal distribution.
@@ -43,24 +43,35 @@ class WeightedFit:
         return float(2 * (stats.t.sf(ratio, self.dof) if self.inflated else stats.norm.sf(ratio)))
 
 
-def weighted_fit(columns: NDArray[np.floating], values: NDArray[np.floating], std_errors: NDArray[np.floating]) -> WeightedFit:
-    """values (n,) = columns (n, n_parameter) p with standard errors (n,); FitError where p is not determined."""
+def weighted_fit(columns: NDArray[np.floating], values: NDArray[np.floating], errors: NDArray[np.floating]) -> WeightedFit:
+    """values (n,) = columns (n, n_parameter) p; *errors*: standard errors (n,), or the covariance (n, n) where values share some.
+
+    Generalised least squares. FitError where p is not determined.
+    """
     if values.size < columns.shape[1]:
         raise FitError(f"{values.size} tests cannot determine {columns.shape[1]} parameters")
-    if not np.all(std_errors > 0):
+    if not np.all((errors if errors.ndim == 1 else np.diag(errors)) > 0):
         raise FitError("a value has no error, so tests cannot be weighed", hint="a response without noise gives none")
-    design = columns / std_errors[:, None]
+    design, whitened = _whitened(columns, errors), _whitened(values[:, None], errors)[:, 0]
     if np.linalg.matrix_rank(design) < columns.shape[1]:
         raise FitError("the tests do not differ in the condition", hint="a trend needs at least two different values")
     covariance = np.linalg.inv(design.T @ design)
-    solved = covariance @ design.T @ (values / std_errors)
-    chi2 = float(np.sum(((values - columns @ solved) / std_errors) ** 2))
+    solved = covariance @ design.T @ whitened
+    chi2 = float(np.sum((whitened - design @ solved) ** 2))
     dof = values.size - columns.shape[1]
     p_value = float(stats.chi2.sf(chi2, dof)) if dof else None
     inflated = p_value is not None and p_value < SCATTER_LEVEL
     return WeightedFit(solved, covariance * chi2 / dof if inflated else covariance, chi2, dof, p_value, inflated)
 
 
-def weighted_mean(values: NDArray[np.floating], std_errors: NDArray[np.floating]) -> WeightedFit:
-    """The mean of values (n,) with standard errors (n,)."""
-    return weighted_fit(np.ones((values.size, 1)), values, std_errors)
+def _whitened(columns: NDArray[np.floating], errors: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Columns (n, m) divided by the standard errors, or by the Cholesky factor of the covariance."""
+    if errors.ndim == 1:
+        return columns / errors[:, None]
+    whitened: NDArray[np.floating] = linalg.solve_triangular(np.linalg.cholesky(errors), columns, lower=True)
+    return whitened
+
+
+def weighted_mean(values: NDArray[np.floating], errors: NDArray[np.floating]) -> WeightedFit:
+    """The mean of values (n,) with standard errors (n,) or covariance (n, n)."""
+    return weighted_fit(np.ones((values.size, 1)), values, errors)

@@ -29,12 +29,12 @@ def series(settings: CompareSettings, stiffness=(1e7, 2e7), damping=(200.0, 400.
 
 
 def test_tests_are_weighed_and_the_shaft_s_error_is_common() -> None:
-    """ln ratio: weights 1 / s^2; the shaft's part does not average out: s^2 = 1 / sum w + (mean slope x error)^2."""
+    """ln ratio by generalised least squares, written out with the inverse of V = diag(s^2) + b b^T."""
     matched = [a_match(1.10, 1e-3, bending=-2.0), a_match(1.1011, 2e-3, bending=-3.0)]
     found = stiffness_ratio(series(RATIO), matched, (), 0.005)
-    weights = np.array([1e6, 0.25e6])
-    log = weights @ np.log([1.10, 1.1011]) / weights.sum()
-    error = np.hypot(weights.sum() ** -0.5, weights @ [0.01, 0.015] / weights.sum())
+    inverse = np.linalg.inv(np.diag([1e-6, 4e-6]) + np.outer([0.01, 0.015], [0.01, 0.015]))
+    log = inverse.sum(axis=0) @ np.log([1.10, 1.1011]) / inverse.sum()
+    error = inverse.sum() ** -0.5
     ratio = found.amount("ratio")
     assert ratio.value == pytest.approx(np.exp(log), rel=1e-9)
     assert ratio.std_error == pytest.approx(np.exp(log) * error, rel=1e-9)

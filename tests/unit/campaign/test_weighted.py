@@ -30,6 +30,15 @@ def test_a_weighted_line_is_scipy_s(rng) -> None:
     np.testing.assert_allclose(found.covariance, covariance, rtol=1e-5)
 
 
+def test_errors_that_values_share_do_not_average_out() -> None:
+    """Equal own errors s and a shared one b: the mean has s^2 / n + b^2, and the shared part makes no scatter."""
+    values = np.array([1.0, 1.1, 1.2])
+    found = weighted_mean(values, 0.01 * np.eye(3) + 0.04)
+    assert found.values[0] == pytest.approx(1.1)
+    assert found.std_error(0) == pytest.approx(np.sqrt(0.01 / 3 + 0.04), rel=1e-12)
+    assert found.chi2 == pytest.approx(weighted_mean(values, np.full(3, 0.1)).chi2, rel=1e-9)
+
+
 def test_scatter_beyond_the_errors_enlarges_them_by_birge_s_ratio() -> None:
     values = np.array([1.0, 2.0, 4.0])
     found = weighted_mean(values, np.full(3, 0.01))
