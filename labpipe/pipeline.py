@@ -50,7 +50,7 @@ def measure_tests(pipeline: Pipeline, output: OutputFolder, tell: Tell) -> Measu
         if found:
             responses.append(measure_one(pipeline, test, found, output, tell))
             sources.extend(recording_ref(recording, pipeline.folder) for recording in found)
-        responses.extend(load_response(path, test.name or path.stem) for path in test.frfs)
+        responses.extend(load_response(path, test.name or path.stem, test.conditions) for path in test.frfs)
         sources.extend(source_ref(path, pipeline.folder) for path in test.frfs)
     sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
     return Measured(tuple(responses), tuple(sources))

@@ -12,6 +12,7 @@ from labpipe.cli import options
 from labpipe.cli.terminal import echo_identification
 from labpipe.config.pipeline import Pipeline, load_pipeline
 from labpipe.errors import DataError
+from labpipe.records.response import FrequencyResponse
 from labpipe.stages.frf import frf_file_name, load_response
 from labpipe.stages.identify import identify_stage
 
@@ -31,17 +32,25 @@ def identify(frfs: tuple[Path, ...], pipeline_path: Path, output: Path, override
     pipeline = load_pipeline(pipeline_path, overrides)
     options.teller(quiet, verbose)(f"identify  {pipeline.title}")
     with output_folder(output) as folder:
-        paths = list(frfs) or _known_responses(pipeline, folder)
-        responses = [load_response(path) for path in paths]
-        sources = [source_ref(path, path.parent) for path in paths]
+        responses = [load_response(path) for path in frfs] or _known_responses(pipeline, folder)
+        sources = [source_ref(path, path.parent) for path in frfs or _known_paths(pipeline, folder)]
         sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
         identification = identify_stage(pipeline, responses, sources, folder)
     echo_identification(identification, quiet)
     return 0 if identification.accepted else 1
 
 
-def _known_responses(pipeline: Pipeline, folder: OutputFolder) -> list[Path]:
-    """The responses of the pipeline's tests: in the folder, or ready ones that the pipeline names."""
+def _known_responses(pipeline: Pipeline, folder: OutputFolder) -> list[FrequencyResponse]:
+    """The responses of the pipeline's tests, ready ones under the name and the conditions of their test."""
+    ready = {path: test for test in pipeline.tests for path in test.frfs}
+    return [
+        load_response(path, ready[path].name or path.stem, ready[path].conditions) if path in ready else load_response(path)
+        for path in _known_paths(pipeline, folder)
+    ]
+
+
+def _known_paths(pipeline: Pipeline, folder: OutputFolder) -> list[Path]:
+    """The response files of the pipeline's tests: in the folder, or ready ones that the pipeline names."""
     paths: list[Path] = []
     for test in pipeline.tests:
         paths.extend(test.frfs)

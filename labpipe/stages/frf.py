@@ -52,8 +52,8 @@ def _where(recordings: Sequence[StoredRecording]) -> str:
     return ", ".join(recording.header.inputs[0].path if recording.header.inputs else recording.path.name for recording in recordings)
 
 
-def load_response(path: Path, name: str = "") -> FrequencyResponse:
-    """A ready response: labpipe's own file, or an FRF table as CSV."""
+def load_response(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:
+    """A ready response: labpipe's own file, or an FRF table as CSV; name and conditions of its test take the place of its own."""
     if path.is_dir():
         raise DataError("is a folder, a file is needed", where=str(path))
     if not path.exists():
@@ -63,4 +63,4 @@ def load_response(path: Path, name: str = "") -> FrequencyResponse:
     except DataError as error:
         error.where = error.where or str(path)
         raise
-    return dataclasses.replace(response, name=name or response.name)
+    return dataclasses.replace(response, name=name or response.name, conditions=conditions or response.conditions)
