@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.identify.levenberg import minimise
+from labpipe.identify.levenberg import minimise, sum_of_squares
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.regression import solve_scaled, triangle_of
@@ -44,11 +44,7 @@ class _Amplitudes:
         return -self.scaled((h.conj() * slopes).real / np.abs(h)).T
 
     def chi2(self, parameters: NDArray[np.floating]) -> float:
-        try:
-            residual = self.residual(parameters)
-        except FitError:
-            return np.inf
-        return float(residual @ residual) if np.all(np.isfinite(residual)) else np.inf
+        return sum_of_squares(self.residual, parameters)
 
     def scaled(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
         return values / (self.std if self.std is not None else float(np.max(self.amplitude)))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from labpipe.errors import FitError
 
 MAX_ITERATIONS = 100
 MAX_DAMPING_STEPS = 20
@@ -30,6 +33,16 @@ class SquareSum(Protocol):
     def residual(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]: ...
     def jacobian(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]: ...
     def chi2(self, parameters: NDArray[np.floating]) -> float: ...
+
+
+def sum_of_squares(residual: Callable[[NDArray[np.floating]], NDArray[np.floating]], parameters: NDArray[np.floating]) -> float:
+    """The squared length of a residual; infinite where the model has no finite response."""
+    try:
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            values = residual(parameters)
+    except FitError:
+        return float("inf")
+    return float(values @ values) if np.all(np.isfinite(values)) else float("inf")
 
 
 @dataclass(frozen=True)

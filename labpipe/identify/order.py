@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.identify.levenberg import minimise
+from labpipe.identify.levenberg import minimise, sum_of_squares
 from labpipe.identify.measured import Measured
 from labpipe.identify.weights import has_noise, whitened
 
@@ -62,9 +62,7 @@ class RationalFit:
         return -self._equation(numerators / denominator[:, None], 1 / denominator)
 
     def chi2(self, parameters: NDArray[np.floating]) -> float:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            residual = self.residual(parameters)
-        return float(residual @ residual) if np.all(np.isfinite(residual)) else float("inf")
+        return sum_of_squares(self.residual, parameters)
 
     def start(self) -> NDArray[np.floating]:
         """Equation error weighted by 1 / A of the last pass (Sanathanan and Koerner 1963); the pass of the lowest chi-square."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.errors import FitError
+from labpipe.identify.levenberg import sum_of_squares
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import ResponseModel
 from labpipe.identify.weights import whitened
@@ -36,11 +36,7 @@ class OutputError:
 
     def chi2(self, parameters: NDArray[np.floating]) -> float:
         """Sum of the squared residual; infinite where the model has no finite response."""
-        try:
-            residual = self.residual(parameters)
-        except FitError:
-            return np.inf
-        return float(residual @ residual) if np.all(np.isfinite(residual)) else np.inf
+        return sum_of_squares(self.residual, parameters)
 
     def jacobian(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
         """d residual / d p, (n_equation, n_parameter)."""

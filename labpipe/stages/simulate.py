@@ -49,25 +49,27 @@ def _mdof(rig: VirtualMdofRig, seed: int, runs: Iterable[str] | None, output: Ou
 
 
 def _white_noise(rig: WhiteNoiseRig, seed: int, runs: Iterable[str] | None, output: OutputFolder) -> list[str]:
-    """One Parquet file per force direction, displacements in um; the bytes of noise pack best one position after the other."""
-    made = white_noise_rig.white_noise_runs(rig, seed, runs)
-    for run in made:
-        columns = dict(zip(("force [N]", "x [um]", "y [um]"), (run.samples * [1.0, 1e6, 1e6]).T.astype(np.float32), strict=True))
-        path = output.write_path(f"{run.name}.parquet")
-        pq.write_table(pa.table(columns), path, compression="zstd", use_dictionary=False, use_byte_stream_split=True)
-    names = [f"{run.name}.parquet" for run in made]
+    """One file per force direction."""
+    names = _write_noise(white_noise_rig.white_noise_runs(rig, seed, runs), "xy", output)
     return [*names, _write_truth({"seed": seed, "rig": rig.name, "truth": white_noise_rig.truth(rig)}, output)]
 
 
 def _journal(rig: VirtualJournalRig, seed: int, runs: Iterable[str] | None, output: OutputFolder) -> list[str]:
-    """One Parquet file per state and force direction, displacements in um."""
-    made = journal_rig.journal_runs(rig, seed, runs)
-    for run in made:
-        columns = dict(zip(("force [N]", "y [um]", "z [um]"), (run.samples * [1.0, 1e6, 1e6]).T.astype(np.float32), strict=True))
-        path = output.write_path(f"{run.name}.parquet")
-        pq.write_table(pa.table(columns), path, compression="zstd", use_dictionary=False, use_byte_stream_split=True)
-    names = [f"{run.name}.parquet" for run in made]
+    """One file per state and force direction."""
+    names = _write_noise(journal_rig.journal_runs(rig, seed, runs), "yz", output)
     return [*names, _write_truth({"seed": seed, "rig": rig.name, "truth": journal_rig.truth(rig)}, output)]
+
+
+def _write_noise(runs: Iterable[Recording], directions: str, output: OutputFolder) -> list[str]:
+    """Parquet files of force and two displacements in um; the bytes of noise pack best one position after the other."""
+    titles = ("force [N]", *(f"{direction} [um]" for direction in directions))
+    names = []
+    for run in runs:
+        columns = dict(zip(titles, (run.samples * [1.0, 1e6, 1e6]).T.astype(np.float32), strict=True))
+        names.append(f"{run.name}.parquet")
+        path = output.write_path(names[-1])
+        pq.write_table(pa.table(columns), path, compression="zstd", use_dictionary=False, use_byte_stream_split=True)
+    return names
 
 
 def _ball_bearing(rig: VirtualBallBearingRig, seed: int, runs: Iterable[str] | None, output: OutputFolder) -> list[str]:
