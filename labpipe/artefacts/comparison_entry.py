@@ -7,7 +7,6 @@ import math
 from typing import Any
 
 from labpipe.records.comparison import ComparedPoint, Comparison, Overlay
-from labpipe.records.finding import Finding
 from labpipe.records.identification import Parameter
 
 
@@ -22,7 +21,6 @@ def read_comparison(entry: dict[str, Any]) -> Comparison:
             **entry,
             "points": tuple(_point(point) for point in entry["points"]),
             "amounts": tuple(_amount(amount) for amount in entry["amounts"]),
-            "findings": tuple(Finding(**finding) for finding in entry["findings"]),
             "line": tuple((x, y) for x, y in entry["line"]),
             "overlays": tuple(_overlay(overlay) for overlay in entry["overlays"]),
         }

@@ -168,6 +168,8 @@ def _curve(fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Ri
     """The part of the response that *fit* was made of; *whole*: its term on all lines."""
     if settings.model != "sdof" or fit.curve is None:
         raise ConfigError(f"fit '{fit.name}' is not of the model sdof", hint="only one-dof fits are compared with the theory's own")
+    if settings.subtract is not None or settings.share != 1:
+        raise ConfigError(f"fit '{fit.name}' is corrected for support or share", hint="compare the fit of the whole with the theory")
     row = [port.label for port in response.outputs].index(fit.curve.outputs[0])
     column = [port.label for port in response.inputs].index(fit.curve.inputs[0])
     lines = np.ones(response.n_frequency, bool) if whole else lines_in(response.frequency, fit.band_hz)

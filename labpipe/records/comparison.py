@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from labpipe.records.finding import Finding
 from labpipe.records.parameter import Parameter
 
 
@@ -58,7 +57,6 @@ class Comparison:
     statement: str
     condition: str = ""
     condition_unit: str = ""
-    findings: tuple[Finding, ...] = ()
     line: tuple[tuple[float, float], ...] = ()
     overlays: tuple[Overlay, ...] = ()
 

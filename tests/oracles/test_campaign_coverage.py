@@ -38,7 +38,8 @@ def campaigns() -> list[dict[str, Comparison]]:
     found = []
     for seed in range(1000, 1000 + REPEATS):
         shaft = rig.deep_groove.bending_stiffness * (1 + 0.01 * rng.standard_normal())
-        own = replace(rig, sampling=replace(rig.sampling, spacing=4.0, periods=6), deep_groove=replace(rig.deep_groove, bending_stiffness=shaft))
+        sampling = replace(rig.sampling, spacing=4.0, periods=6)
+        own = replace(rig, sampling=sampling, deep_groove=replace(rig.deep_groove, bending_stiffness=shaft))
         evidence = _evidence(pipeline, own, seed)
         found.append({settings.name: _compared(settings, evidence, theories) for settings in chosen})
     return found
