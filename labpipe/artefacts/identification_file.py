@@ -53,6 +53,15 @@ def read_identification(path: Path) -> Identification:
         raise DataError(f"is not a readable identification.json ({error})", where=str(path)) from None
     if not isinstance(entries, dict) or entries.get("schema") != SCHEMA:
         raise DataError(f"is not of schema {SCHEMA}", where=str(path))
+    try:
+        return _identification(entries)
+    except (KeyError, TypeError, IndexError, ValueError) as error:
+        # Same schema, other entries: written by another version, or edited by hand.
+        written = f"was written by labpipe {entries.get('labpipe', '?')}, or edited ({type(error).__name__}: {error})"
+        raise DataError(written, where=str(path), hint="run `labpipe identify` again") from None
+
+
+def _identification(entries: dict[str, Any]) -> Identification:
     outcomes = [RuleOutcome(section, **entry) for section in ("accept", "expect") for entry in entries.get(section, [])]
     return Identification(
         fits=tuple(_fit(entry) for entry in entries["fits"]),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -159,3 +160,13 @@ def test_records_are_read_only_and_checked_at_birth(rng: np.random.Generator) ->
     with pytest.raises(DataError, match="unknown form"):
         dataclasses.replace(one, form="inertance")
     assert uncorrelated(one.variance).shape == (5, 4, 4)
+
+
+@pytest.mark.parametrize("change", [{"fits": [{"name": "x"}]}, {"studies": [{"later": 1}]}, {"fits": 3}])
+def test_a_result_with_other_entries_is_refused_in_plain_words(tmp_path: Path, change: dict) -> None:
+    path = tmp_path / "identification.json"
+    write_identification(path, Identification((), "empty", "p.yaml"))
+    path.write_text(json.dumps({**json.loads(path.read_text("utf-8")), **change}), "utf-8")
+    with pytest.raises(DataError, match=r"was written by labpipe .*, or edited") as caught:
+        read_identification(path)
+    assert "run `labpipe identify` again" in str(caught.value.hint)
