@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.identify.diagnostics import collinear_groups, estimate_findings, quality_findings
+from labpipe.identify.diagnostics import MISMATCH_P, collinear_groups, estimate_findings, quality_findings
 from labpipe.identify.regression import triangle_of
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.statistics import (
@@ -158,7 +158,7 @@ def _estimate(solved: _Solved) -> Estimate:
     """The estimate with its goodness, as the diagnostics know it."""
     misfit, best, dof = solved.misfit, solved.best, solved.dof
     data, names = misfit.data, misfit.model.names
-    jacobian = misfit.jacobian(best.parameters)
+    jacobian, felt = misfit.jacobian(best.parameters), list(_felt(solved))
     measured = data.terms(data.measured.matrix)
     modelled = data.terms(misfit.model.response(best.parameters)[0])
     r2, adjusted = determination(measured, measured - modelled, len(names))
@@ -169,7 +169,7 @@ def _estimate(solved: _Solved) -> Estimate:
     return Estimate(
         best.parameters,
         solved.covariance,
-        triangle_of(jacobian[:, list(_felt(solved))]),
+        triangle_of(jacobian[:, felt]) if felt else np.eye(1),
         Goodness(r2, adjusted, reduced, p_value),
         dof,
         best.converged,
@@ -183,7 +183,7 @@ def _reported(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...
     at = bounds_reached(misfit, best)
     intervals = _intervals(solved)
     identifiable = ANGLE not in intervals or is_identifiable(intervals[ANGLE])
-    factors = dict(zip(_felt(solved), inflation_factors(estimate.scaled_design).tolist(), strict=True))
+    factors = dict(zip(_felt(solved), inflation_factors(estimate.scaled_design).tolist(), strict=False))
     plain = [
         _parameter(solved, number, factors.get(number), intervals.get(name), identifiable) for number, name in enumerate(misfit.model.names)
     ]
@@ -193,7 +193,8 @@ def _reported(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...
     probability = healthy_probability(misfit, best, solved.healthy_chi2)
     plain.append(derived("healthy_probability", "1", probability, 0.0, solved.dof))
     plain[-1] = replace(plain[-1], std_error=None, ci95=None)
-    return tuple(plain), [*findings, *angle_findings(identifiable), *healthy_findings(probability)]
+    mismatch = estimate.gof.chi2_p is not None and estimate.gof.chi2_p < MISMATCH_P
+    return tuple(plain), [*findings, *angle_findings(identifiable), *healthy_findings(probability, mismatch)]
 
 
 def _intervals(solved: _Solved) -> dict[str, Interval]:
@@ -227,7 +228,7 @@ def _own_findings(solved: _Solved, estimate: Estimate, estimator: str) -> list[F
     """Findings on the estimate; parameters that are only estimated along may resemble each other, their prior holds them apart."""
     names = [solved.misfit.model.names[number] for number in _felt(solved)]
     found = estimate_findings(estimate, names, solved.misfit.data.frequency.size, estimator)
-    group = {name for own in collinear_groups(estimate.scaled_design, names) for name in own}
+    group = {name for own in (collinear_groups(estimate.scaled_design, names) if names else []) for name in own}
     along = DEPTH in solved.misfit.model.names and not group & {DEPTH, ANGLE}
     return [finding for finding in found if finding.code != "collinear" or not along]
 

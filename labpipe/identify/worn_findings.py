@@ -71,14 +71,17 @@ def is_identifiable(interval: Interval) -> bool:
     return not (interval.open_low and interval.open_high)
 
 
-def healthy_findings(probability: float) -> list[Finding]:
-    """The verdict on wear or no wear where it is not plainly wear."""
+def healthy_findings(probability: float, mismatch: bool) -> list[Finding]:
+    """The verdict on wear or no wear where it is not plainly wear; *mismatch*: the residual exceeds the noise."""
     if probability < PROBABLY_WORN:
         return []
-    odds = "even odds before, any wear of the range alike"
+    odds = f"the probability of no wear is {probability:.3g} (even odds before, any wear of the range alike)"
+    if mismatch:
+        message = f"the bearing may be healthy: {odds}, if only the model were right, which chi-square denies"
+        return [Finding("perhaps-healthy", message)]
     if probability >= PROBABLY_HEALTHY:
-        return [Finding("healthy", f"the bearing is probably healthy: the probability of no wear is {probability:.3g} ({odds})")]
-    return [Finding("perhaps-healthy", f"the bearing may be healthy: the probability of no wear is {probability:.3g} ({odds})")]
+        return [Finding("healthy", f"the bearing is probably healthy: {odds}")]
+    return [Finding("perhaps-healthy", f"the bearing may be healthy: {odds}")]
 
 
 def search_note(found: Sequence[Minimum], settings: WearSettings) -> str:

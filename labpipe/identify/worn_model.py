@@ -47,13 +47,13 @@ class WornModel:
     known: Gaussian
     mesh: FilmMesh
 
-    def refined(self, parameters: Array) -> WornModel:
-        """The model with the films' own coefficients at these parameters, on a mesh with half the cells' size; slopes of the tables.
+    def refined(self, parameters: Array, with_slopes: bool = True) -> WornModel:
+        """The model with the films' own coefficients and slopes at these parameters, on a mesh with cells of half the size.
 
         A table cannot follow every bend of the coefficients: its error moves a deep wear by a micrometre.
         """
         fine, values = FilmMesh(2 * self.mesh.around, 2 * self.mesh.across), self.values(parameters)
-        return replace(self, bearings=tuple(bearing.refined(values, fine) for bearing in self.bearings))
+        return replace(self, bearings=tuple(bearing.refined(values, fine, with_slopes) for bearing in self.bearings))
 
     def values(self, parameters: Array) -> dict[str, float]:
         """SI values by name."""

@@ -22,6 +22,8 @@ TOLERANCE = 1e-10
 MOST_EVALUATIONS = 60
 # Change of a refined minimum, in standard errors, below which it has settled, and the corrections it may take.
 SETTLED, MOST_REFINEMENTS = 0.03, 12
+# Corrections that determine the films' slopes anew; they change little from there on.
+SLOPE_ROUNDS = 2
 
 Array = NDArray[np.floating]
 
@@ -113,9 +115,9 @@ def refined(misfit: Misfit, minimum: Minimum, free: Sequence[int] | None = None)
 
     Where that does not settle, the minimum is marked as not converged.
     """
-    for _ in range(MOST_REFINEMENTS):
+    for number in range(MOST_REFINEMENTS):
         before = minimum.parameters
-        misfit = replace(misfit, model=misfit.model.refined(before), _last=None)
+        misfit = replace(misfit, model=misfit.model.refined(before, number < SLOPE_ROUNDS), _last=None)
         found = descend(misfit, before, free)
         minimum = replace(found, starts=minimum.starts, evaluations=minimum.evaluations + found.evaluations)
         moved = misfit.jacobian(minimum.parameters) @ (minimum.parameters - before)

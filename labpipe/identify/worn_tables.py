@@ -138,17 +138,22 @@ class TabledBearing:
                 slopes[:, number] = by_parameter[:, PARAMETERS.index(name)]
         return VaryingSupport(Support(self.place.node, *matrices), *slopes)
 
-    def refined(self, values: Mapping[str, float], mesh: FilmMesh) -> TabledBearing:
-        """This bearing with the film's own coefficients and slopes at *values*, on a finer mesh, and the table around them."""
+    def refined(self, values: Mapping[str, float], mesh: FilmMesh, with_slopes: bool) -> TabledBearing:
+        """This bearing with the film's own coefficients at *values*, on a finer mesh, and the table around them.
+
+        *with_slopes*: the film's slopes as well; else those of the last correction, made nearby.
+        """
         bearing = self._bearing(values)
         film = journal_equilibrium(bearing, self.load, self.speed, mesh)
         if self.table is None:
             return replace(self, fixed=Support(self.place.node, film.stiffness, film.damping))
         matrices, by_parameter = _of_table(self.table, bearing, self.speed)
-        slopes = np.zeros_like(by_parameter)
-        for number, name in enumerate(PARAMETERS):
-            if name in values and (self.worn or name not in WEAR):
-                slopes[:, number] = _film_slope(film, name) - by_parameter[:, number]
+        slopes = np.zeros_like(by_parameter) if self.correction is None else self.correction.slopes
+        if with_slopes:
+            slopes = np.zeros_like(by_parameter)
+            for number, name in enumerate(PARAMETERS):
+                if name in values and (self.worn or name not in WEAR):
+                    slopes[:, number] = _film_slope(film, name) - by_parameter[:, number]
         return replace(self, correction=Correction(_point(bearing), np.stack([film.stiffness, film.damping]) - matrices, slopes))
 
     def _bearing(self, values: Mapping[str, float]) -> JournalBearing:

@@ -117,6 +117,14 @@ def test_wear_beyond_the_range_ends_at_the_bound() -> None:
     assert "at-bound" in [finding.code for finding in fit.findings]
 
 
+def test_nothing_but_bounds_is_a_result_too() -> None:
+    """Deeper and farther round than is looked for: both at their bounds, no standard errors, no failure."""
+    limits = {"depth_limit": 20e-6, "angle_limit": np.deg2rad(5), "start_depths": (5e-6,), "start_angles": (0.0,)}
+    fit = fitted(fit_settings(**limits), measured(worn_rig(45.0, 15.0), 0.01, np.random.default_rng(8)))
+    assert [fit.parameter(name).at_bound for name in ("wear_depth", "wear_angle")] == [True, True]
+    assert fit.condition_number == 1.0 and fit.parameter("wear_depth").std_error is None
+
+
 def test_a_model_error_without_nuisances_is_seen_by_chi_square() -> None:
     response = measured(worn_rig(22.27, 11.0, viscosity=0.1044 * 1.1), 0.01, np.random.default_rng(9), BAND)
     fit = fitted(fit_settings(), response)
@@ -135,8 +143,10 @@ def test_rival_minima_are_named_with_their_place() -> None:
 
 
 def test_verdicts_by_probability() -> None:
-    codes = [[finding.code for finding in healthy_findings(probability)] for probability in (0.9, 0.3, 0.01)]
+    codes = [[finding.code for finding in healthy_findings(probability, False)] for probability in (0.9, 0.3, 0.01)]
     assert codes == [["healthy"], ["perhaps-healthy"], []]
+    (finding,) = healthy_findings(0.9, True)
+    assert finding.code == "perhaps-healthy" and "chi-square denies" in finding.message
 
 
 def test_tuning_finds_the_healthy_rig_s_oil_clearance_and_damping() -> None:
