@@ -25,17 +25,28 @@ from labpipe.signals.excitation import PHASES, design_multisine
 @click.option("--level", default="1 V", show_default=True, help="Root mean square of the signal.")
 @click.option("--phases", type=click.Choice(list(PHASES)), default="schroeder", show_default=True, help="How the phases are chosen.")
 @click.option("--odd", is_flag=True, help="Odd lines only: even lines then show even distortion.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of random phases.")
+@click.option("--leave-out", type=click.IntRange(min=0), default=0, metavar="N", help="One line of every N left out: odd distortion shows.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of random phases and of the lines left out.")
 @options.quiet
 def excite(
-    output: Path, band: str, spacing: str, rate: str, periods: int, level: str, phases: str, odd: bool, seed: int, quiet: bool
+    output: Path,
+    band: str,
+    spacing: str,
+    rate: str,
+    periods: int,
+    level: str,
+    phases: str,
+    odd: bool,
+    leave_out: int,
+    seed: int,
+    quiet: bool,
 ) -> None:
     """Design a periodic test signal and print its crest factor (peak over rms)."""
     limits = _option("--band", lambda: read_band(Marked(band, "--band", text=band), Setting("band", "", "Hz")))
     line_spacing = _option("--spacing", lambda: parse_value(spacing, "Hz"))
     sample_rate = _option("--rate", lambda: parse_value(rate, "Hz"))
     rms = _option("--level", lambda: parse_value(level, "V"))
-    signal = design_multisine(limits, line_spacing, rms, phases=phases, odd_only=odd, seed=seed)
+    signal = design_multisine(limits, line_spacing, rms, phases=phases, odd_only=odd, leave_out=leave_out, seed=seed)
     write_signal(output, signal.samples(sample_rate, periods), sample_rate)
     if quiet:
         return

@@ -11,6 +11,7 @@ from typing import Any
 
 from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
+from labpipe.config.sensor_response import read_sensor_response
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.quantities import QUANTITIES, Unit, UnitError, check_dimension, parse_unit, parse_value
 from labpipe.records.recording import ROLES, Channel
@@ -44,6 +45,7 @@ class ChannelSettings:
     sensitivity: str = setting("text", "of the sensor, for example '8 V/mm'", default="")
     invert: bool = setting("flag", "turn the sign around", default=False)
     delay: float = setting("value", "delay of the sensor chain, taken out of the FRF", unit="s", default=0.0)
+    response: str = setting("text", "CSV table of the sensor's frequency response, taken out of the FRF", default="")
     range: tuple[float, float] | None = setting("text", "recorded values at which the logger clips, e.g. '-10 V .. 10 V'", default=None)
 
 
@@ -132,11 +134,12 @@ def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChann
     scale, offset = _calibration(known, node, key, faults)
     limits = _limits(known, node, key, faults)
     dof, angle = _direction(known.dof or name, node, key, faults)
+    response = _response(known, node, key, faults)
     if len(faults) > before:
         return None
     sign = -1.0 if known.invert else 1.0
     role = known.role or DEFAULT_ROLES.get(known.quantity, "reference")
-    channel = Channel(name, known.quantity, role, dof, angle, known.delay)
+    channel = Channel(name, known.quantity, role, dof, angle, known.delay, response)
     return RigChannel(channel, known.column or name, known.unit or channel.unit, sign * scale, sign * offset, limits)
 
 
@@ -150,6 +153,17 @@ def _direction(dof: str, node: Marked, key: str, faults: Faults) -> tuple[str, f
         except UnitError as error:
             faults.add_unit(node.content.get("dof", node), join(key, "dof"), error)
     return dof, None
+
+
+def _response(known: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[tuple[float, float, float], ...]:
+    """The sensor's frequency response; its table stands beside the rig file."""
+    if not known.response:
+        return ()
+    try:
+        return read_sensor_response(Path(node.where.rsplit(":", 2)[0]).parent / known.response)
+    except UnitError as error:
+        faults.add_unit(node.content["response"], join(key, "response"), error)
+        return ()
 
 
 def _calibration(known: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[float, float]:

@@ -23,7 +23,7 @@ class Channel:
 
     *dof* is a label (``x``, ``y``, ``bearing2.y``); *angle* [rad] from x towards y is set when the direction is known as an angle
     (``dof: 45 deg``; x is 0, y is 90 deg). *role*: input (force), output (response) or reference (tacho, temperature, ...).
-    *delay* [s] of the sensor chain, taken out of the FRF.
+    *delay* [s] of the sensor chain and its frequency *response*, rows (frequency [Hz], gain [1], phase [rad]), are taken out of the FRF.
     """
 
     name: str
@@ -32,12 +32,15 @@ class Channel:
     dof: str
     angle: float | None = None
     delay: float = 0.0
+    response: tuple[tuple[float, float, float], ...] = ()
 
     def __post_init__(self) -> None:
         if self.quantity not in QUANTITIES:
             raise DataError(f"channel '{self.name}' has the unknown quantity '{self.quantity}'")
         if self.role not in ROLES:
             raise DataError(f"channel '{self.name}' has the unknown role '{self.role}'")
+        # A file gives lists.
+        object.__setattr__(self, "response", tuple(tuple(row) for row in self.response))
 
     @property
     def unit(self) -> str:

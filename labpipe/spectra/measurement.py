@@ -6,13 +6,16 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse
+from labpipe.spectra.aliasing import Watched, aliasing_findings
 from labpipe.spectra.directional import directional
 from labpipe.spectra.from_impact import impact_parts
-from labpipe.spectra.from_periodic import periodic_parts
+from labpipe.spectra.from_periodic import LOW_SNR, periodic_parts
 from labpipe.spectra.from_random import random_parts
 from labpipe.spectra.masks import mask_findings, masked_bands
 from labpipe.spectra.parts import Parts
@@ -21,6 +24,9 @@ from labpipe.spectra.realisations import realisations, robust_mean
 from labpipe.spectra.reciprocity import reciprocity_findings
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.synchronous import cleaned
+
+# A response of which the forces explain less than this share is mostly noise.
+EXPLAINED = 0.5
 
 EXCITATIONS: dict[str, Callable[[Sequence[SampleSource], FrfSettings, Layout], Parts]] = {
     "periodic": periodic_parts,
@@ -55,10 +61,12 @@ def _measured(
     layout = find_layout(sources)
     bands = masked_bands(sources, settings)
     settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
-    sources = cleaned(sources, settings.remove)
+    watched = [Watched(source) for source in cleaned(sources, settings.remove)]
+    sources = list(watched)
     parts = EXCITATIONS[settings.excitation](sources, settings, layout)
-    findings = (*_source_findings(sources), *mask_findings(bands), *parts.findings)
-    turn = layout.undelayed(parts.frequency)
+    folded = aliasing_findings(watched, settings.band, _moved(parts, layout))
+    findings = (*_source_findings(sources), *mask_findings(bands), *folded, *parts.findings)
+    turn = layout.sensor_factor(parts.frequency)
     flat = turn.reshape(turn.shape[0], -1)
     covariance = None if parts.covariance is None else parts.covariance * (flat[:, :, None] * flat[:, None, :].conj())
     return FrequencyResponse(
@@ -80,6 +88,18 @@ def _measured(
         findings=findings,
         conditions=dict(conditions or {}),
     )
+
+
+def _moved(parts: Parts, layout: Layout) -> set[str]:
+    """The responses that the forces move: noise alone says nothing of filters."""
+    n_output = len(layout.outputs)
+    if parts.multiple_coherence is not None:
+        moved = np.median(parts.multiple_coherence, axis=0) > EXPLAINED
+    elif parts.snr is not None:
+        moved = np.median(parts.snr[:, -n_output:], axis=0) > LOW_SNR
+    else:
+        moved = np.ones(n_output, bool)
+    return {port.channel for port, own in zip(layout.outputs, moved, strict=True) if own}
 
 
 def _check_rates(sources: Sequence[SampleSource]) -> None:

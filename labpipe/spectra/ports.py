@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from labpipe.errors import DataError
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import Port
+from labpipe.spectra.bands import EDGE
 
 FORM_OF = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
 
@@ -27,13 +28,14 @@ class Layout:
     input_columns: tuple[tuple[int, ...], ...]
     output_columns: tuple[tuple[int, ...], ...]
     form: str
-    input_delays: tuple[float, ...]
-    output_delays: tuple[float, ...]
+    input_sensors: tuple[Channel, ...]
+    output_sensors: tuple[Channel, ...]
 
-    def undelayed(self, frequency: NDArray[np.floating]) -> NDArray[np.complexfloating]:
-        """exp(j w (d_output - d_input)): the factor that takes the sensors' delays [s] out of H, (n_line, n_output, n_input)."""
-        difference = np.subtract.outer(np.array(self.output_delays), np.array(self.input_delays))
-        return np.exp(2j * np.pi * frequency[:, None, None] * difference)
+    def sensor_factor(self, frequency: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+        """S_input / S_output: the factor that takes the sensors out of H, (n_line, n_output, n_input); see sensor_response."""
+        shown = [[sensor_response(sensor, frequency) for sensor in sensors] for sensors in (self.output_sensors, self.input_sensors)]
+        outputs, inputs = (np.array(each, np.complex128).T for each in shown)
+        return np.asarray(inputs[:, None, :] / outputs[:, :, None])
 
     def padded(self, recording: int, values: NDArray[np.complexfloating], axes: int) -> NDArray[np.complexfloating]:
         """The last *axes* axes of *values* reordered to inputs then outputs; zero for a force that does not act."""
@@ -63,16 +65,36 @@ def find_layout(sources: Sequence[SampleSource]) -> Layout:
         input_columns=tuple(_columns(own, inputs) for own in forces),
         output_columns=tuple(_columns(own, outputs) for own in responses),
         form=_form(forces, responses),
-        input_delays=tuple(key[3] for key in inputs),
-        output_delays=tuple(key[3] for key in outputs),
+        input_sensors=_sensors(forces, inputs),
+        output_sensors=_sensors(responses, outputs),
     )
 
 
-Key = tuple[str, str, float | None, float]
+def sensor_response(sensor: Channel, frequency: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    """What the sensor shows over what there is, exp(-j w delay) g(f) exp(j phi(f)), (n_line,) at *frequency* [Hz].
+
+    Gain and phase are straight lines between the rows of its table. DataError where a line lies outside the table.
+    """
+    shown: NDArray[np.complexfloating] = np.exp(-2j * np.pi * frequency * sensor.delay)
+    if not sensor.response:
+        return shown
+    at, gain, phase = np.array(sensor.response).T
+    if frequency[0] < at[0] * (1 - EDGE) or frequency[-1] > at[-1] * (1 + EDGE):
+        what = f"the FRF ({frequency[0]:g}-{frequency[-1]:g} Hz) leaves the table of channel '{sensor.name}' ({at[0]:g}-{at[-1]:g} Hz)"
+        raise DataError(what, hint="narrow `band`, or calibrate the sensor further")
+    return shown * np.interp(frequency, at, gain) * np.exp(1j * np.interp(frequency, at, np.unwrap(phase)))
+
+
+Key = tuple[str, str, float | None, float, tuple[tuple[float, float, float], ...]]
 
 
 def _key(channel: Channel) -> Key:
-    return (channel.name, channel.dof, channel.angle, channel.delay)
+    return (channel.name, channel.dof, channel.angle, channel.delay, channel.response)
+
+
+def _sensors(channels: list[list[tuple[int, Channel]]], keys: list[Key]) -> tuple[Channel, ...]:
+    found = {_key(channel): channel for own in channels for _, channel in own}
+    return tuple(found[key] for key in keys)
 
 
 def _of_role(source: SampleSource, role: str) -> list[tuple[int, Channel]]:
@@ -97,7 +119,7 @@ def _ports(keys: list[Key]) -> tuple[Port, ...]:
     names = [key[0] for key in keys]
     dofs = [key[1] for key in keys]
     ports = []
-    for name, dof, angle, _ in keys:
+    for name, dof, angle, *_ in keys:
         unique = name if names.count(name) == 1 else dof if dofs.count(dof) == 1 else f"{name}@{dof}"
         ports.append(Port(unique, name, dof, angle))
     return tuple(ports)

@@ -46,7 +46,7 @@ def test_padding_puts_every_channel_in_its_place() -> None:
 def test_delays_turn_the_phase_by_their_difference() -> None:
     late = Channel("x", "displacement", "output", "x", 0.0, delay=3e-3)
     layout = find_layout([run("a", shaker("x", delay=1e-3), late)])
-    np.testing.assert_allclose(layout.undelayed(np.array([25.0])), np.exp(2j * np.pi * 25 * 2e-3) * np.ones((1, 1, 1)), rtol=1e-12)
+    np.testing.assert_allclose(layout.sensor_factor(np.array([25.0])), np.exp(2j * np.pi * 25 * 2e-3) * np.ones((1, 1, 1)), rtol=1e-12)
 
 
 def test_labels_stay_unique() -> None:
