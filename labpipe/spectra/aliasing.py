@@ -11,7 +11,7 @@ from scipy import fft, signal
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, SampleSource
 
-# One segment of this length is looked at in every block that is read, where the force is strongest: a hit is not missed.
+# One segment of this length is looked at in every block that is read.
 SEGMENT = 1024
 SHORTEST = 64
 # Above this share of half the sampling rate a filter leaves less than this share of the power density in the band.
@@ -22,11 +22,12 @@ MOST_POWER = 0.1
 class Watched:
     """A recording that keeps the mean power of its channels while it is read; satisfies SampleSource."""
 
-    def __init__(self, source: SampleSource) -> None:
+    def __init__(self, source: SampleSource, hits: bool = False) -> None:
+        """*hits*: the force is strong for moments only, so a block is looked at where it is strongest."""
         self._source = source
         self._n = min(SEGMENT, 1 << (max(source.n_sample, 1).bit_length() - 1))
         self._window = signal.windows.hann(self._n, sym=False)[:, None]
-        self._forces = [number for number, channel in enumerate(source.channels) if channel.role == "input"]
+        self._forces = [number for number, channel in enumerate(source.channels) if hits and channel.role == "input"]
         self._power = np.zeros((self._n // 2 + 1, len(source.channels)))
         self._n_segment = 0
 

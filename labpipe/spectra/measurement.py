@@ -61,7 +61,7 @@ def _measured(
     layout = find_layout(sources)
     bands = masked_bands(sources, settings)
     settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
-    watched = [Watched(source) for source in cleaned(sources, settings.remove)]
+    watched = [Watched(source, settings.excitation == "impact") for source in cleaned(sources, settings.remove)]
     sources = list(watched)
     parts = EXCITATIONS[settings.excitation](sources, settings, layout)
     folded = aliasing_findings(watched, settings.band, _moved(parts, layout))
