@@ -1,5 +1,5 @@
 """Worn journal bearing of Mendes et al. (2017), frame as theirs (y horizontal, z up, load -z, spin y to z), against an independent
-calculation on 1440 x 72 cells with exact complementarity (METHODS section 3); smoothness over the angle of wear.
+calculation on 1440 x 72 cells with exact complementarity (an independent calculation); smoothness over the angle of wear.
 """
 
 from __future__ import annotations

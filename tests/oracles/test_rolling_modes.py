@@ -1,6 +1,6 @@
 """Natural frequencies of the rigid shaft on the bearing, and the shaft's bending stiffness, as checked from Knaapen (1997).
 
-Source: METHODS section 2: natural frequencies recomputed independently from the printed matrices with the printed inertias (m 2.45 kg,
+Source: natural frequencies recomputed independently from the printed matrices with the printed inertias (m 2.45 kg,
 Jx = Jy 1.24e-2 kg m^2); bending stiffness printed in chapter 3. Frame as in test_rolling_stiffness. Tolerance: printed digits.
 """
 

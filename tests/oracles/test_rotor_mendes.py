@@ -1,4 +1,4 @@
-"""The rig of Mendes et al. (2017) on healthy bearings at 50 Hz: static loads and modes of METHODS section 3.
+"""The rig of Mendes et al. (2017) on healthy bearings at 50 Hz: static loads and modes of an independent calculation.
 
 Frame: y horizontal, z up, spin y to z. Loads 35.42 and 58.86 N follow from the source's tables (its text prints 35.38 and 58.82 N);
 modes 82.57 82.71 Hz (zeta .0455 .0496) and 25.20 25.48 Hz (.226 .346) from an independent calculation; they are damped frequencies.

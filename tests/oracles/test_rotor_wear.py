@@ -1,6 +1,6 @@
 """The worn rig of Mendes et al. (2017): wear seen in the directional response, and found again from it without noise.
 
-Frame: y horizontal, z up, spin y to z, wear angle from the bottom, positive with the spin. Rotor, loads and bearings of METHODS section 3.
+Frame: y horizontal, z up, spin y to z, wear angle from the bottom, positive with the spin. Rotor, loads and bearings of an independent calculation.
 """
 
 from __future__ import annotations

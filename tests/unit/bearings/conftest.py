@@ -33,7 +33,7 @@ def taper() -> RollingBearing:
 
 @pytest.fixture(scope="session")
 def twin() -> Twin:
-    """The loads of one load case, element by element, as the equations stand in METHODS section 2."""
+    """The loads of one load case, element by element, as the model's equations stand."""
 
     def loads(bearing: RollingBearing, q: np.ndarray, cage_angle: float = 0.0) -> np.ndarray:
         dx, dy, dz, bx, by = q

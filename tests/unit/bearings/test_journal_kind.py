@@ -1,4 +1,4 @@
-"""Journal-bearing files: what they hold, and their coefficients against the checked reference of METHODS section 3."""
+"""Journal-bearing files: what they hold, and their coefficients against the checked reference of an independent calculation."""
 
 from __future__ import annotations
 

