@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from labpipe.bearings.magnetic_loop import dynamic_stiffness, inferred_negative_stiffness
 from labpipe.signals.excitation import Multisine
-from labpipe.simulate.settings import ControlLoop, Levitation, VirtualRig
+from labpipe.simulate.settings import Levitation, VirtualRig
 
 Complex = NDArray[np.complexfloating]
 
@@ -52,26 +53,12 @@ def control_loop(levitation: Levitation, omega: NDArray[np.floating]) -> Complex
 
     Lim et al. (2009), eq. 7 and table 1; the negative stiffness k_n is what leaves the static stiffness k_0 at rest.
     """
-    loop = levitation.loop
-    return loop_stiffness(loop) * controller(loop, omega) - negative_stiffness(levitation)
-
-
-def controller(loop: ControlLoop, omega: NDArray[np.floating]) -> Complex:
-    """G(jw) of PID, delay and amplifier, (n_line,) [1]; see ControlLoop."""
-    s: Complex = 1j * omega
-    pid = loop.proportional + loop.derivative * s / (1 + s * loop.derivative_time) + loop.lag / (1 + s * loop.lag_time)
-    chain: Complex = np.exp(-s * loop.delay) / (1 + s / (2 * np.pi * loop.bandwidth))
-    return pid * chain
-
-
-def loop_stiffness(loop: ControlLoop) -> float:
-    """Force per displacement at unit controller gain, K = probe * amplifier * force-current factor [N/m]."""
-    return loop.sensor * loop.amplifier * loop.force_per_current
+    return dynamic_stiffness(levitation.loop, negative_stiffness(levitation), omega)
 
 
 def negative_stiffness(levitation: Levitation) -> float:
     """Pull of the bias field per displacement, k_n = K G(0) - k_0 of one bearing [N/m]."""
-    return loop_stiffness(levitation.loop) * (levitation.loop.proportional + levitation.loop.lag) - levitation.static
+    return inferred_negative_stiffness(levitation.loop, levitation.static)
 
 
 LEVITATION_LAWS: dict[str, Callable[[Levitation, NDArray[np.floating]], Complex]] = {

@@ -4,32 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from labpipe.bearings.magnetic_loop import ControlLoop as ControlLoop
 from labpipe.records.settings import setting
 
 KIND = "virtual-magnetic-rig"
 LAWS = ("relaxation", "control-loop")
-
-
-@dataclass(frozen=True)
-class ControlLoop:
-    """The position control of one bearing: G(s) = (k_p + k_d s / (1 + s T_d) + k_i / (1 + s T_i)) e^{-s tau} / (1 + s / w_a).
-
-    Gains as printed by Lim et al. (2009), table 1, but for the sign of k_i. With the printed +0.25 the lag takes damping away below
-    21 Hz whatever the gains before and behind it (c = -301 N.s/m per bearing at 2 Hz) and the rotor alone is unstable; subtracted,
-    it lets a steady load go as zero-power levitation does: stiffness rises from its static value and damping is positive.
-    Delay: one sampling interval of 20 kHz for computing, half of one for holding. Bandwidth and sign are our own choice.
-    """
-
-    proportional: float = setting("value", "proportional gain k_p", unit="1", default=1.0)
-    derivative: float = setting("value", "derivative gain k_d", unit="s", default=6.5e-4)
-    derivative_time: float = setting("value", "time constant T_d of the differentiator", unit="s", default=1e-4)
-    lag: float = setting("value", "gain k_i of the first-order lag", unit="1", default=-0.25)
-    lag_time: float = setting("value", "time constant T_i of the lag", unit="s", default=0.0318)
-    sensor: float = setting("value", "sensitivity of the position probe", unit="V/m", default=8000.0)
-    amplifier: float = setting("value", "gain of the current amplifier", unit="A/V", default=1.0)
-    force_per_current: float = setting("value", "force-current factor of one bearing", unit="N/A", default=5.8)
-    bandwidth: float = setting("value", "-3 dB bandwidth w_a / 2 pi of the amplifier", unit="Hz", default=1000.0)
-    delay: float = setting("value", "delay tau of sampling and computing", unit="s", default=75e-6)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,112 @@
+"""Position control of a magnetic bearing: stiffness and damping that its loop gives at each frequency, and which element gives them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import ConfigError
+from labpipe.records.settings import setting
+
+Complex = NDArray[np.complexfloating]
+
+
+@dataclass(frozen=True)
+class ControlLoop:
+    """The position control of one bearing: G(s) = (k_p + k_d s / (1 + s T_d) + k_i / (1 + s T_i)) e^{-s tau} / (1 + s / w_a).
+
+    Gains as printed by Lim et al. (2009), table 1, but for the sign of k_i. With the printed +0.25 the lag takes damping away below
+    21 Hz whatever the gains before and behind it (c = -301 N.s/m per bearing at 2 Hz) and the rotor alone is unstable; subtracted,
+    it lets a steady load go as zero-power levitation does: stiffness rises from its static value and damping is positive.
+    Delay: one sampling interval of 20 kHz for computing, half of one for holding. Bandwidth and sign are our own choice.
+    """
+
+    proportional: float = setting("value", "proportional gain k_p", unit="1", default=1.0)
+    derivative: float = setting("value", "derivative gain k_d", unit="s", default=6.5e-4)
+    derivative_time: float = setting("value", "time constant T_d of the differentiator", unit="s", default=1e-4)
+    lag: float = setting("value", "gain k_i of the first-order lag", unit="1", default=-0.25)
+    lag_time: float = setting("value", "time constant T_i of the lag", unit="s", default=0.0318)
+    sensor: float = setting("value", "sensitivity of the position probe", unit="V/m", default=8000.0)
+    amplifier: float = setting("value", "gain of the current amplifier", unit="A/V", default=1.0)
+    force_per_current: float = setting("value", "force-current factor of one bearing", unit="N/A", default=5.8)
+    bandwidth: float = setting("value", "-3 dB bandwidth w_a / 2 pi of the amplifier", unit="Hz", default=1000.0)
+    delay: float = setting("value", "delay tau of sampling and computing", unit="s", default=75e-6)
+    sensor_bandwidth: float | None = setting("value", "-3 dB bandwidth of the probe; without it, unlimited", unit="Hz", default=None)
+
+    def __post_init__(self) -> None:
+        for name in ("derivative_time", "lag_time", "delay"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"{name}: must not be negative, not {getattr(self, name):g} s")
+        for name in ("bandwidth", "sensor_bandwidth"):
+            if getattr(self, name) is not None and not getattr(self, name) > 0:
+                raise ConfigError(f"{name}: must be above zero, not {getattr(self, name):g} Hz")
+
+    @property
+    def at_rest(self) -> float:
+        """G(0) = k_p + k_i [1]."""
+        return self.proportional + self.lag
+
+    @property
+    def corners(self) -> tuple[float, ...]:
+        """Time constants of the amplifier's and, where it is limited, the probe's first-order lag [s]."""
+        limits = (self.bandwidth,) if self.sensor_bandwidth is None else (self.bandwidth, self.sensor_bandwidth)
+        return tuple(1 / (2 * np.pi * limit) for limit in limits)
+
+
+def controller_terms(loop: ControlLoop, omega: NDArray[np.floating]) -> dict[str, Complex]:
+    """The three terms of the PID by name at *omega* [rad/s], each (n_line,) [1]."""
+    s: Complex = 1j * omega
+    return {
+        "proportional": np.full(omega.shape, loop.proportional, np.complex128),
+        "derivative": loop.derivative * s / (1 + s * loop.derivative_time),
+        "lag": loop.lag / (1 + s * loop.lag_time),
+    }
+
+
+def chain_factors(loop: ControlLoop, omega: NDArray[np.floating]) -> dict[str, Complex]:
+    """What the signal passes besides the PID, by name: delay, amplifier and probe, each (n_line,) [1]."""
+    s: Complex = 1j * omega
+    factors = {"delay": np.exp(-s * loop.delay)}
+    for name, corner in zip(("amplifier", "sensor"), loop.corners, strict=False):
+        factors[name] = 1 / (1 + s * corner)
+    return factors
+
+
+def controller(loop: ControlLoop, omega: NDArray[np.floating]) -> Complex:
+    """G(jw) of PID, delay, amplifier and probe, (n_line,) [1]; see ControlLoop."""
+    total: Complex = np.sum(list(controller_terms(loop, omega).values()), axis=0)
+    for factor in chain_factors(loop, omega).values():
+        total = total * factor
+    return total
+
+
+def loop_stiffness(loop: ControlLoop) -> float:
+    """Force per displacement at unit controller gain, K = probe * amplifier * force-current factor [N/m]."""
+    return loop.sensor * loop.amplifier * loop.force_per_current
+
+
+def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
+    """Pull of the bias field per displacement that leaves the *static* stiffness at rest, k_n = K G(0) - k_0 [N/m]."""
+    return loop_stiffness(loop) * loop.at_rest - static
+
+
+def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: NDArray[np.floating]) -> Complex:
+    """K_eq(w) + j w C_eq(w) = K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m]."""
+    return loop_stiffness(loop) * controller(loop, omega) - negative_stiffness
+
+
+def stiffness_shares(loop: ControlLoop, negative_stiffness: float, omega: NDArray[np.floating]) -> dict[str, Complex]:
+    """What each element adds to K_eq + j w C_eq, by name, each (n_line,) [N/m]; their sum is dynamic_stiffness.
+
+    The terms of the PID as if the chain were ideal; then what each element of the chain, in the order delay, amplifier, probe, changes
+    of what comes in; the bias field's pull, -k_n.
+    """
+    shares = {name: loop_stiffness(loop) * term for name, term in controller_terms(loop, omega).items()}
+    total: Complex = np.sum(list(shares.values()), axis=0)
+    for name, factor in chain_factors(loop, omega).items():
+        shares[name] = total * (factor - 1)
+        total = total * factor
+    shares["bias_field"] = np.full(omega.shape, -negative_stiffness, np.complex128)
+    return shares
