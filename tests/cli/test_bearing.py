@@ -58,7 +58,7 @@ def test_every_bearing_of_the_catalogue_has_an_answer(path: Path, labpipe, tmp_p
 
 
 def test_the_shaft_s_frequencies_and_the_fit_of_its_theoretical_curve(labpipe, root: Path, tmp_path: Path) -> None:
-    """Knaapen's shaft on the 6208 (independent calculation: 63.09 63.11 413.50 1486.0 1486.1 Hz); identify fits transfer.csv as a measured response."""
+    """Knaapen's shaft on the 6208: 63.09 63.11 413.50 1486.0 1486.1 Hz by an independent calculation; identify fits transfer.csv."""
     ended = labpipe(
         "bearing", root / "configs/bearings/nsk-6208.yaml", "--set", "damping_factor=1e-6 s", "-o", tmp_path, "--json", tmp_path / "k.json"
     )

@@ -1,6 +1,7 @@
 """The worn rig of Mendes et al. (2017): wear seen in the directional response, and found again from it without noise.
 
-Frame: y horizontal, z up, spin y to z, wear angle from the bottom, positive with the spin. Rotor, loads and bearings of an independent calculation.
+Frame: y horizontal, z up, spin y to z, wear angle from the bottom, positive with the spin. Rotor, loads and bearings as
+published.
 """
 
 from __future__ import annotations

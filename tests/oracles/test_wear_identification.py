@@ -1,8 +1,8 @@
 """Wear found on the rig of Mendes et al. (2017), against truths made by finer oil films than the identification's.
 
-Frame: y horizontal, z up, spin y to z, wear angle from the bottom, positive with the spin. Rotor, loads and wear as
-published, targets from an independent calculation. Truth: films of 480 x 60 cells (identification: tables of 120 x 30, refined at 240 x 60). Noise: circular, 2 % of the
-largest |H| on every term.
+Frame: y horizontal, z up, spin y to z, wear angle from the bottom, positive with the spin. Rotor, loads and wear as published,
+targets from an independent calculation. Truth: films of 480 x 60 cells (identification: tables of 120 x 30, refined at 240 x 60).
+Noise: circular, 2 % of the largest |H| on every term.
 """
 
 from __future__ import annotations
