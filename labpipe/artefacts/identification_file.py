@@ -16,7 +16,7 @@ from labpipe.artefacts.comparison_entry import comparison_entry, read_comparison
 from labpipe.artefacts.study_entry import read_study
 from labpipe.errors import DataError
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
-from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness, Identification, Parameter, RuleOutcome
+from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness, Identification, Parameter, Region, RuleOutcome
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 
 SCHEMA = "labpipe/identification/1"
@@ -104,6 +104,7 @@ def _fit_entry(fit: Fit) -> dict[str, Any]:
         "notes": list(fit.notes),
         "candidates": [dataclasses.asdict(candidate) for candidate in fit.candidates],
         "curve": None if fit.curve is None else _curve_entry(fit.curve),
+        **({} if fit.region is None else {"region": {**dataclasses.asdict(fit.region), "outline": fit.region.outline.tolist()}}),
     }
 
 
@@ -122,7 +123,12 @@ def _fit(entry: dict[str, Any]) -> Fit:
         notes=tuple(entry.get("notes", [])),
         candidates=tuple(Candidate(**candidate) for candidate in entry.get("candidates", [])),
         curve=None if entry.get("curve") is None else _curve(entry["curve"]),
+        region=_region(entry["region"]) if "region" in entry else None,
     )
+
+
+def _region(entry: dict[str, Any]) -> Region:
+    return Region((entry["names"][0], entry["names"][1]), np.array(entry["outline"], np.float64), entry["level"])
 
 
 _FINDING_LISTS = {"warnings": WARNING, "remarks": NOTE}
@@ -162,6 +168,7 @@ def _curve_entry(curve: FittedCurve) -> dict[str, Any]:
         "outputs": list(curve.outputs),
         "inputs": list(curve.inputs),
         "form": curve.form,
+        **({} if curve.before is None else {"before": _complex_entry(curve.before)}),
     }
 
 
@@ -174,6 +181,7 @@ def _curve(entry: dict[str, Any]) -> FittedCurve:
         tuple(entry["outputs"]),
         tuple(entry["inputs"]),
         entry["form"],
+        _complex(entry["before"]) if "before" in entry else None,
     )
 
 

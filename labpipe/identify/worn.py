@@ -34,12 +34,12 @@ from labpipe.identify.worn_findings import (
 )
 from labpipe.identify.worn_healthy import UNFELT, healthy_minimum, healthy_probability
 from labpipe.identify.worn_misfit import MISFITS, Misfit
-from labpipe.identify.worn_model import worn_model
-from labpipe.identify.worn_profile import Interval, profile_interval
+from labpipe.identify.worn_model import WornModel, worn_model
+from labpipe.identify.worn_profile import Interval, joint_region, profile_interval
 from labpipe.identify.worn_search import Minimum, merged, minima, refined, start_mesh
 from labpipe.identify.worn_settings import ANGLE, DEPTH, UNITS, WearSettings
 from labpipe.records.finding import Finding
-from labpipe.records.identification import Fit, FittedCurve, Goodness, Parameter
+from labpipe.records.identification import Fit, FittedCurve, Goodness, Parameter, Region
 from labpipe.records.response import FrequencyResponse
 
 # Rival minima are refined as the best one is, up to so many, while their chi-square is this near in units of the whole.
@@ -49,9 +49,11 @@ LEAST_FELT = 1e-6
 ALIKE = 1e-3
 # Rounds in which the residual tells its own standard deviation; one where nothing is known beforehand, since no minimum moves then.
 SIZINGS = 2
+REGION_LEVEL = 0.95
 NAMES = {"complex": "ml", "log": "log-amplitude"}
 
 Array = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,7 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         ),
         notes=(search_note(solved.found, wear),),
         curve=_curve(data, solved),
+        region=_region(solved, parameters),
     )
 
 
@@ -241,11 +244,27 @@ def _felt(solved: _Solved) -> tuple[int, ...]:
     return tuple(n for n, name in enumerate(misfit.model.names) if lengths[n] > LEAST_FELT and name not in at)
 
 
+def _region(solved: _Solved, parameters: tuple[Parameter, ...]) -> Region | None:
+    """The joint region of depth and angle; None where neither is looked for, or the angle is not identifiable."""
+    model = solved.misfit.model
+    if DEPTH not in model.names or next(one for one in parameters if one.name == ANGLE).ci95 is None:
+        return None
+    outline = joint_region(solved.misfit, solved.best, solved.covariance, REGION_LEVEL)
+    return Region((DEPTH, ANGLE), outline * model.scale[:2], REGION_LEVEL)
+
+
 def _curve(data: WornData, solved: _Solved) -> FittedCurve:
-    """Measured and fitted receptance in the fit's frame, all terms."""
+    """Measured and fitted receptance in the fit's frame, all terms; of a tuning also the model before it."""
     measured = data.measured
     variance = None
     if measured.covariance is not None:
         variance = np.einsum("lii->li", measured.covariance).real.reshape(measured.matrix.shape)
     fitted = solved.misfit.model.response(solved.best.parameters)[0]
-    return FittedCurve(data.frequency, measured.matrix, fitted, variance, data.names, data.names, "receptance")
+    before = None if DEPTH in solved.misfit.model.names else _untuned(solved.misfit.model)
+    return FittedCurve(data.frequency, measured.matrix, fitted, variance, data.names, data.names, "receptance", before)
+
+
+def _untuned(model: WornModel) -> ComplexArray:
+    """The response with what was known beforehand, on the films themselves."""
+    mean = np.array(model.known.mean) / model.scale
+    return model.refined(mean, with_slopes=False).response(mean)[0]

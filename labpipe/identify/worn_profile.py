@@ -90,6 +90,8 @@ def joint_region(misfit: Misfit, best: Minimum, covariance: Array, level: float 
         for _ in range(4):
             point = np.clip(best.parameters[:2] + length * ray, low, high)
             far = profile_distance(misfit, best, {0: float(point[0]), 1: float(point[1])})
+            if abs(far - limit) < CLOSE:
+                break
             length *= float(np.clip(limit / max(far, 1e-3), 0.4, 2.5))
         outline.append(np.clip(best.parameters[:2] + length * ray, low, high))
     return np.array(outline)

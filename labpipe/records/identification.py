@@ -43,7 +43,10 @@ class Candidate:
 
 @dataclass(frozen=True)
 class FittedCurve:
-    """Measured and fitted FRF on the fit's lines: (n_line,) [Hz] and (n_line, n_output, n_input) in the measured form."""
+    """Measured and fitted FRF on the fit's lines: (n_line,) [Hz] and (n_line, n_output, n_input) in the measured form.
+
+    before: the model with what was known before the fit, where a model was tuned.
+    """
 
     frequency: NDArray[np.floating]
     measured: NDArray[np.complexfloating]
@@ -52,6 +55,16 @@ class FittedCurve:
     outputs: tuple[str, ...]
     inputs: tuple[str, ...]
     form: str
+    before: NDArray[np.complexfloating] | None = None
+
+
+@dataclass(frozen=True)
+class Region:
+    """The joint confidence region of two parameters: its *outline* (n, 2) in SI units, going round once; *level* e.g. 0.95."""
+
+    names: tuple[str, str]
+    outline: NDArray[np.floating]
+    level: float
 
 
 @dataclass(frozen=True)
@@ -82,6 +95,7 @@ class Fit:
     curve: FittedCurve | None = None
     candidates: tuple[Candidate, ...] = ()
     term: str = ""
+    region: Region | None = None
 
     @property
     def centre_hz(self) -> float:

@@ -15,6 +15,7 @@ from labpipe.report.document import Block, Code, Document, Paragraph, Section, T
 from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figure
 from labpipe.report.spectral_figures import spectral_blocks
 from labpipe.report.study import study_blocks
+from labpipe.report.wear_figures import wear_figures
 from labpipe.report.wording import STARS_EXPLAINED, band_text, fit_title, inflated_text, parameter_row, unit_text
 
 PARAMETER_HEADER = ("parameter", "value", "unit", "std. error", "95 % interval", "t-ratio", "significance", "VIF")
@@ -136,6 +137,7 @@ def _single(fit: Fit) -> tuple[Block, ...]:
     if fit.curve is not None:
         many = len(fit.curve.outputs) * len(fit.curve.inputs) > MOST_TOGETHER
         blocks.append(matrix_figure(fit, fit.curve) if many else figures.fitted_curve_figure(fit, fit.curve))
+    blocks.extend(wear_figures(fit))
     if fit.correlation.shape[0] > 1:
         blocks.append(figures.correlation_figure(fit))
     return tuple(blocks)

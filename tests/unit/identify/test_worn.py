@@ -208,3 +208,29 @@ def test_section_is_needed() -> None:
     with pytest.raises(ConfigError, match="needs the section wear"):
         fitted(settings, measured(worn_rig()))
     assert wear_settings().posterior is None
+
+
+def test_joint_region_holds_the_estimate_and_reaches_beyond_its_intervals(joint: Fit) -> None:
+    """Along each axis the region of two parameters reaches sqrt(5.99 / 3.84) = 1.25 times as far as the interval of one."""
+    assert joint.region is not None and joint.region.names == ("wear_depth", "wear_angle") and joint.region.level == 0.95
+    for name, column in zip(joint.region.names, joint.region.outline.T, strict=True):
+        one = joint.parameter(name)
+        assert one.ci95 is not None
+        reach = np.ptp(column) / (one.ci95[1] - one.ci95[0])
+        assert reach == pytest.approx(np.sqrt(5.991 / 3.841), rel=0.05)
+        assert column.min() < one.value < column.max()
+
+
+def test_an_angle_that_is_not_identifiable_has_no_region(healthy: Fit) -> None:
+    assert healthy.region is None and healthy.curve is not None and healthy.curve.before is None
+
+
+def test_a_tuning_keeps_the_model_before_it() -> None:
+    """At the mean of what was known beforehand, it is the rig as its file says: 3 % and 2 % from the truth."""
+    response = measured(worn_rig(**TRUE_BEARING), 0.0, np.random.default_rng(13), BAND)
+    curve = fitted(fit_settings(healthy=True, **NUISANCES), response).curve
+    assert curve is not None and curve.before is not None
+    untuned = measured(worn_rig(), 0.0, np.random.default_rng(13), BAND).matrix
+    size = np.abs(untuned).max()
+    assert np.abs(curve.before - untuned).max() < 2e-3 * size
+    assert np.abs(curve.fitted - curve.measured).max() < 0.1 * np.abs(curve.before - curve.measured).max()

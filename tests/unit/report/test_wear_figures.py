@@ -1,0 +1,107 @@
+"""The figures of worn-bearing fits show what the fit says, and travel through its file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.artefacts.identification_file import read_identification, write_identification
+from labpipe.records.identification import Fit, FittedCurve, Goodness, Identification, Parameter, Region
+from labpipe.report.build import build
+from labpipe.report.document import Figure
+from labpipe.report.wear_figures import region_figure, tuning_figure, wear_figures
+
+TURN = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+OUTLINE = np.column_stack([22e-6 + 0.3e-6 * np.cos(TURN), np.deg2rad(11 + 0.5 * np.sin(TURN))])
+REGION = Region(("wear_depth", "wear_angle"), OUTLINE, 0.95)
+FREQUENCY = np.linspace(20.0, 90.0, 8)
+
+
+def curve(before: bool) -> FittedCurve:
+    """Four terms, the fit 10 % and the model before it 40 % above the measured response."""
+    measured = np.multiply.outer(1e-6 * (1 + 0.5j) * (1 + FREQUENCY / 50), np.array([[1.0, 0.2], [-0.2, 0.8]]))
+    own = 1.4 * measured if before else None
+    return FittedCurve(FREQUENCY, measured, 1.1 * measured, None, ("y", "z"), ("y", "z"), "receptance", own)
+
+
+def fit(region: Region | None = None, before: bool = False) -> Fit:
+    depth = Parameter("wear_depth", 22e-6, "m", std_error=0.12e-6, ci95=(21.76e-6, 22.24e-6))
+    angle = Parameter("wear_angle", float(np.deg2rad(11)), "rad", std_error=0.0035, ci95=(float(np.deg2rad(10.6)), float(np.deg2rad(11.4))))
+    return Fit(
+        "wear", "worn-bearing", "ml", (20.0, 90.0), 8, 64, 62, Goodness(0.99, 0.99), (depth, angle), 3.0, np.eye(2),
+        curve=curve(before), region=region,
+    )  # fmt: skip
+
+
+def through_file(found: Fit, folder: Path) -> Fit:
+    path = folder / "identification.json"
+    write_identification(path, Identification((found,), version="1"))
+    return read_identification(path).fits[0]
+
+
+def test_region_is_drawn_closed_in_the_units_people_read() -> None:
+    (axes,) = region_figure(fit(REGION), REGION).drawing.axes
+    lines = {line.get_label(): line for line in axes.get_lines()}
+    x, y = lines["95 % joint region"].get_data()
+    np.testing.assert_allclose(x, [*(OUTLINE[:, 0] * 1e6), OUTLINE[0, 0] * 1e6])
+    np.testing.assert_allclose(y[:-1], np.rad2deg(OUTLINE[:, 1]))
+    assert [float(values[0]) for values in lines["estimate"].get_data()] == pytest.approx([22.0, 11.0])
+    assert axes.get_xlabel().startswith("wear_depth [") and axes.get_ylabel() == "wear_angle [deg]"
+
+
+def test_intervals_of_each_parameter_alone_are_drawn_beside_the_region() -> None:
+    (axes,) = region_figure(fit(REGION), REGION).drawing.axes
+    dashed = [line for line in axes.get_lines() if line.get_linestyle() == "--"]
+    assert [line.get_xdata()[0] for line in dashed[:2]] == pytest.approx([21.76, 22.24])
+    assert [line.get_ydata()[0] for line in dashed[2:]] == pytest.approx([10.6, 11.4])
+
+
+def test_a_parameter_without_interval_leaves_its_lines_out() -> None:
+    found = fit(REGION)
+    found = replace(found, parameters=(replace(found.parameters[0], ci95=None), found.parameters[1]))
+    (axes,) = region_figure(found, REGION).drawing.axes
+    shown = [line for line in axes.get_lines() if line.get_linestyle() == "--" and np.isfinite(np.array(line.get_data(), float)).all()]
+    assert len(shown) == 2
+
+
+def test_tuning_shows_measured_before_and_after_in_one_panel_per_term() -> None:
+    found = curve(True)
+    panels = tuning_figure(fit(), found).drawing.axes
+    assert [axes.get_ylabel().split("\n")[0] for axes in panels] == ["y/y", "y/z", "z/y", "z/z"]
+    for axes, size in zip(panels, (1.0, 0.2, 0.2, 0.8), strict=True):
+        drawn = {line.get_label(): line.get_ydata() for line in axes.get_lines()}
+        expected = size * np.abs(1 + 0.5j) * (1 + FREQUENCY / 50)
+        ratio = drawn["measured"] / expected
+        np.testing.assert_allclose(ratio, ratio[0])
+        np.testing.assert_allclose(drawn["before tuning"] / drawn["measured"], 1.4)
+        np.testing.assert_allclose(drawn["after tuning"] / drawn["measured"], 1.1)
+
+
+@pytest.mark.parametrize(("region", "before", "count"), [(None, False, 0), (REGION, False, 1), (None, True, 1), (REGION, True, 2)])
+def test_a_fit_has_the_figures_it_has_something_for(region: Region | None, before: bool, count: int) -> None:
+    assert len(wear_figures(fit(region, before))) == count
+
+
+def test_region_and_model_before_tuning_travel_through_the_file(tmp_path: Path) -> None:
+    again = through_file(fit(REGION, before=True), tmp_path)
+    assert again.region is not None and again.region.names == REGION.names and again.region.level == REGION.level
+    np.testing.assert_array_equal(again.region.outline, OUTLINE)
+    assert again.curve is not None and again.curve.before is not None
+    np.testing.assert_array_equal(again.curve.before, curve(True).before)
+
+
+def test_a_file_without_them_says_nothing_of_them(tmp_path: Path) -> None:
+    again = through_file(fit(), tmp_path)
+    assert again.region is None and again.curve is not None and again.curve.before is None
+    text = (tmp_path / "identification.json").read_text(encoding="utf-8")
+    assert '"region"' not in text and '"before"' not in text
+
+
+def test_the_report_holds_both_figures() -> None:
+    document = build(Identification((fit(REGION, before=True),), version="1"))
+    captions = [block.caption for section in document.sections for block in section.blocks if isinstance(block, Figure)]
+    assert sum("joint 95 % confidence region" in caption for caption in captions) == 1
+    assert sum("before and after its tuning" in caption for caption in captions) == 1
