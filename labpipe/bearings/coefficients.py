@@ -30,7 +30,8 @@ class BearingCoefficients:
     """Stiffness and damping (n_dof, n_dof): force in the row's dof per displacement or velocity in the column's [SI units].
 
     rest: the rest position; element_state: further arrays of it by name; lowest, highest: stiffness over one ball passage, where a
-    bearing has one; notes: further numbers about the model; shaft: of the rigid shaft on the bearing, where the file describes one.
+    bearing has one; notes: further numbers about the model; shaft: of the rigid shaft on the bearing, where the file describes one;
+    shares: what each element of a control loop adds to the direct coefficients; poles: of the closed loop [rad/s]; words: verdicts by name.
     """
 
     dofs: tuple[str, ...]
@@ -43,6 +44,9 @@ class BearingCoefficients:
     notes: tuple[Amount, ...] = ()
     shaft: tuple[Amount, ...] = ()
     findings: tuple[Finding, ...] = ()
+    shares: tuple[Amount, ...] = ()
+    poles: NDArray[np.complexfloating] | None = None
+    words: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = len(self.dofs)

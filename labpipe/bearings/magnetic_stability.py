@@ -83,7 +83,7 @@ def unstable_poles(plant: Levitated) -> int:
 
 def sensitivity(plant: Levitated, omega: NDArray[np.floating]) -> Complex:
     """S(jw) = 1 / (1 + L) with the loop L = K G / (-m w^2 - k_n), (n_line,) [1]; ISO 14839-3."""
-    rotor = -plant.mass * omega**2 - plant.negative_stiffness
+    rotor: Complex = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
     ratio: Complex = rotor / (rotor + loop_stiffness(plant.loop) * controller(plant.loop, omega))
     return ratio
 

@@ -27,9 +27,19 @@ def echo_bearing(name: str, kind: str, found: BearingCoefficients) -> None:
         _echo_matrix("damping", found, found.damping, None)
     loads = tuple(amount for amount in found.rest if amount.name.startswith("load_"))
     rest = tuple(amount for amount in found.rest if amount not in loads)
-    for title, amounts in (("loads", loads), ("rest position", rest), ("model", found.notes), ("shaft", found.shaft)):
+    for title, amounts in (
+        ("loads", loads),
+        ("rest position", rest),
+        ("shares", found.shares),
+        ("model", found.notes),
+        ("shaft", found.shaft),
+    ):
         if amounts:
             click.echo(f"{title}: {', '.join(_amount(amount, _rounding(amounts)) for amount in amounts)}")
+    for name, said in found.words.items():
+        click.echo(f"{name.replace('_', ' ')}: {said}")
+    if found.poles is not None:
+        click.echo(f"poles [rad/s]: {', '.join(f'{pole.real:.4g} {pole.imag:+.4g}j' for pole in found.poles)}")
     if found.shaft:
         click.echo("(sdof_k: what a one-dof fit finds at the dof's main peak; coupled dofs move along, so it is not the diagonal term)")
     _echo_passage(found)

@@ -28,6 +28,7 @@ BEARINGS = Registry(
         "ball-bearing": "labpipe.bearings.rolling_kinds:BALL",
         "roller-bearing": "labpipe.bearings.rolling_kinds:ROLLER",
         "journal-bearing": "labpipe.bearings.journal_kind:JOURNAL_KIND",
+        "magnetic-bearing": "labpipe.bearings.magnetic_kind:MAGNETIC_KIND",
     },
 )
 
@@ -99,9 +100,13 @@ def bearing_entry(file: BearingFile, name: str, found: BearingCoefficients) -> d
         "stiffness": found.stiffness.tolist(),
         "damping": found.damping.tolist(),
         "equilibrium": equilibrium,
-        "model": {amount.name: amount.value for amount in found.notes},
+        "model": {amount.name: amount.value for amount in found.notes} | dict(found.words),
         "warnings": [{"code": finding.code, "message": finding.message} for finding in found.findings],
     }
+    if found.shares:
+        entry["shares"] = {amount.name: amount.value for amount in found.shares}
+    if found.poles is not None:
+        entry["poles"] = [[float(pole.real), float(pole.imag)] for pole in found.poles]
     if found.shaft:
         entry["shaft"] = {amount.name: amount.value for amount in found.shaft}
     if found.lowest is not None and found.highest is not None:
@@ -145,7 +150,7 @@ def write_sweep(name: str, sweep: Sweep, found: list[BearingCoefficients], outpu
 
 
 def sweep_columns(sweep: Sweep, found: list[BearingCoefficients]) -> dict[str, Any]:
-    """Title -> values: the swept entry, k_i_j and c_i_j (where there is damping), the rest position, the codes of the warnings."""
+    """Title -> values: the swept entry, k_i_j and c_i_j (where there is damping), shares, rest position, the codes of the warnings."""
     columns: dict[str, Any] = {f"{sweep.key} [{sweep.unit}]": sweep.values}
     dofs = found[0].dofs
     for symbol, attribute, per_speed in (("k", "stiffness", ""), ("c", "damping", ".s")):
@@ -155,6 +160,8 @@ def sweep_columns(sweep: Sweep, found: list[BearingCoefficients]) -> dict[str, A
         for (i, row), (j, column) in ((r, c) for r in enumerate(dofs) for c in enumerate(dofs)):
             force, _, motion = found[0].unit(i, j).partition("/")
             columns[f"{symbol}_{row}_{column} [{force}{per_speed}/{motion}]"] = matrices[:, i, j]
+    for number, amount in enumerate(found[0].shares):
+        columns[f"share_{amount.name} [{amount.unit}]"] = np.array([each.shares[number].value for each in found])
     for number, amount in enumerate(found[0].rest):
         columns[f"{amount.name} [{amount.unit}]"] = np.array([each.rest[number].value for each in found])
     columns["warnings"] = [" ".join(finding.code for finding in each.findings) for each in found]

@@ -1,0 +1,157 @@
+"""Magnetic bearings as a kind of bearing: what their file holds, and from it to stiffness, damping, poles and sensitivity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from labpipe.bearings.coefficients import Amount, BearingCoefficients, BearingKind
+from labpipe.bearings.magnetic_circuit import ASSUMPTIONS, Magnet, magnet_factors
+from labpipe.bearings.magnetic_loop import Complex, ControlLoop, dynamic_stiffness, inferred_negative_stiffness, stiffness_shares
+from labpipe.bearings.magnetic_stability import PADE_ORDER, Levitated, SensitivityPeak, closed_loop_poles, sensitivity_peak, unstable_poles
+from labpipe.errors import ConfigError
+from labpipe.records.finding import Finding
+from labpipe.records.settings import setting
+
+MAGNETIC = "magnetic-bearing"
+DOFS = ("x", "y")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MagneticFile:
+    """A magnetic-bearing file: the loop, the magnet by its geometry or its factors, and the frequency that is asked for.
+
+    One of static_stiffness (from which the bias field's pull is inferred), negative_stiffness and magnet must be there.
+    """
+
+    kind: str = setting("choice", "which kind of bearing", choices=(MAGNETIC,))
+    name: str = setting("text", "name of the bearing", default="")
+    mass: float = setting("value", "mass that this bearing carries, for poles and sensitivity", unit="kg")
+    speed: float | None = setting("value", "speed of the shaft, in Hz or rpm", unit="Hz", default=None)
+    frequency: float | None = setting("value", "frequency of the motion; default: the speed", unit="Hz", default=None)
+    loop: ControlLoop = setting("section", "the position control", section=ControlLoop, default=ControlLoop())
+    magnet: Magnet | None = setting("section", "geometry of the magnet; gives both factors unless given", section=Magnet, default=None)
+    force_per_current: float | None = setting(
+        "value", "force-current factor; default: the magnet's, without one the loop's", unit="N/A", default=None
+    )
+    negative_stiffness: float | None = setting("value", "pull of the bias field per displacement, k_n", unit="N/m", default=None)
+    static_stiffness: float | None = setting("value", "stiffness of the closed loop at rest; k_n is inferred", unit="N/m", default=None)
+
+    def __post_init__(self) -> None:
+        if not self.mass > 0:
+            raise ConfigError(f"mass: must be above zero, not {self.mass:g} kg")
+        if self.frequency is None and self.speed is None:
+            raise ConfigError("frequency: is missing, and there is no speed", hint="for example frequency: 50 Hz")
+        if not self.asked > 0:
+            raise ConfigError(f"frequency: must be above zero, not {self.asked:g} Hz")
+        if self.negative_stiffness is not None and self.static_stiffness is not None:
+            raise ConfigError("static_stiffness: negative_stiffness says it already", hint="leave one of them out")
+        if self.negative_stiffness is None and self.static_stiffness is None and self.magnet is None:
+            raise ConfigError("negative_stiffness: is missing", hint="or give static_stiffness, or the geometry as magnet")
+
+    @property
+    def asked(self) -> float:
+        """The frequency of the motion [Hz]."""
+        return float(self.speed or 0.0) if self.frequency is None else self.frequency
+
+    def levitated(self) -> Levitated:
+        """Loop, negative stiffness and mass, whichever of them were given."""
+        factors = None if self.magnet is None else magnet_factors(self.magnet)
+        given = self.force_per_current if factors is None or self.force_per_current is not None else factors.force_per_current
+        loop = self.loop if given is None else replace(self.loop, force_per_current=given)
+        if self.static_stiffness is not None:
+            return Levitated(loop, inferred_negative_stiffness(loop, self.static_stiffness), self.mass)
+        if self.negative_stiffness is not None:
+            return Levitated(loop, self.negative_stiffness, self.mass)
+        assert factors is not None
+        return Levitated(loop, factors.negative_stiffness, self.mass)
+
+    def assumptions(self) -> str:
+        """What the result rests on, the inferred values named."""
+        said = ["both directions alike, without coupling", f"poles: delay by Pade approximation of order {PADE_ORDER}"]
+        if self.static_stiffness is not None:
+            said.append("negative stiffness inferred from the static stiffness")
+        if self.magnet is not None:
+            said.extend(ASSUMPTIONS)
+        return "; ".join(said)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Stability of one setting: poles [rad/s], how many are unstable with the exact delay, and the sensitivity's peak."""
+
+    poles: Complex
+    unstable: int
+    peak: SensitivityPeak
+
+
+@lru_cache(maxsize=32)
+def verdict(plant: Levitated) -> Verdict:
+    """Poles and sensitivity; kept, as a sweep over frequency asks for them at every value."""
+    return Verdict(closed_loop_poles(plant), unstable_poles(plant), sensitivity_peak(plant))
+
+
+def magnetic_coefficients(settings: Sequence[MagneticFile]) -> list[BearingCoefficients]:
+    """The coefficients of every settings, in their order."""
+    return [_coefficients(entry) for entry in settings]
+
+
+def _coefficients(settings: MagneticFile) -> BearingCoefficients:
+    plant, omega = settings.levitated(), 2 * np.pi * np.array([settings.asked])
+    stability = verdict(plant)
+    (total,) = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
+    # An unstable loop has no steady response, so its |S| says nothing.
+    zone = {"sensitivity_zone": stability.peak.zone} if stability.unstable == 0 else {}
+    return BearingCoefficients(
+        DOFS,
+        total.real * np.eye(2),
+        total.imag / omega[0] * np.eye(2),
+        notes=_notes(settings, plant, stability),
+        shares=_shares(plant, omega),
+        poles=stability.poles,
+        words={"stability": "unstable" if stability.unstable else "stable", **zone, "assumptions": settings.assumptions()},
+        findings=_findings(stability),
+    )
+
+
+def _shares(plant: Levitated, omega: np.ndarray[tuple[int], np.dtype[np.float64]]) -> tuple[Amount, ...]:
+    """k and c of every element at one frequency [N/m, N.s/m]."""
+    shares = {name: share[0] for name, share in stiffness_shares(plant.loop, plant.negative_stiffness, omega).items()}
+    stiffness = [Amount(f"k_{name}", float(share.real), "N/m") for name, share in shares.items()]
+    damping = [Amount(f"c_{name}", float(share.imag / omega[0]), "N.s/m") for name, share in shares.items()]
+    return (*stiffness, *damping)
+
+
+def _notes(settings: MagneticFile, plant: Levitated, stability: Verdict) -> tuple[Amount, ...]:
+    static = dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real
+    notes = [
+        Amount("frequency", settings.asked, "Hz"),
+        Amount("static_stiffness", float(static), "N/m"),
+        Amount("negative_stiffness", plant.negative_stiffness, "N/m"),
+        Amount("force_per_current", plant.loop.force_per_current, "N/A"),
+        Amount("unstable_poles", float(stability.unstable), "1"),
+    ]
+    if stability.unstable == 0:
+        notes += [Amount("sensitivity_peak", stability.peak.value, "1"), Amount("sensitivity_frequency", stability.peak.frequency, "Hz")]
+    return tuple(notes)
+
+
+def _findings(stability: Verdict) -> tuple[Finding, ...]:
+    """An unstable loop, its poles listed; poles that the approximated delay moves across; a sensitivity beyond zone B."""
+    right = stability.poles[stability.poles.real > 0]
+    if stability.unstable:
+        listed = ", ".join(f"{pole.real:.4g} {pole.imag:+.4g}j" for pole in right)
+        return (Finding("unstable-loop", f"the loop is unstable: {stability.unstable} poles grow; at {listed} rad/s (delay approximated)"),)
+    found = []
+    if right.size:
+        found.append(Finding("delay-approximation", "the approximated delay gives poles that grow, the exact one gives none"))
+    if stability.peak.zone in ("C", "D"):
+        peak = f"sensitivity reaches {stability.peak.value:.3g} at {stability.peak.frequency:.3g} Hz: zone {stability.peak.zone}"
+        found.append(Finding("sensitivity", f"{peak} of ISO 14839-3, not fit for long operation"))
+    return tuple(found)
+
+
+MAGNETIC_KIND = BearingKind(MagneticFile, magnetic_coefficients)

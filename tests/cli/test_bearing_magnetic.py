@@ -1,0 +1,48 @@
+"""labpipe bearing on a magnetic bearing: JSON, sweep over frequency, and an unstable setting said in words."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+@pytest.fixture
+def file(root: Path) -> Path:
+    return root / "configs/bearings/hmb-magnetic.yaml"
+
+
+def test_json_has_coefficients_poles_and_zone(labpipe: Callable[..., Any], file: Path) -> None:
+    """k and c at 50 Hz as configs/virtual-hmb-loop.yaml states them; S at rest is 33106 / 1694."""
+    ended = labpipe("bearing", file, "--json", "-")
+    entry = json.loads(ended.out)
+    assert ended.code == 0 and entry["dofs"] == ["x", "y"]
+    assert entry["stiffness"][0][0] == pytest.approx(14.07e3, rel=2e-3) and entry["damping"][1][1] == pytest.approx(22.8, rel=4e-3)
+    assert max(real for real, _ in entry["poles"]) < 0
+    assert entry["model"]["sensitivity_zone"] == "D" and entry["model"]["sensitivity_peak"] == pytest.approx(19.543, rel=1e-4)
+    assert entry["shares"]["k_bias_field"] == pytest.approx(-33106.0)
+
+
+def test_sweep_over_frequency_has_the_shares(labpipe: Callable[..., Any], file: Path, tmp_path: Path) -> None:
+    ended = labpipe("bearing", file, "--sweep", "frequency=1:250:1", "-o", tmp_path / "out")
+    with (tmp_path / "out/sweep.csv").open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert ended.code == 0 and len(rows) == 250
+    for row in (rows[0], rows[-1]):
+        total = sum(float(number) for title, number in row.items() if title.startswith("share_k_"))
+        assert total == pytest.approx(float(row["k_x_x [N/m]"]), rel=1e-5)
+
+
+def test_unstable_setting_is_a_warning_with_its_poles(labpipe: Callable[..., Any], file: Path) -> None:
+    ended = labpipe("bearing", file, "--set", "loop.lag=0.25")
+    assert ended.code == 0 and "stability: unstable" in ended.out
+    assert "warning unstable-loop: the loop is unstable: 2 poles grow; at 256.4" in ended.out
+
+
+def test_wrong_entries_are_refused_at_their_place(labpipe: Callable[..., Any], file: Path) -> None:
+    ended = labpipe("bearing", file, "--set", "loop.delay=-1 us")
+    assert ended.code != 0 and "delay: must not be negative" in ended.err and "Traceback" not in ended.err
