@@ -1,4 +1,4 @@
-"""labpipe export ARTEFACT --to csv|parquet -o FILE"""
+"""labpipe export ARTEFACT --to FORMAT -o FILE"""
 
 from __future__ import annotations
 

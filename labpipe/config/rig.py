@@ -28,7 +28,7 @@ class RigSettings:
 
     name: str = setting("text", "name of the rig, as the report shows it", default="")
     description: str = setting("text", "what a reader should know of the rig", default="")
-    sample_rate: float | None = setting("value", "sampling rate, where no time column gives it", unit="Hz", default=None)
+    sample_rate: float | None = setting("value", "sampling rate, where no time column or file gives it", unit="Hz", default=None)
     time: str | None = setting("text", 'time column, for example "t [s]"', default=None)
     mass: float | None = setting("value", "mass that moves with the response", unit="kg", default=None)
 
@@ -80,9 +80,8 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
     plain = Marked({k: v for k, v in entries.items() if k != "channels"}, tree.where)
     known = read_settings(RigSettings, plain, "", faults)
     channels = _read_channels(entries.get("channels"), tree, faults)
-    if known is not None and (known.sample_rate is None) == (known.time is None):
-        node = entries.get("time", tree)
-        faults.add(node, "sample_rate", "one of sample_rate and time is needed", 'write sample_rate: 20 kHz or time: "t [s]"')
+    if known is not None and known.sample_rate is not None and known.time is not None:
+        faults.add(entries["time"], "sample_rate", "one of sample_rate and time is needed, not both", "leave one of them out")
     if known is not None and known.sample_rate is not None and known.sample_rate <= 0:
         faults.add(entries["sample_rate"], "sample_rate", "must be positive")
     if len(faults) > before or known is None:

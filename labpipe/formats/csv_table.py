@@ -24,6 +24,7 @@ class CsvTable:
         self.layout = find_layout(path)
         self.columns = tuple(name for name in self.layout.names if name)
         self.units = self.layout.units
+        self.sample_rate: float | None = None
 
     def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
         """Consecutive chunks (n, len(columns)); DataError names the line and column of the first row that is not numbers."""

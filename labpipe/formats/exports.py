@@ -11,13 +11,20 @@ from labpipe.artefacts.parquet import open_parquet
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
 from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.response_file import read_response
+from labpipe.errors import DataError
 from labpipe.formats.frf_csv import write_frf_csv
+from labpipe.formats.uff_write import write_frf_uff, write_recording_uff
 from labpipe.records.finding import WARNING, of_level
 from labpipe.registry import Registry
 
 WRITERS = Registry(
     "writer",
-    {"csv": "labpipe.formats.exports:write_csv", "parquet": "labpipe.formats.exports:write_parquet"},
+    {
+        "csv": "labpipe.formats.exports:write_csv",
+        "parquet": "labpipe.formats.exports:write_parquet",
+        "uff": "labpipe.formats.exports:write_uff",
+        "uff58b": "labpipe.formats.exports:write_uff58b",
+    },
 )
 
 
@@ -40,6 +47,21 @@ def write_parquet(artefact: Path, target: Path) -> None:
     else:
         read_response(artefact)  # refuses what is no response
         open_parquet(artefact).read().to_pandas().to_parquet(target, index=False)
+
+
+def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
+    """A recording or an FRF as a universal file, numbers as text."""
+    if artefact.suffix == ".json":
+        raise DataError("parameters find no place in a universal file", where=str(artefact), hint="known: csv, parquet")
+    if artefact.name.endswith(RECORDING_SUFFIX):
+        write_recording_uff(target, open_recording(artefact).in_memory(), binary)
+    else:
+        write_frf_uff(target, read_response(artefact), binary)
+
+
+def write_uff58b(artefact: Path, target: Path) -> None:
+    """The same with binary numbers."""
+    write_uff(artefact, target, binary=True)
 
 
 def recording_table(artefact: Path) -> pd.DataFrame:

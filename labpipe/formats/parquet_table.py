@@ -24,6 +24,7 @@ class ParquetTable:
         self._schema = open_parquet(path).schema_arrow
         self.columns = tuple(self._schema.names)
         self.units = {name: unit for name in self.columns if (unit := bracketed_unit(name))}
+        self.sample_rate: float | None = None
         if open_parquet(path).metadata.num_rows == 0:
             raise DataError("has no rows", where=str(path))
 

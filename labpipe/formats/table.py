@@ -17,16 +17,18 @@ READERS = Registry(
     {
         **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc"), "labpipe.formats.csv_table:CsvTable"),
         ".parquet": "labpipe.formats.parquet_table:ParquetTable",
+        **dict.fromkeys((".uff", ".unv", ".uf"), "labpipe.formats.uff_table:UffTable"),
     },
 )
 
 
 class Table(Protocol):
-    """Columns by name; *units* where the file itself states them; missing numbers are NaN."""
+    """Columns by name; *units* and *sample_rate* [Hz] where the file itself states them; missing numbers are NaN."""
 
     path: Path
     columns: tuple[str, ...]
     units: dict[str, str]
+    sample_rate: float | None
 
     def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
         """Consecutive chunks (n, len(columns)) of the named columns."""

@@ -13,7 +13,7 @@ from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.response_file import SUFFIX, read_response, write_response
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError, LabpipeError
-from labpipe.formats.frf_csv import read_frf_csv
+from labpipe.formats.frf_file import read_frf_file
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
@@ -53,13 +53,13 @@ def _where(recordings: Sequence[StoredRecording]) -> str:
 
 
 def load_response(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:
-    """A ready response: labpipe's own file, or an FRF table as CSV; name and conditions of its test take the place of its own."""
+    """A ready response: labpipe's own file, or another program's; name and conditions of its test take the place of its own."""
     if path.is_dir():
         raise DataError("is a folder, a file is needed", where=str(path))
     if not path.exists():
         raise DataError("no such file", where=str(path))
     try:
-        response = read_response(path) if path.suffix == ".parquet" else read_frf_csv(path)
+        response = read_response(path) if path.suffix == ".parquet" else read_frf_file(path)
     except DataError as error:
         error.where = error.where or str(path)
         raise

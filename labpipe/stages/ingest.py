@@ -18,6 +18,9 @@ from labpipe.quantities import UnitError, parse_unit
 from labpipe.records.rig import Rig, RigChannel
 from labpipe.signals.screening import ChannelScreen, TimeAxisScreen
 
+# Rates are written down with this many digits at least.
+SAME_RATE = 1e-4
+
 
 def is_recording(path: Path) -> bool:
     """Whether the file is already a calibrated recording of labpipe's own."""
@@ -50,6 +53,8 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> N
         _check_unit(table, channel)
     channels = tuple(channel.channel for channel in rig.channels)
     time = TimeAxisScreen(rig.time) if rig.time else None
+    if time is None:
+        stated_rate(table, rig)
     screen = ChannelScreen([channel.name for channel in channels], [_si_limits(channel) for channel in rig.channels])
     scale = np.array([channel.scale for channel in rig.channels])
     offset = np.array([channel.offset for channel in rig.channels])
@@ -61,12 +66,24 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> N
                 block = chunk[:, len(timed) - len(columns) :] * scale + offset
                 screen.add(block)
                 writer.write(block)
-            sample_rate = time.sample_rate() if time is not None else float(rig.sample_rate or 0.0)
+            sample_rate = time.sample_rate() if time is not None else stated_rate(table, rig)
             contents = recording_contents(channels, sample_rate, name)
             writer.finish(dataclasses.replace(header, findings=screen.findings(), contents=contents))
     except DataError as error:
         error.where = error.where or str(table.path)
         raise
+
+
+def stated_rate(table: Table, rig: Rig) -> float:
+    """The sampling rate [Hz] that the rig file or the file itself states; DataError when none does, or both do and differ."""
+    own = table.sample_rate
+    if rig.sample_rate is None and own is None:
+        what = "states no sampling rate, and one of sample_rate and time is needed in the rig file"
+        raise DataError(what, where=str(table.path), hint='write sample_rate: 20 kHz or time: "t [s]"')
+    if rig.sample_rate is not None and own is not None and abs(own / rig.sample_rate - 1) > SAME_RATE:
+        what = f"is sampled at {own:g} Hz by the file itself, at {rig.sample_rate:g} Hz by the rig file"
+        raise DataError(what, where=str(table.path), hint="leave sample_rate out of the rig file, or correct it")
+    return float(rig.sample_rate or own or 0.0)
 
 
 def _check_unit(table: Table, channel: RigChannel) -> None:

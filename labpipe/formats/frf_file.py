@@ -1,0 +1,27 @@
+"""Ready frequency responses of other programs. FRF_READERS by suffix."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from labpipe.errors import DataError
+from labpipe.records.response import FrequencyResponse
+from labpipe.registry import Registry
+
+FRF_READERS = Registry(
+    "frf-reader",
+    {
+        **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc"), "labpipe.formats.frf_csv:read_frf_csv"),
+        **dict.fromkeys((".uff", ".unv", ".uf"), "labpipe.formats.uff_frf:read_frf_uff"),
+    },
+)
+
+
+def read_frf_file(path: Path, name: str = "") -> FrequencyResponse:
+    """The response of a file by its suffix; DataError for a file of no known kind."""
+    suffix = path.suffix.lower()
+    if suffix not in FRF_READERS.names():
+        known = ", ".join((*FRF_READERS.names(), ".frf.parquet"))
+        raise DataError(f"FRF files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {known}")
+    response: FrequencyResponse = FRF_READERS.load(suffix)(path, name)
+    return response
