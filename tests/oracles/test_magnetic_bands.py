@@ -1,0 +1,41 @@
+"""What the bearing file predicts against what sliding bands find on the virtual rig that is closed by the same loop in its recording."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from labpipe.bearings.magnetic_loop import dynamic_stiffness
+from labpipe.stages.bearing import open_bearing
+
+
+@pytest.fixture
+def bands(labpipe: Callable[..., Any], root: Path, tmp_path: Path) -> list[dict[str, Any]]:
+    """The 79 fits of the shipped sliding pipeline, on a recording of the rig under its control loop."""
+    rig = root / "configs/virtual-hmb-loop.yaml"
+    assert labpipe("simulate", rig, "--run", "radial-0rpm", "--seed", "1", "-o", tmp_path / "rig").code == 0
+    pipeline = yaml.safe_load((root / "pipelines/radial-sliding.yaml").read_text(encoding="utf-8"))
+    pipeline |= {"rig": str(root / "configs/hmb-radial.yaml"), "recordings": str(tmp_path / "rig/radial-0rpm.parquet")}
+    del pipeline["expect"]
+    (tmp_path / "loop.yaml").write_text(yaml.safe_dump(pipeline), encoding="utf-8")
+    assert labpipe("run", tmp_path / "loop.yaml", "-o", tmp_path / "out").code == 0
+    fits: list[dict[str, Any]] = json.loads((tmp_path / "out/identification.json").read_text(encoding="utf-8"))["fits"]
+    return fits
+
+
+def test_prediction_lies_in_the_95_percent_interval_of_nine_bands_in_ten(bands: list[dict[str, Any]], root: Path) -> None:
+    """K_eq and C_eq of configs/bearings/hmb-magnetic.yaml at the bands' centres."""
+    plant = open_bearing(root / "configs/bearings/hmb-magnetic.yaml").settings().levitated()
+    omega = 2 * np.pi * np.array([np.mean(fit["band_hz"]) for fit in bands])
+    predicted = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
+    assert omega.size == 79
+    for name, truth in (("k_yy", predicted.real), ("c_yy", predicted.imag / omega)):
+        found = [next(each for each in fit["parameters"] if each["name"] == name) for fit in bands]
+        low, high = np.array([each["ci95"] for each in found]).T
+        assert np.mean((low <= truth) & (truth <= high)) >= 0.9, name
