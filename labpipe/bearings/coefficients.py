@@ -26,12 +26,26 @@ class Amount:
 
 
 @dataclass(frozen=True)
+class PressureField:
+    """Pressure of an oil film against ambient (n_theta, n_axial) [Pa], over the angle from +y to +z [rad] and from mid width [m].
+
+    thickness (n_theta,) [m]: of the film.
+    """
+
+    theta: NDArray[np.floating]
+    axial: NDArray[np.floating]
+    pressure: NDArray[np.floating]
+    thickness: NDArray[np.floating]
+
+
+@dataclass(frozen=True)
 class BearingCoefficients:
     """Stiffness and damping (n_dof, n_dof): force in the row's dof per displacement or velocity in the column's [SI units].
 
     rest: the rest position; element_state: further arrays of it by name; lowest, highest: stiffness over one ball passage, where a
     bearing has one; notes: further numbers about the model; shaft: of the rigid shaft on the bearing, where the file describes one;
-    shares: what each element of a control loop adds to the direct coefficients; poles: of the closed loop [rad/s]; words: verdicts by name.
+    shares: what each element of a control loop adds to the direct coefficients; poles: of the closed loop [rad/s]; words: verdicts by name;
+    film: the pressure of an oil film, where there is one.
     """
 
     dofs: tuple[str, ...]
@@ -47,6 +61,7 @@ class BearingCoefficients:
     shares: tuple[Amount, ...] = ()
     poles: NDArray[np.complexfloating] | None = None
     words: Mapping[str, str] = field(default_factory=dict)
+    film: PressureField | None = None
 
     def __post_init__(self) -> None:
         n = len(self.dofs)

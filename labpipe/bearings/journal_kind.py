@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.bearings.coefficients import Amount, BearingCoefficients, BearingKind
+from labpipe.bearings.coefficients import Amount, BearingCoefficients, BearingKind, PressureField
 from labpipe.bearings.journal import JournalBearing, JournalEquilibrium, converged_equilibrium
 from labpipe.errors import ConfigError
 from labpipe.records.settings import setting
@@ -75,7 +75,8 @@ def journal_coefficients(settings: Sequence[JournalFile]) -> list[BearingCoeffic
 def _coefficients(settings: JournalFile) -> BearingCoefficients:
     load = (settings.side_load, -settings.load)
     state = converged_equilibrium(settings.bearing(), load, 2 * np.pi * settings.speed, settings.accuracy)
-    return BearingCoefficients(DOFS, state.stiffness, state.damping, _rest(state), notes=_notes(state))
+    film = PressureField(state.theta, state.axial, state.pressure, state.film_thickness)
+    return BearingCoefficients(DOFS, state.stiffness, state.damping, _rest(state), notes=_notes(state), film=film)
 
 
 def _rest(state: JournalEquilibrium) -> tuple[Amount, ...]:

@@ -13,6 +13,7 @@ from labpipe.report.candidates import candidate_blocks
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Block, Code, Document, Paragraph, Section, Table
 from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figure
+from labpipe.report.rotor_drawing import rotor_figures
 from labpipe.report.spectral_figures import spectral_blocks
 from labpipe.report.study import study_blocks
 from labpipe.report.wear_figures import wear_figures
@@ -34,6 +35,7 @@ def build(identification: Identification) -> Document:
         *(Section(f"Study: {study.rig}", study_blocks(study)) for study in identification.studies),
         *(Section(f"Result: {_series_title(fits)}", _result(fits)) for fits in series),
         *([Section("Measurement", _measurement(identification))] if identification.responses else []),
+        *([Section("Rotor", tuple(rotors))] if (rotors := rotor_figures(identification.settings)) else []),
         Section("Rig and conditions", _rig(identification)),
         Section("Provenance", _provenance(identification)),
         Section("Signature", (Table(("tested by", "date", "signature"), (("\n\n", "\n\n", "\n\n"),)),)),

@@ -119,17 +119,22 @@ def bearing_json(entry: dict[str, Any]) -> str:
 
 
 def write_bearing(file: BearingFile, name: str, found: BearingCoefficients, output: OutputFolder) -> list[str]:
-    """bearing.json, the heat map of the stiffness matrix and, of a shaft, its transfer matrix as FRF table; the names of the files."""
+    """bearing.json, the heat map of the stiffness matrix, a film's pressure, a shaft's transfer matrix as FRF table; the files' names."""
     from labpipe.report.bearing_figures import stiffness_figure
     from labpipe.report.drawing import svg_text
+    from labpipe.report.film_figure import film_figure
 
     output.write_path("bearing.json").write_text(bearing_json(bearing_entry(file, name, found)), encoding="utf-8")
     output.write_path("stiffness.svg").write_text(svg_text(stiffness_figure(name, found).drawing), encoding="utf-8")
+    names = ["bearing.json", "stiffness.svg"]
+    if found.film is not None:
+        output.write_path("pressure.svg").write_text(svg_text(film_figure(name, found.film).drawing), encoding="utf-8")
+        names.append("pressure.svg")
     response = file.kind.response and file.kind.response(file.settings(), found)
-    if response is None:
-        return ["bearing.json", "stiffness.svg"]
-    write_frf_csv(output.write_path("transfer.csv"), response)
-    return ["bearing.json", "stiffness.svg", "transfer.csv"]
+    if response is not None:
+        write_frf_csv(output.write_path("transfer.csv"), response)
+        names.append("transfer.csv")
+    return names
 
 
 def write_sweep(name: str, sweep: Sweep, found: list[BearingCoefficients], output: OutputFolder) -> list[str]:
