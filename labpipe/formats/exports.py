@@ -13,6 +13,7 @@ from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.response_file import read_response
 from labpipe.errors import DataError
 from labpipe.formats.frf_csv import write_frf_csv
+from labpipe.formats.mat_frf import write_frf_mat, write_recording_mat
 from labpipe.formats.uff_write import write_frf_uff, write_recording_uff
 from labpipe.records.finding import WARNING, of_level
 from labpipe.registry import Registry
@@ -24,6 +25,7 @@ WRITERS = Registry(
         "parquet": "labpipe.formats.exports:write_parquet",
         "uff": "labpipe.formats.exports:write_uff",
         "uff58b": "labpipe.formats.exports:write_uff58b",
+        "mat": "labpipe.formats.exports:write_mat",
     },
 )
 
@@ -62,6 +64,16 @@ def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
 def write_uff58b(artefact: Path, target: Path) -> None:
     """The same with binary numbers."""
     write_uff(artefact, target, binary=True)
+
+
+def write_mat(artefact: Path, target: Path) -> None:
+    """A recording or an FRF as a MATLAB file."""
+    if artefact.suffix == ".json":
+        raise DataError("parameters are not written as a MATLAB file", where=str(artefact), hint="known: csv, parquet")
+    if artefact.name.endswith(RECORDING_SUFFIX):
+        write_recording_mat(target, open_recording(artefact).in_memory())
+    else:
+        write_frf_mat(target, read_response(artefact))
 
 
 def recording_table(artefact: Path) -> pd.DataFrame:

@@ -13,6 +13,7 @@ FRF_READERS = Registry(
     {
         **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc"), "labpipe.formats.frf_csv:read_frf_csv"),
         **dict.fromkeys((".uff", ".unv", ".uf"), "labpipe.formats.uff_frf:read_frf_uff"),
+        ".mat": "labpipe.formats.mat_frf:read_frf_mat",
     },
 )
 

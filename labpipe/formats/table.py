@@ -18,6 +18,8 @@ READERS = Registry(
         **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc"), "labpipe.formats.csv_table:CsvTable"),
         ".parquet": "labpipe.formats.parquet_table:ParquetTable",
         **dict.fromkeys((".uff", ".unv", ".uf"), "labpipe.formats.uff_table:UffTable"),
+        ".mat": "labpipe.formats.mat_file:mat_table",
+        **dict.fromkeys((".h5", ".hdf5", ".hdf"), "labpipe.formats.hdf5_table:hdf5_table"),
     },
 )
 

@@ -44,7 +44,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize(("target", "suffix"), [("uff", ".uff"), ("uff58b", ".unv")])
+@pytest.mark.parametrize(("target", "suffix"), [("uff", ".uff"), ("uff58b", ".unv"), ("mat", ".mat")])
 @pytest.mark.parametrize("form", ["receptance", "accelerance"])
 def test_an_exported_response_is_identified_as_it_was_made(project: Path, labpipe, target: str, suffix: str, form: str) -> None:
     """Closed form: the coefficients from which the FRF was made."""
@@ -67,7 +67,7 @@ def recorded(project: Path, labpipe) -> np.ndarray:
     return samples * [1.0, 1e-6]
 
 
-@pytest.mark.parametrize(("target", "suffix"), [("uff", ".uff"), ("uff58b", ".uff")])
+@pytest.mark.parametrize(("target", "suffix"), [("uff", ".uff"), ("uff58b", ".uff"), ("mat", ".mat")])
 def test_an_exported_recording_is_ingested_with_its_own_rate(project: Path, labpipe, target: str, suffix: str) -> None:
     samples = recorded(project, labpipe)
     assert labpipe("export", "run.recording.parquet", "--to", target, "-o", f"again{suffix}").code == 0
@@ -94,6 +94,8 @@ def test_rate_and_unit_are_held_against_the_rig(project: Path, labpipe) -> None:
     [
         ("h.uff", b"", "the file is empty"),
         ("h.uff", b"MZ\x90", "is no universal file"),
+        ("h.mat", b"", "the file is empty"),
+        ("h.mat", b"MATLAB 5.0 MAT-file" + bytes(200), "is not a readable MATLAB file"),
         ("h.xyz", b"1", "FRF files with the ending '.xyz' cannot be read"),
     ],
 )

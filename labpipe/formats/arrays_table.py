@@ -1,0 +1,97 @@
+"""Named arrays of one file as a table: the longest equally long vectors are the channels, a scalar such as fs or dt their rate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import DataError
+
+CHUNK_ROWS = 1 << 17
+RATES = ("fs", "f_s", "fsamp", "rate", "samplerate", "sample_rate", "sampling_rate", "samplingrate", "sampling_frequency")
+STEPS = ("dt", "delta_t", "deltat", "time_step", "timestep", "sample_interval")
+_SAME = 1e-4
+
+
+@dataclass(frozen=True)
+class Column:
+    """A vector in an array (or HDF5 data set): whole, or row or column *index* of a matrix whose samples run along *axis*."""
+
+    array: Any
+    axis: int
+    index: int | None
+
+    @property
+    def n_value(self) -> int:
+        return int(self.array.shape[self.axis])
+
+    def part(self, start: int, stop: int) -> NDArray[np.float64]:
+        """Values *start* to *stop*."""
+        where: list[int | slice] = [0 if self.index is None else self.index] * len(self.array.shape)
+        where[self.axis] = slice(start, stop)
+        return np.asarray(self.array[tuple(where)], np.float64)
+
+
+def is_numeric(array: Any) -> bool:
+    """Whether the array holds real numbers in one or two dimensions."""
+    return getattr(array, "dtype", np.dtype(object)).kind in "iuf" and len(array.shape) in (1, 2) and min(array.shape) > 0
+
+
+def columns_of(name: str, array: Any) -> dict[str, Column]:
+    """One column of a vector; name_1, name_2, ... of a matrix, whose longer side is time."""
+    axis = int(np.argmax(array.shape))
+    others = 1 if len(array.shape) == 1 else int(array.shape[1 - axis])
+    if others == 1:
+        return {name: Column(array, axis, None)}
+    return {f"{name}_{n + 1}": Column(array, axis, n) for n in range(others)}
+
+
+def longest(columns: Mapping[str, Column], where: Path) -> dict[str, Column]:
+    """The columns that are as long as the longest; DataError when there is none of two values."""
+    length = max((column.n_value for column in columns.values()), default=0)
+    if length < 2:
+        raise DataError("holds no vector of numbers", where=str(where), hint="equally long vectors make a recording")
+    return {name: column for name, column in columns.items() if column.n_value == length}
+
+
+def rate_of(scalars: Mapping[str, float], where: Path) -> float | None:
+    """The sampling rate [Hz] that scalars such as fs or dt state; DataError when they contradict each other or are not positive."""
+    found = {name: float(value) for name, value in scalars.items() if _is_named(name, RATES)}
+    found |= {name: 1 / float(value) if value else 0.0 for name, value in scalars.items() if _is_named(name, STEPS)}
+    rates = list(found.values())
+    if not rates:
+        return None
+    if min(rates) <= 0 or max(rates) > min(rates) * (1 + _SAME):
+        said = ", ".join(f"{name}: {rate:g} Hz" for name, rate in found.items())
+        raise DataError(f"states no one sampling rate ({said})", where=str(where))
+    return rates[0]
+
+
+def _is_named(name: str, known: tuple[str, ...]) -> bool:
+    own = name.rpartition("/")[2].rpartition(".")[2].lower()
+    return own in known or own.removeprefix("time_") in known
+
+
+class ArraysTable:
+    """Columns of named arrays. Satisfies Table."""
+
+    def __init__(self, path: Path, columns: Mapping[str, Column], units: dict[str, str], sample_rate: float | None) -> None:
+        self.path = path
+        self._columns = longest(columns, path)
+        self.columns = tuple(self._columns)
+        self.units = {name: unit for name, unit in units.items() if name in self._columns and unit}
+        self.sample_rate = sample_rate
+
+    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
+        """Consecutive chunks (n, len(columns))."""
+        length = self._columns[self.columns[0]].n_value
+        for start in range(0, length, CHUNK_ROWS):
+            try:
+                yield np.column_stack([self._columns[name].part(start, start + CHUNK_ROWS) for name in columns])
+            except OSError as error:
+                raise DataError(f"cannot be read: {error}", where=str(self.path)) from None
