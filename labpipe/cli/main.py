@@ -21,6 +21,7 @@ COMMANDS = {
     "report": "Identification -> a report that opens offline.",
     "run": "All stages of a pipeline; what is up to date is not computed again.",
     "check": "Run pipelines and hold them against their expect: and accept: rules.",
+    "orders": "Amplitude and phase of 1x over a run, orbits, forward and backward.",
     "bearing": "Stiffness and damping of a bearing model at its load and speed.",
     "study": "Monte Carlo of a pipeline on a virtual rig: bias, coverage, success per estimator.",
     "simulate": "Recordings of a virtual rig with known truth.",

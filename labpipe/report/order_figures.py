@@ -1,0 +1,65 @@
+"""Figures of order tracking: amplitude and phase over the speed, and the orbits."""
+
+from __future__ import annotations
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure as Canvas
+
+from labpipe.report.document import Figure
+from labpipe.report.drawing import COLOURS, STYLE
+from labpipe.report.figures import WIDTH, stacked_axes
+from labpipe.spectra.orders import OrderTrack
+
+MOST_ORBITS = 8
+
+
+def order_figure(name: str, track: OrderTrack, circles: OrderTrack | None) -> Figure:
+    """Amplitude with two standard deviations and phase of every response over the speed; forward and backward below.
+
+    Over the time where the speed stays what it is.
+    """
+    turning = bool(np.ptp(track.speed) > 1e-3 * np.max(track.speed))
+    across = 60 * track.speed if turning else track.time
+    rows = [("amplitude [um]", track), ("phase [deg]", track), *([("circles [um]", circles)] if circles is not None else [])]
+    with mpl.rc_context(STYLE):
+        canvas, axes = stacked_axes(len(rows), 2.2 * len(rows), sharex=True)
+        for own, (label, shown) in zip(axes, rows, strict=True):
+            for number, port in enumerate(shown.ports):
+                x, colour = shown.amplitude[:, number], COLOURS[number]
+                if label.startswith("phase"):
+                    own.plot(across, np.degrees(np.angle(x)), ".", color=colour, markersize=3)
+                    continue
+                size, spread = 1e6 * np.abs(x), 2e6 * np.sqrt(shown.variance[:, number] / 2)
+                own.fill_between(across, np.maximum(size - spread, 0), size + spread, color=colour, alpha=0.2, linewidth=0)
+                own.plot(across, size, ".-", color=colour, linewidth=1, markersize=3, label=port.label)
+            own.set_ylabel(label)
+            if not label.startswith("phase"):
+                own.legend(ncols=4, fontsize=8)
+        axes[-1].set_xlabel("speed [rpm]" if turning else "time [s]")
+    caption = f"{name}: order {track.order:g}, 0-to-peak, and phase against the tacho; shaded: two standard deviations."
+    return Figure(canvas, caption, f"Amplitude and phase of order {track.order:g} of {name}")
+
+
+def orbit_series_figure(name: str, circles: OrderTrack) -> Figure:
+    """Orbits at stretches spread over the run: the sum of a forward and a backward circle; a dot where the pulse comes."""
+    chosen = np.unique(np.linspace(0, circles.time.size - 1, min(MOST_ORBITS, circles.time.size)).round().astype(int))
+    turn = np.exp(1j * np.linspace(0, 2 * np.pi, 181))
+    with mpl.rc_context(STYLE):
+        columns = min(4, chosen.size)
+        rows = -(-chosen.size // columns)
+        canvas = Canvas(figsize=(WIDTH, 2.0 * rows + 0.4), layout="constrained")
+        panels = canvas.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).reshape(-1)
+        for axes, row in zip(panels, chosen, strict=False):
+            forward, backward = circles.amplitude[row]
+            # x = Re (f + b) e, y = Re (-j f + j b) e: as one complex number f e + conj(b e).
+            path = 1e6 * (forward * turn + np.conj(backward * turn))
+            axes.plot(path.real, path.imag, color=COLOURS[0], linewidth=1)
+            axes.plot(path.real[0], path.imag[0], "o", color=COLOURS[1], markersize=3)
+            axes.set_aspect("equal")
+            axes.set_title(f"{60 * circles.speed[row]:.0f} rpm", fontsize=8)
+        for axes in panels[chosen.size :]:
+            axes.set_visible(False)
+        canvas.supxlabel("x [um]", fontsize=9)
+        canvas.supylabel("y [um]", fontsize=9)
+    return Figure(canvas, f"{name}: orbits of order {circles.order:g}; the dot marks the tacho's pulse.", f"Orbits of {name}")

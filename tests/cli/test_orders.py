@@ -1,0 +1,90 @@
+"""labpipe orders on run-ups whose orbit, speed and phase are known in closed form."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+RIG = """name: Run-up rig
+sample_rate: 2 kHz
+channels:
+  x: {column: "x [um]", quantity: displacement, unit: um, role: output, dof: x}
+  y: {column: "y [um]", quantity: displacement, unit: um, role: output, dof: y}
+  n: {column: "tacho [V]", quantity: tacho, unit: V, role: reference}
+"""
+FORWARD, BACKWARD = 30.0 * np.exp(0.4j), 10.0 * np.exp(-1.1j)
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A run-up from 20 to 40 Hz in 20 s with a constant elliptic orbit, um; a pulse at every whole revolution."""
+    t = np.arange(40_000) / 2000
+    revolutions = 20 * t + 0.5 * t**2
+    turn = np.exp(2j * np.pi * revolutions)
+    x, y = np.real((FORWARD + BACKWARD) * turn), np.real((-1j * FORWARD + 1j * BACKWARD) * turn)
+    noise = np.random.default_rng(1).normal(size=(2, t.size)) * 0.5
+    pulse = np.where(revolutions % 1.0 < 0.3, 5.0, 0.0)
+    table = np.column_stack([x + noise[0], y + noise[1], pulse])
+    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header="x [um],y [um],tacho [V]", comments="", fmt="%.6g")
+    (tmp_path / "rig.yaml").write_text(RIG, encoding="utf-8")
+    return tmp_path
+
+
+def rows(folder: Path) -> list[dict[str, float]]:
+    text = (folder / "orders.csv").read_text("utf-8").splitlines()
+    return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(text)]
+
+
+def test_a_run_up_by_its_tacho(project: Path, labpipe) -> None:
+    out = project / "out"
+    ended = labpipe("orders", project / "run.csv", "-r", project / "rig.yaml", "--tacho", "n", "-o", out)
+    assert ended.code == 0 and "stretches of 20 revolutions" in ended.out, ended
+    found = rows(out)
+    assert found[0]["speed_hz"] < 22 and found[-1]["speed_hz"] > 38
+    # E|dX|^2 = 4 s^2 / n; with s = 0.5 um and about 1300 samples a stretch 0.028 um; f and b have 1 / sqrt 2 of it.
+    for name, truth in (("f", FORWARD), ("b", BACKWARD)):
+        sizes = np.array([row[f"{name}:amplitude"] for row in found]) * 1e6
+        assert np.mean(sizes) == pytest.approx(abs(truth), abs=0.05)
+        assert np.mean([row[f"{name}:std"] for row in found]) * 1e6 == pytest.approx(0.02, rel=0.5)
+        # The pulse's flank is found between samples: a few degrees at most.
+        phases = [np.exp(1j * np.radians(row[f"{name}:phase_deg"])) for row in found]
+        assert abs(np.degrees(np.angle(np.mean(phases) / truth))) < 5
+    for name in ("orders.svg", "orbits.svg"):
+        assert "<svg" in (out / name).read_text("utf-8")
+
+
+def test_a_constant_speed_without_tacho(project: Path, labpipe) -> None:
+    t = np.arange(20_000) / 2000
+    x = 12 * np.cos(2 * np.pi * 50 * t + 0.3)
+    table = np.column_stack([x, 0.1 * x, 0 * x + np.arange(t.size) % 7])
+    np.savetxt(project / "run.csv", table, delimiter=",", header="x [um],y [um],tacho [V]", comments="", fmt="%.8g")
+    ended = labpipe("orders", project / "run.csv", "-r", project / "rig.yaml", "--speed", "3000 rpm", "-o", project / "out")
+    assert ended.code == 0, ended
+    found = rows(project / "out")
+    assert [row["x:amplitude"] * 1e6 for row in found] == pytest.approx([12.0] * len(found), rel=1e-6)
+    assert found[0]["x:phase_deg"] == pytest.approx(np.degrees(0.3), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "one of 'speed' and 'tacho' is needed"),
+        (("--tacho", "n", "--speed", "50 Hz"), "one of 'speed' and 'tacho' is needed"),
+        (("--tacho", "m"), "'m'"),
+        (("--speed", "50 N"), "--speed: 'N' has the wrong dimension"),
+        (("--tacho", "n", "--order", "-1"), "--order must be positive"),
+        (("--tacho", "n", "--revolutions", "5000"), "holds no 5000 revolutions"),
+    ],
+)
+def test_what_cannot_be_tracked_is_said(project: Path, labpipe, arguments: tuple[str, ...], message: str) -> None:
+    ended = labpipe("orders", project / "run.csv", "-r", project / "rig.yaml", "-o", project / "out", *arguments)
+    assert ended.code == 2 and message in ended.err, ended
+    assert not (project / "out").exists()
+
+
+def test_a_raw_file_needs_its_rig(project: Path, labpipe) -> None:
+    ended = labpipe("orders", project / "run.csv", "--tacho", "n", "-o", project / "out")
+    assert ended.code == 2 and "a raw file needs its rig file" in ended.err
