@@ -6,6 +6,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure as Canvas
 
+from labpipe.quantities import QUANTITIES, to_display
 from labpipe.report.document import Figure
 from labpipe.report.drawing import COLOURS, STYLE
 from labpipe.report.figures import WIDTH, stacked_axes
@@ -14,14 +15,21 @@ from labpipe.spectra.orders import OrderTrack
 MOST_ORBITS = 8
 
 
-def order_figure(name: str, track: OrderTrack, circles: OrderTrack | None) -> Figure:
+def _unit(quantity: str) -> tuple[str, float]:
+    """(unit shown, factor from SI) of the responses; SI for mixed ones."""
+    known = QUANTITIES.get(quantity)
+    return (known.display_unit, to_display(1.0, known.display_unit)) if known else ("SI", 1.0)
+
+
+def order_figure(name: str, track: OrderTrack, circles: OrderTrack | None, quantity: str) -> Figure:
     """Amplitude with two standard deviations and phase of every response over the speed; forward and backward below.
 
     Over the time where the speed stays what it is.
     """
     turning = bool(np.ptp(track.speed) > 1e-3 * np.max(track.speed))
     across = 60 * track.speed if turning else track.time
-    rows = [("amplitude [um]", track), ("phase [deg]", track), *([("circles [um]", circles)] if circles is not None else [])]
+    unit, factor = _unit(quantity)
+    rows = [(f"amplitude [{unit}]", track), ("phase [deg]", track), *([(f"circles [{unit}]", circles)] if circles is not None else [])]
     with mpl.rc_context(STYLE):
         canvas, axes = stacked_axes(len(rows), 2.2 * len(rows), sharex=True)
         for own, (label, shown) in zip(axes, rows, strict=True):
@@ -30,7 +38,7 @@ def order_figure(name: str, track: OrderTrack, circles: OrderTrack | None) -> Fi
                 if label.startswith("phase"):
                     own.plot(across, np.degrees(np.angle(x)), ".", color=colour, markersize=3)
                     continue
-                size, spread = 1e6 * np.abs(x), 2e6 * np.sqrt(shown.variance[:, number] / 2)
+                size, spread = factor * np.abs(x), 2 * factor * np.sqrt(shown.variance[:, number] / 2)
                 own.fill_between(across, np.maximum(size - spread, 0), size + spread, color=colour, alpha=0.2, linewidth=0)
                 own.plot(across, size, ".-", color=colour, linewidth=1, markersize=3, label=port.label)
             own.set_ylabel(label)
@@ -41,9 +49,10 @@ def order_figure(name: str, track: OrderTrack, circles: OrderTrack | None) -> Fi
     return Figure(canvas, caption, f"Amplitude and phase of order {track.order:g} of {name}")
 
 
-def orbit_series_figure(name: str, circles: OrderTrack) -> Figure:
+def orbit_series_figure(name: str, circles: OrderTrack, quantity: str) -> Figure:
     """Orbits at stretches spread over the run: the sum of a forward and a backward circle; a dot where the pulse comes."""
     chosen = np.unique(np.linspace(0, circles.time.size - 1, min(MOST_ORBITS, circles.time.size)).round().astype(int))
+    unit, factor = _unit(quantity)
     turn = np.exp(1j * np.linspace(0, 2 * np.pi, 181))
     with mpl.rc_context(STYLE):
         columns = min(4, chosen.size)
@@ -53,13 +62,13 @@ def orbit_series_figure(name: str, circles: OrderTrack) -> Figure:
         for axes, row in zip(panels, chosen, strict=False):
             forward, backward = circles.amplitude[row]
             # x = Re (f + b) e, y = Re (-j f + j b) e: as one complex number f e + conj(b e).
-            path = 1e6 * (forward * turn + np.conj(backward * turn))
+            path = factor * (forward * turn + np.conj(backward * turn))
             axes.plot(path.real, path.imag, color=COLOURS[0], linewidth=1)
             axes.plot(path.real[0], path.imag[0], "o", color=COLOURS[1], markersize=3)
             axes.set_aspect("equal")
             axes.set_title(f"{60 * circles.speed[row]:.0f} rpm", fontsize=8)
         for axes in panels[chosen.size :]:
             axes.set_visible(False)
-        canvas.supxlabel("x [um]", fontsize=9)
-        canvas.supylabel("y [um]", fontsize=9)
+        canvas.supxlabel(f"x [{unit}]", fontsize=9)
+        canvas.supylabel(f"y [{unit}]", fontsize=9)
     return Figure(canvas, f"{name}: orbits of order {circles.order:g}; the dot marks the tacho's pulse.", f"Orbits of {name}")

@@ -18,11 +18,15 @@ from labpipe.stages.ingest import ingest, is_recording
 
 @dataclass(frozen=True)
 class TrackedRun:
-    """An order over a run, and in forward and backward circles where two responses stand in known directions."""
+    """An order over a run, and in forward and backward circles where two responses stand in known directions.
+
+    *quantity*: what the responses are, empty where they differ.
+    """
 
     name: str
     track: OrderTrack
     circles: OrderTrack | None
+    quantity: str
 
 
 def track_run(source: Path, rig: Rig | None, lines: ShaftLines, order: float, revolutions: int, output: OutputFolder) -> TrackedRun:
@@ -36,7 +40,8 @@ def track_run(source: Path, rig: Rig | None, lines: ShaftLines, order: float, re
         circles = directional_track(track)
     except DataError:
         circles = None
-    return TrackedRun(recording.name, track, circles)
+    quantities = {channel.quantity for channel in recording.channels if channel.role == "output"}
+    return TrackedRun(recording.name, track, circles, quantities.pop() if len(quantities) == 1 else "")
 
 
 def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
@@ -46,10 +51,10 @@ def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
 
     names = ["orders.csv", "orders.svg"]
     _write_table(run, output.write_path(names[0]))
-    output.write_path(names[1]).write_text(svg_text(order_figure(run.name, run.track, run.circles).drawing), encoding="utf-8")
+    output.write_path(names[1]).write_text(svg_text(order_figure(run.name, run.track, run.circles, run.quantity).drawing), encoding="utf-8")
     if run.circles is not None:
         names.append("orbits.svg")
-        output.write_path(names[2]).write_text(svg_text(orbit_series_figure(run.name, run.circles).drawing), encoding="utf-8")
+        output.write_path(names[2]).write_text(svg_text(orbit_series_figure(run.name, run.circles, run.quantity).drawing), encoding="utf-8")
     return names
 
 

@@ -88,3 +88,11 @@ def test_what_cannot_be_tracked_is_said(project: Path, labpipe, arguments: tuple
 def test_a_raw_file_needs_its_rig(project: Path, labpipe) -> None:
     ended = labpipe("orders", project / "run.csv", "--tacho", "n", "-o", project / "out")
     assert ended.code == 2 and "a raw file needs its rig file" in ended.err
+
+
+def test_the_axes_say_the_unit_of_what_was_measured(project: Path, labpipe) -> None:
+    text = RIG.replace("quantity: displacement, unit: um", "quantity: acceleration, unit: m/s^2")
+    (project / "rig.yaml").write_text(text, encoding="utf-8")
+    assert labpipe("orders", project / "run.csv", "-r", project / "rig.yaml", "--tacho", "n", "-o", project / "out").code == 0
+    drawn = (project / "out/orders.svg").read_text("utf-8")
+    assert "amplitude [m/s^2]" in drawn and "[um]" not in drawn
