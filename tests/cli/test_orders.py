@@ -91,8 +91,10 @@ def test_a_raw_file_needs_its_rig(project: Path, labpipe) -> None:
 
 
 def test_the_axes_say_the_unit_of_what_was_measured(project: Path, labpipe) -> None:
-    text = RIG.replace("quantity: displacement, unit: um", "quantity: acceleration, unit: m/s^2")
+    text = RIG.replace("quantity: displacement, unit: um", "quantity: acceleration, unit: m/s^2").replace("[um]", "[m/s^2]")
     (project / "rig.yaml").write_text(text, encoding="utf-8")
+    run = project / "run.csv"
+    run.write_text(run.read_text("utf-8").replace("[um]", "[m/s^2]"), encoding="utf-8")
     assert labpipe("orders", project / "run.csv", "-r", project / "rig.yaml", "--tacho", "n", "-o", project / "out").code == 0
     drawn = (project / "out/orders.svg").read_text("utf-8")
     assert "amplitude [m/s^2]" in drawn and "[um]" not in drawn
