@@ -38,8 +38,9 @@ class Column:
 
 
 def is_numeric(array: Any) -> bool:
-    """Whether the array holds real numbers in one or two dimensions."""
-    return getattr(array, "dtype", np.dtype(object)).kind in "iuf" and len(array.shape) in (1, 2) and min(array.shape) > 0
+    """Whether the array holds real numbers in one or two dimensions, and is not sparse."""
+    kind = getattr(array, "dtype", np.dtype(object)).kind
+    return kind in "iuf" and not hasattr(array, "tocsr") and len(array.shape) in (1, 2) and min(array.shape) > 0
 
 
 def columns_of(name: str, array: Any) -> dict[str, Column]:

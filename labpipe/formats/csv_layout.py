@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labpipe.errors import DataError
+from labpipe.formats.packed import PACKED, damaged, open_unpacked
 from labpipe.quantities import UnitError, parse_unit
 
 HEAD_BYTES = 1 << 18
@@ -64,8 +65,11 @@ def find_layout(path: Path) -> Layout:
 
 
 def _head(path: Path) -> tuple[str, list[str]]:
-    with path.open("rb") as stream:
-        head = stream.read(HEAD_BYTES)
+    try:
+        with open_unpacked(path) as stream:
+            head = stream.read(HEAD_BYTES)
+    except OSError as error:
+        raise damaged(path, error) if path.suffix.lower() in PACKED else error from None
     if not head.strip():
         raise DataError("the file is empty", where=str(path))
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):

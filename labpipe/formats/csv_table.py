@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from labpipe.errors import DataError
 from labpipe.formats.csv_layout import MISSING, find_layout, is_number_or_missing
+from labpipe.formats.packed import PACKED, damaged, open_unpacked
 
 BLOCK_BYTES = 1 << 23
 
@@ -35,13 +37,16 @@ class CsvTable:
                     yield np.column_stack([batch.column(field).to_numpy(zero_copy_only=False) for field in fields])
         except pa.ArrowInvalid as error:
             raise self._located(columns, str(error)) from None
+        except OSError as error:
+            raise damaged(self.path, error) if self.path.suffix.lower() in PACKED else error from None
 
     def _open(self, fields: list[str]) -> pc.CSVStreamingReader:
         layout = self.layout
         encoding = "utf8" if layout.encoding.startswith("utf-8") else layout.encoding
         n_field = len(layout.names)
+        packed = self.path.suffix.lower() in PACKED
         return pc.open_csv(
-            self.path,
+            open_unpacked(self.path) if packed else self.path,
             pc.ReadOptions(
                 block_size=BLOCK_BYTES,
                 skip_rows=layout.first_line,
@@ -60,7 +65,7 @@ class CsvTable:
     def _located(self, columns: Sequence[str], reason: str) -> DataError:
         """The error with the first faulty line, found by reading the file again as text."""
         layout, indices = self.layout, [self.layout.names.index(name) for name in columns]
-        with self.path.open(encoding=layout.encoding, errors="replace") as lines:
+        with open_unpacked(self.path) as stream, io.TextIOWrapper(stream, encoding=layout.encoding, errors="replace") as lines:
             for number, line in enumerate(lines):
                 if number < layout.first_line or not line.strip():
                     continue

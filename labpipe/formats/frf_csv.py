@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from labpipe.errors import DataError
 from labpipe.formats.csv_table import CsvTable
+from labpipe.formats.packed import open_unpacked
 from labpipe.formats.table import check_columns
 from labpipe.records.response import FORMS, FrequencyResponse, Port, uncorrelated
 from labpipe.records.rig import AXIS_ANGLES
@@ -53,7 +55,7 @@ def _port(label: str) -> Port:
 
 def _form(path: Path) -> str:
     """The form named in the comment lines above the table; receptance where none is named."""
-    with path.open(encoding="utf-8-sig", errors="replace") as lines:
+    with open_unpacked(path) as stream, io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace") as lines:
         for line in lines:
             if not line.startswith("#"):
                 break

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from labpipe.errors import DataError
+from labpipe.formats.packed import plain_suffix
 from labpipe.records.response import FrequencyResponse
 from labpipe.registry import Registry
 
@@ -20,7 +21,7 @@ FRF_READERS = Registry(
 
 def read_frf_file(path: Path, name: str = "") -> FrequencyResponse:
     """The response of a file by its suffix; DataError for a file of no known kind."""
-    suffix = path.suffix.lower()
+    suffix = plain_suffix(path)
     if suffix not in FRF_READERS.names():
         known = ", ".join((*FRF_READERS.names(), ".frf.parquet"))
         raise DataError(f"FRF files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {known}")

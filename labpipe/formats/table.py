@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import DataError
+from labpipe.formats.packed import plain_suffix
 from labpipe.registry import Registry, nearest
 
 READERS = Registry(
@@ -20,6 +21,8 @@ READERS = Registry(
         **dict.fromkeys((".uff", ".unv", ".uf"), "labpipe.formats.uff_table:UffTable"),
         ".mat": "labpipe.formats.mat_file:mat_table",
         **dict.fromkeys((".h5", ".hdf5", ".hdf"), "labpipe.formats.hdf5_table:hdf5_table"),
+        ".tdms": "labpipe.formats.tdms_table:TdmsTable",
+        ".wav": "labpipe.formats.wav_table:WavTable",
     },
 )
 
@@ -43,7 +46,7 @@ def open_table(path: Path) -> Table:
         raise DataError("is a folder, a file is needed", where=str(path))
     if not path.exists():
         raise DataError("no such file", where=str(path))
-    suffix = path.suffix.lower()
+    suffix = plain_suffix(path)
     if suffix not in READERS.names():
         raise DataError(f"files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {', '.join(READERS.names())}")
     table: Table = READERS.load(suffix)(path)

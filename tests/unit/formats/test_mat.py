@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pytest
 from scipy.io import savemat
+from scipy.sparse import eye_array
 
 from labpipe.errors import DataError
 from labpipe.formats.mat_frf import read_frf_mat, write_frf_mat, write_recording_mat
@@ -38,6 +39,11 @@ def test_structures_integers_and_other_contents(tmp_path: Path) -> None:
     table = open_table(tmp_path / "r.mat")
     assert (table.columns, table.sample_rate) == (("run.x",), 100.0)
     np.testing.assert_array_equal(whole(table)[:, 0], np.arange(9))
+
+
+def test_sparse_matrices_are_no_channels(tmp_path: Path) -> None:
+    savemat(tmp_path / "r.mat", {"K": eye_array(90).tocsc(), "x": np.ones(9)})
+    assert open_table(tmp_path / "r.mat").columns == ("x",)
 
 
 def test_hdf5_in_blocks_with_attributes(tmp_path: Path, rng) -> None:
