@@ -7,12 +7,19 @@ from pathlib import Path
 import click
 
 from labpipe.artefacts.recording_file import StoredRecording, open_recording
+from labpipe.artefacts.response_file import SUFFIX as FRF_SUFFIX
 from labpipe.cli import options
+from labpipe.config.rig import load_rig
 from labpipe.errors import DataError
+from labpipe.formats.mat_frf import holds_response
 from labpipe.formats.table import open_table
+from labpipe.formats.uff import TIME, UFF_SUFFIXES, read_uff
 from labpipe.records.finding import Finding
+from labpipe.records.response import FORMS, FrequencyResponse, Port
+from labpipe.records.rig import Rig
 from labpipe.signals.screening import ChannelScreen, TimeAxisScreen
-from labpipe.stages.ingest import is_recording
+from labpipe.stages.frf import load_response
+from labpipe.stages.ingest import contradictions, is_recording
 
 BLOCK = 1 << 16
 TIME_NAMES = ("t", "time", "zeit")
@@ -20,12 +27,38 @@ TIME_NAMES = ("t", "time", "zeit")
 
 @click.command()
 @click.argument("file", type=options.PATH)
-def inspect(file: Path) -> None:
-    """Show what is in a recording: channels, rate, length, gaps, clipping, levels."""
-    if file.exists() and file.is_file() and is_recording(file):
+@click.option("-r", "--rig", "rig_path", type=options.PATH, help="Rig file against which names, units and rate are held.")
+def inspect(file: Path, rig_path: Path | None) -> None:
+    """Show what is in a recording or an FRF: channels, units, rate, length, gaps, clipping, levels."""
+    rig = None if rig_path is None else load_rig(rig_path)
+    if file.name.endswith(FRF_SUFFIX) or (file.is_file() and _is_response(file)):
+        _inspect_response(load_response(file), file)
+    elif file.is_file() and is_recording(file):
         _inspect_recording(open_recording(file))
     else:
-        _inspect_table(file)
+        _inspect_table(file, rig)
+
+
+def _is_response(file: Path) -> bool:
+    """Whether a file of another program holds FRFs and no recording."""
+    suffix = file.suffix.lower()
+    if suffix == ".mat":
+        return holds_response(file)
+    return suffix in UFF_SUFFIXES and all(record.function != TIME for record in read_uff(file))
+
+
+def _inspect_response(response: FrequencyResponse, file: Path) -> None:
+    frequency = response.frequency
+    lines = f"{frequency.size} lines, {frequency[0]:g} to {frequency[-1]:g} Hz"
+    click.echo(f"{file.name}: {response.form} [{FORMS[response.form]}], {lines}")
+    for title, ports in (("responses", response.outputs), ("forces", response.inputs)):
+        click.echo(f"  {title:<9} " + ", ".join(_port(port) for port in ports))
+    known = [name for name in ("covariance", "coherence") if getattr(response, name) is not None]
+    click.echo(f"  with {' and '.join(known)}" if known else "  without covariance or coherence")
+
+
+def _port(port: Port) -> str:
+    return port.label if port.dof == port.label else f"{port.label} ({port.dof})"
 
 
 def _inspect_recording(recording: StoredRecording) -> None:
@@ -38,26 +71,29 @@ def _inspect_recording(recording: StoredRecording) -> None:
     _echo_levels(labels, screen, recording.findings)
 
 
-def _inspect_table(file: Path) -> None:
-    """A raw file: a rate where one of its columns is a time."""
+def _inspect_table(file: Path, rig: Rig | None) -> None:
+    """A raw file: the rate it states itself, or that of a column which is a time."""
     table = open_table(file)
     names = list(dict.fromkeys(table.columns))
     times = [name for name in names if name.split("[")[0].split("(")[0].strip().lower() in TIME_NAMES]
     screen = ChannelScreen(names)
     time = TimeAxisScreen(times[0]) if times else None
-    rate = "no time column; the rig file gives the rate"
+    rate = "no time column; the rig file gives the rate" if table.sample_rate is None else f"{table.sample_rate:g} Hz"
     try:
         for chunk in table.chunks(names):
             screen.add(chunk)
             if time is not None:
                 time.add(chunk[:, names.index(times[0])])
-        if time is not None:
+        if time is not None and table.sample_rate is None:
             rate = f"{time.sample_rate():g} samples per unit of '{times[0]}'"
     except DataError as error:
         error.where = error.where or str(file)
         raise
     click.echo(f"{file.name}: {screen.n_sample} rows, {len(names)} columns, {rate}")
-    _echo_levels(names, screen, screen.findings())
+    labels = [f"{name} [{table.units[name]}]" if name in table.units and table.units[name] not in name else name for name in names]
+    _echo_levels(labels, screen, screen.findings())
+    for contradiction in contradictions(table, rig) if rig is not None else ():
+        click.echo(f"  warning rig: {contradiction}")
 
 
 def _echo_levels(labels: list[str], screen: ChannelScreen, findings: tuple[Finding, ...]) -> None:

@@ -42,6 +42,13 @@ def _port_variables(side: str, ports: tuple[Port, ...]) -> dict[str, Any]:
     }
 
 
+def holds_response(path: Path) -> bool:
+    """Whether a readable MATLAB file up to version 7 holds a response."""
+    if is_hdf5(path):
+        return False
+    return {"frequency_hz", "H", "form"} <= load_variables(path).keys()
+
+
 def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
     """The response of a file as `write_frf_mat` writes it; DataError names the variable that is missing or of another size."""
     if is_hdf5(path):

@@ -14,6 +14,7 @@ from pathlib import Path
 from labpipe.errors import DataError
 from labpipe.formats.uff_numbers import NumberLayout, binary_layout, text_layout
 
+UFF_SUFFIXES = (".uff", ".unv", ".uf")
 TIME, FRF, COHERENCE = 1, 4, 6
 _MARK = re.compile(rb"^[ \t]*-1[ \t]*\r?$", re.MULTILINE)
 # Binary numbers end wherever they end: the closing -1 need not begin a line.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -72,6 +73,23 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> N
     except DataError as error:
         error.where = error.where or str(table.path)
         raise
+
+
+def contradictions(table: Table, rig: Rig) -> list[DataError]:
+    """Every point in which a file and a rig file do not agree: columns, units, rate."""
+    columns = [channel.column for channel in rig.channels]
+    checks: list[Callable[[], object]] = [partial(check_columns, table, [name]) for name in [*([rig.time] if rig.time else []), *columns]]
+    checks.extend(partial(_check_unit, table, channel) for channel in rig.channels)
+    if rig.time is None:
+        checks.append(partial(stated_rate, table, rig))
+    found: list[DataError] = []
+    for check in checks:
+        try:
+            check()
+        except DataError as error:
+            error.where = ""
+            found.append(error)
+    return found
 
 
 def stated_rate(table: Table, rig: Rig) -> float:

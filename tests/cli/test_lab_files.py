@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from nptdms import ChannelObject, TdmsWriter
+from scipy.io import wavfile
 
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.response_file import read_response, write_response
@@ -104,4 +106,56 @@ def test_broken_response_files(project: Path, labpipe, file: str, content: bytes
     (project / "p.yaml").write_text(PIPELINE.replace("FILE", file))
     ended = labpipe("run", "p.yaml", "-o", "out")
     assert ended.code == 2 and fragment in ended.err and file in ended.err and len(ended.err.splitlines()) == 1, ended
+    assert not (project / "out").exists()
+
+
+@pytest.mark.parametrize("target", ["uff", "mat"])
+def test_inspect_shows_names_units_and_rate_of_the_file_itself(project: Path, labpipe, target: str) -> None:
+    recorded(project, labpipe)
+    labpipe("export", "run.recording.parquet", "--to", target, "-o", f"again.{target}")
+    ended = labpipe("inspect", f"again.{target}")
+    assert ended.code == 0 and f"again.{target}: 500 rows, 2 columns, 1000 Hz" in ended.out and "y [m] " in ended.out, ended
+    assert "warning" not in ended.out
+    (project / "rig.yaml").write_text(RIG.replace("column: f", "column: force").replace("channels:", "sample_rate: 2 kHz\nchannels:"))
+    ended = labpipe("inspect", f"again.{target}", "-r", "rig.yaml")
+    assert ended.code == 0
+    for warning in ("no column 'force'", "column 'y' is in m by the file's own header, in um", "is sampled at 1000 Hz by the file itself"):
+        assert f"warning rig: {warning}" in ended.out, ended.out
+
+
+@pytest.mark.parametrize("target", ["uff", "mat", "frf.parquet"])
+def test_inspect_shows_what_a_response_holds(project: Path, labpipe, target: str) -> None:
+    if target != "frf.parquet":
+        labpipe("export", "h.frf.parquet", "--to", target, "-o", f"h.{target}")
+    ended = labpipe("inspect", f"h.{target}")
+    assert ended.code == 0 and f"h.{target}: receptance [m/N], 168 lines, 8 to 49.75 Hz\n  responses y\n  forces    y\n" in ended.out, ended
+
+
+def test_inspect_of_tdms_and_wav(project: Path, labpipe) -> None:
+    samples = np.random.default_rng(5).normal(size=64)
+    with TdmsWriter("r.tdms") as writer:
+        writer.write_segment([ChannelObject("g", "probe", samples, {"wf_increment": 1 / 20000, "unit_string": "um"})])
+    wavfile.write("r.wav", 44100, samples.astype(np.float32))
+    assert "64 rows, 1 columns, 20000 Hz" in labpipe("inspect", "r.tdms").out
+    assert "probe [um]" in labpipe("inspect", "r.tdms").out
+    assert "64 rows, 1 columns, 44100 Hz" in labpipe("inspect", "r.wav").out
+
+
+def test_a_wav_file_is_calibrated_by_the_sensitivity_per_full_scale(project: Path, labpipe) -> None:
+    """50 m/s^2 at full scale: half of it is 25 m/s^2."""
+    wavfile.write("r.wav", 8000, np.array([0.5, -0.25, 0.125], np.float32))
+    (project / "wav.yaml").write_text('channels:\n  a: {column: "1", quantity: acceleration, unit: "1", sensitivity: 50 m/s^2}\n')
+    assert labpipe("ingest", "r.wav", "-r", "wav.yaml", "-o", "out").code == 0
+    assert pq.read_table(project / "out" / "r.recording.parquet")["a"].to_pylist() == [25.0, -12.5, 6.25]
+
+
+BROKEN = [(f"r{suffix}", b"MZ") for suffix in (".uff", ".mat", ".h5", ".tdms", ".wav", ".csv.gz", ".csv.zst")]
+
+
+@pytest.mark.parametrize(("file", "content"), [*BROKEN, *((name, b"") for name, _ in BROKEN), ("r.xls", b"1")])
+@pytest.mark.parametrize("command", ["ingest", "inspect"])
+def test_broken_recordings_of_every_kind(project: Path, labpipe, file: str, content: bytes, command: str) -> None:
+    (project / file).write_bytes(content)
+    ended = labpipe(*{"ingest": ["ingest", file, "-r", "rig.yaml", "-o", "out"], "inspect": ["inspect", file]}[command])
+    assert ended.code == 2 and ended.err.startswith(f"error: {file}: ") and len(ended.err.splitlines()) == 1, ended
     assert not (project / "out").exists()
