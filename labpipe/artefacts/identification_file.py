@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from labpipe import __version__
 from labpipe.artefacts.comparison_entry import comparison_entry, read_comparison
 from labpipe.artefacts.study_entry import read_study
+from labpipe.artefacts.unbalance_entry import read_unbalance
 from labpipe.errors import DataError
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness, Identification, Parameter, Region, RuleOutcome
@@ -39,6 +40,7 @@ def write_identification(path: Path, identification: Identification) -> None:
         "comparisons": [comparison_entry(comparison) for comparison in identification.comparisons],
         "studies": [dataclasses.asdict(study) for study in identification.studies],
         "responses": [_response_entry(response) for response in identification.responses],
+        **({} if identification.unbalance is None else {"unbalance": dataclasses.asdict(identification.unbalance)}),
     }
     path.write_text(json.dumps(_without_nan(entries), indent=1, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
 
@@ -74,6 +76,7 @@ def _identification(entries: dict[str, Any]) -> Identification:
         outcomes=tuple(outcomes),
         comparisons=tuple(read_comparison(entry) for entry in entries.get("comparisons", [])),
         studies=tuple(read_study(entry) for entry in entries.get("studies", [])),
+        unbalance=read_unbalance(entries["unbalance"]) if "unbalance" in entries else None,
         version=entries["labpipe"],
     )
 

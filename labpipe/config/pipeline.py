@@ -16,9 +16,11 @@ from labpipe.config.reader import read_settings
 from labpipe.config.rig import load_rig, override_channels
 from labpipe.config.rotor import with_rotor
 from labpipe.config.rules import STUDY, Rule, read_rules
+from labpipe.config.unbalance import UNBALANCE, read_unbalance
 from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.errors import ConfigError
 from labpipe.identify.settings import FitSettings
+from labpipe.identify.unbalance import UnbalanceSettings
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.records.rig import Rig
 from labpipe.records.settings import setting
@@ -38,6 +40,7 @@ SECTIONS = (
     "calibrate",
     "compare",
     "study",
+    "unbalance",
     "report",
     "accept",
     "expect",
@@ -93,6 +96,7 @@ class Pipeline:
     rig: Rig | None
     study: StudyPlan | None = None
     comparisons: tuple[CompareSettings, ...] = ()
+    unbalance: UnbalanceSettings | None = None
 
     @property
     def folder(self) -> Path:
@@ -100,8 +104,9 @@ class Pipeline:
 
     @property
     def side_files(self) -> list[Path]:
-        """Tables and bearing files that the result depends on beside recordings and FRFs."""
-        return [*(calibration.path for calibration in self.calibrations), *bearing_files(self.comparisons, self.folder)]
+        """Tables, bearing and rotor files that the result depends on beside recordings and FRFs."""
+        rotors = [] if self.unbalance is None else [self.folder / self.unbalance.rotor]
+        return [*(calibration.path for calibration in self.calibrations), *bearing_files(self.comparisons, self.folder), *rotors]
 
 
 def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
@@ -124,12 +129,13 @@ def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
     names = tuple(name for section in ("identify", "calibrate") if section in entries for name in faults.mapping(entries[section], section))
     comparisons = read_comparisons(entries.get("compare"), path.parent, faults, names)
     names = (*names, *(settings.name for settings in comparisons))
-    names = (*names, STUDY) if "study" in entries else names
+    unbalance = read_unbalance(entries.get(UNBALANCE), path.parent, faults)
+    names = (*names, *(name for name in (STUDY, UNBALANCE) if name in entries))
     rules = tuple(rule for section in ("accept", "expect") for rule in read_rules(section, entries.get(section), faults, names))
     _check_whole(tree, entries, tests, frf, faults)
     faults.raise_any()
     assert report is not None
-    return Pipeline(path, _title(entries, path), tests, frf, fits, calibrations, report, rules, rig, study, comparisons)
+    return Pipeline(path, _title(entries, path), tests, frf, fits, calibrations, report, rules, rig, study, comparisons, unbalance)
 
 
 def _title(entries: dict[str, Marked], path: Path) -> str:
@@ -138,8 +144,8 @@ def _title(entries: dict[str, Marked], path: Path) -> str:
 
 def _check_whole(tree: Marked, entries: dict[str, Marked], tests: tuple[Test, ...], frf: FrfSettings | None, faults: Faults) -> None:
     """What only the whole file shows: something to do, and all that doing it needs."""
-    if not any(key in entries for key in ("recordings", "tests", "frfs", "calibrate", "study")):
-        faults.add(tree, "", "nothing to work on", "name recordings, tests, frfs, calibrate or study")
+    if not any(key in entries for key in ("recordings", "tests", "frfs", "calibrate", "study", UNBALANCE)):
+        faults.add(tree, "", "nothing to work on", "name recordings, tests, frfs, calibrate, study or unbalance")
     if "study" in entries and not (entries["identify"].content if "identify" in entries else None):
         faults.add(entries["study"], "study", "there is nothing to study", "name fits under identify")
     if any(test.recordings for test in tests) and frf is None and "frf" not in entries:

@@ -9,6 +9,7 @@ from labpipe.config.calibration import CalibrationSettings
 from labpipe.config.pipeline import ReportSettings
 from labpipe.config.rig import ChannelSettings, RigSettings
 from labpipe.identify.settings import FitSettings
+from labpipe.identify.unbalance import UnbalanceSettings, WearCase
 from labpipe.records.settings import Setting, settings_of
 from labpipe.spectra.settings import FrfSettings
 from labpipe.study.settings import StudySettings
@@ -48,6 +49,7 @@ def pipeline_schema() -> dict[str, Any]:
         "frf": _object(FrfSettings),
         "identify": {"type": "object", "additionalProperties": _object(FitSettings)},
         "study": _object(StudySettings),
+        "unbalance": _unbalance(),
         "calibrate": {"type": "object", "additionalProperties": _object(CalibrationSettings)},
         "compare": {"type": "object", "additionalProperties": _object(CompareSettings)},
         "report": _object(ReportSettings),
@@ -96,3 +98,10 @@ def _kind(setting: Setting) -> dict[str, Any]:
         "groups": {"type": "array"},
         "series": {"type": "object"},
     }[setting.kind]
+
+
+def _unbalance() -> dict[str, Any]:
+    """The section `unbalance:`; its cases have names of their own."""
+    section = _object(UnbalanceSettings)
+    section["properties"]["cases"] = {"type": "object", "additionalProperties": _object(WearCase)}
+    return section

@@ -13,6 +13,7 @@ from labpipe.records.finding import Finding
 from labpipe.records.parameter import Parameter as Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.study import Study
+from labpipe.records.unbalance import UnbalanceRuns
 
 
 @dataclass(frozen=True)
@@ -134,6 +135,7 @@ class Identification:
     version: str = ""
     studies: tuple[Study, ...] = ()
     comparisons: tuple[Comparison, ...] = ()
+    unbalance: UnbalanceRuns | None = None
 
     @property
     def accepted(self) -> bool:

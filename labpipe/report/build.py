@@ -16,6 +16,7 @@ from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figure
 from labpipe.report.rotor_drawing import rotor_figures
 from labpipe.report.spectral_figures import spectral_blocks
 from labpipe.report.study import study_blocks
+from labpipe.report.unbalance import unbalance_blocks
 from labpipe.report.wear_figures import wear_figures
 from labpipe.report.wording import STARS_EXPLAINED, band_text, fit_title, inflated_text, parameter_row, unit_text
 
@@ -32,6 +33,7 @@ def build(identification: Identification) -> Document:
         Section("Warnings", _warnings(identification)),
         *([Section("Notes", notes)] if (notes := _notes(identification)) else []),
         *(Section(f"Comparison: {each.name}", comparison_blocks(each, identification.responses)) for each in identification.comparisons),
+        *([] if (runs := identification.unbalance) is None else [Section(f"Unbalance: {runs.rotor}", unbalance_blocks(runs))]),
         *(Section(f"Study: {study.rig}", study_blocks(study)) for study in identification.studies),
         *(Section(f"Result: {_series_title(fits)}", _result(fits)) for fits in series),
         *([Section("Measurement", _measurement(identification))] if identification.responses else []),

@@ -19,8 +19,9 @@ SHAFT, SLEEVE, DISC, BEARING = "0.85", COLOURS[5], COLOURS[4], COLOURS[0]
 
 
 def rotor_figures(settings: Mapping[str, Any]) -> list[Figure]:
-    """One drawing for every rotor that the fits of an identification's settings stand on, each once."""
+    """One drawing for every rotor that an identification's settings name, each once: of its fits and of its response to unbalance."""
     rigs = [fit["wear"]["rig"] for fit in settings.get("identify", []) if fit.get("wear") and fit["wear"].get("rig")]
+    rigs += [settings["unbalance"]["rig"]] if "unbalance" in settings else []
     distinct = [rig for number, rig in enumerate(rigs) if rig not in rigs[:number]]
     return [rotor_figure(rig) for rig in distinct]
 

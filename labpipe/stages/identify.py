@@ -15,6 +15,7 @@ from labpipe.config.pipeline import Pipeline
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
+from labpipe.identify.unbalance import unbalance_runs
 from labpipe.identify.worn_prior import with_prior
 from labpipe.records.identification import Fit, Identification
 from labpipe.records.response import FrequencyResponse
@@ -45,6 +46,7 @@ def identify_stage(
     fits = [*_fits(pipeline, responses), *calibrate(pipeline.calibrations)]
     comparisons = compare_tests(pipeline, fits, responses)
     studies = study(pipeline, tell, jobs)
+    unbalance = None if pipeline.unbalance is None else unbalance_runs(pipeline.unbalance)
     identification = Identification(
         fits=tuple(fits),
         title=pipeline.title,
@@ -53,9 +55,10 @@ def identify_stage(
         settings=settings,
         rig=_rig_entry(pipeline),
         responses=tuple(responses),
-        outcomes=judge(pipeline.rules, fits, studies, comparisons),
+        outcomes=judge(pipeline.rules, fits, studies, comparisons, unbalance),
         studies=studies,
         comparisons=comparisons,
+        unbalance=unbalance,
         version=__version__,
     )
     write_identification(output.write_path(NAME), identification)
@@ -110,6 +113,8 @@ def settings_entry(pipeline: Pipeline) -> dict[str, Any]:
     }
     if pipeline.study is not None:
         entry["study"] = {**dataclasses.asdict(pipeline.study.settings), "virtual_rig": dataclasses.asdict(pipeline.study.rig)}
+    if pipeline.unbalance is not None:
+        entry["unbalance"] = dataclasses.asdict(pipeline.unbalance)
     return json.loads(json.dumps(entry))  # type: ignore[no-any-return]
 
 

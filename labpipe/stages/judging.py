@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 
 from labpipe.config.rules import STUDY, Rule
+from labpipe.config.unbalance import UNBALANCE
 from labpipe.config.values import parse_uncertain
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, parse_value
@@ -14,8 +15,10 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Fit, RuleOutcome
 from labpipe.records.study import Study, StudyCase
+from labpipe.records.unbalance import UnbalanceRuns
 from labpipe.registry import nearest
 from labpipe.stages.judging_comparisons import comparison_outcome
+from labpipe.stages.judging_unbalance import unbalance_outcome
 
 _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 _STUDIED = re.compile(r"^(?P<fit>[^.\[\]]+)(?:\[(?P<noise>[^\]]*)\])?\.(?P<item>\w+)$")
@@ -38,10 +41,19 @@ _FIT_VALUES = {
 
 
 def judge(
-    rules: Iterable[Rule], fits: Sequence[Fit], studies: Sequence[Study] = (), comparisons: Sequence[Comparison] = ()
+    rules: Iterable[Rule],
+    fits: Sequence[Fit],
+    studies: Sequence[Study] = (),
+    comparisons: Sequence[Comparison] = (),
+    unbalance: UnbalanceRuns | None = None,
 ) -> tuple[RuleOutcome, ...]:
     """The outcome of every rule; ConfigError at the rule's place when it addresses what the result does not have."""
-    return tuple(_ruled(rule, fits, studies, comparisons) for rule in rules)
+    return tuple(
+        unbalance_outcome(rule, unbalance, _held)
+        if unbalance is not None and rule.fit == UNBALANCE
+        else _ruled(rule, fits, studies, comparisons)
+        for rule in rules
+    )
 
 
 def _ruled(rule: Rule, fits: Sequence[Fit], studies: Sequence[Study], comparisons: Sequence[Comparison]) -> RuleOutcome:

@@ -1,0 +1,36 @@
+"""The directional response of a rotor to its unbalance over speed, healthy and with wear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class UnbalanceCase:
+    """One state of the bearing: wear *depth* [m] at *angle* [rad]; radii [m] of the forward and the backward circle at every speed."""
+
+    name: str
+    depth: float
+    angle: float
+    forward: tuple[float, ...]
+    backward: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class UnbalanceRuns:
+    """All cases of one rotor over the same *speed* [Hz]; *node*: where displacements are taken; *bearing*: the worn one."""
+
+    rotor: str
+    bearing: str
+    node: int
+    speed: tuple[float, ...]
+    cases: tuple[UnbalanceCase, ...]
+
+    def values(self, case: UnbalanceCase) -> dict[str, tuple[float, str]]:
+        """The largest radii [m] of a case and the speeds [Hz] at which they stand, by name, each with its unit."""
+        found = {}
+        for name, radius in (("forward", case.forward), ("backward", case.backward)):
+            largest = max(radius)
+            found[f"{name}_peak"] = (largest, "m")
+            found[f"{name}_speed"] = (self.speed[radius.index(largest)], "Hz")
+        return found
