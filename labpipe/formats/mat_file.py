@@ -15,6 +15,7 @@ from scipy.io.matlab import MatReadError
 
 from labpipe.errors import DataError
 from labpipe.formats.arrays_table import ArraysTable, columns_of, is_numeric, rate_of
+from labpipe.formats.mat_check import check_elements
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _BROKEN = (
@@ -37,6 +38,7 @@ def load_variables(path: Path) -> dict[str, Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            check_elements(path)
             variables = loadmat(str(path), chars_as_strings=True, appendmat=False)
     except _BROKEN as error:
         reason = (str(error).splitlines() or ["damaged"])[0].rstrip(".")

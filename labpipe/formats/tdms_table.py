@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from nptdms import TdmsFile
+from nptdms.log import log_manager
 from numpy.typing import NDArray
 
 from labpipe.errors import DataError
@@ -25,6 +27,8 @@ class TdmsTable:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        # What npTDMS says of a damaged file would stand beside our one message.
+        log_manager.set_level(logging.ERROR)
         if path.stat().st_size == 0:
             raise DataError("the file is empty", where=str(path))
         try:

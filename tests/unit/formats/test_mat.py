@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import h5py
@@ -151,3 +152,30 @@ def test_what_is_no_response_is_refused(tmp_path: Path, changes: dict, fragment:
     savemat(tmp_path / "h.mat", {key: value for key, value in {**FRF, **changes}.items() if value is not None})
     with pytest.raises(DataError, match=fragment):
         read_frf_mat(tmp_path / "h.mat")
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_damaged_bytes_end_in_one_message_or_in_numbers(tmp_path: Path, rng, compressed: bool) -> None:
+    """Sizes and types that do not fit would end the program within scipy."""
+    savemat(tmp_path / "r.mat", {"x": rng.normal(size=60), "s": {"a": np.ones(9)}}, do_compression=compressed)
+    content = (tmp_path / "r.mat").read_bytes()
+    for place in range(128, min(len(content), 200)):
+        (tmp_path / "r.mat").write_bytes(content[:place] + bytes([content[place] ^ 0x5A]) + content[place + 1 :])
+        with contextlib.suppress(DataError):
+            whole(open_table(tmp_path / "r.mat"))
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "fragment"),
+    [
+        (128, 9, "is no variable"), (132, 0xFF, "damaged or cut off"),
+        (136, 5, "has no flags"), (144, 99, "has no flags"), (145, 8, "lacks"), (152, 6, "has no size"),
+    ],
+)
+def test_elements_that_do_not_fit(tmp_path: Path, place: int, value: int, fragment: str) -> None:
+    savemat(tmp_path / "r.mat", {"x": np.ones(60)})
+    content = bytearray((tmp_path / "r.mat").read_bytes())
+    content[place] = value
+    (tmp_path / "r.mat").write_bytes(content)
+    with pytest.raises(DataError, match=fragment):
+        open_table(tmp_path / "r.mat")
