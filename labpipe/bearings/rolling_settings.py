@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,7 +91,7 @@ class ShaftSettings:
 
 
 @dataclass(frozen=True)
-class RollingSettings:
+class RollingSettings(ABC):
     """What balls and rollers have in common."""
 
     kind: str = setting("choice", "which kind of bearing", choices=(BALL, ROLLER))
@@ -119,13 +120,13 @@ class RollingSettings:
         """The dofs whose displacement is given."""
         return tuple(dof for dof in LOAD_OF_DOF if getattr(self.displacements, dof) is not None)
 
+    @abstractmethod
     def bearing(self) -> RollingBearing:
         """The bearing; ConfigError where data are missing or impossible."""
-        raise NotImplementedError
 
+    @abstractmethod
     def hertz_constant(self) -> float | None:
         """K_n from geometry [N/m^n], or None where no geometry is given."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
