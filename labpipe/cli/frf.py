@@ -10,7 +10,8 @@ import click
 from labpipe import pipeline as flow
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
-from labpipe.config.pipeline import Pipeline, SourceFile, Test, load_pipeline
+from labpipe.config.pipeline import Pipeline, load_pipeline
+from labpipe.config.tests import SourceFile, Test
 from labpipe.errors import ConfigError
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.response import FrequencyResponse

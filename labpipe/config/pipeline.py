@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import glob
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,9 @@ from labpipe.config.calibration import CalibrationSettings
 from labpipe.config.compare import bearing_files, read_comparisons
 from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
-from labpipe.config.rig import load_rig, override_channels
 from labpipe.config.rotor import with_rotor
 from labpipe.config.rules import STUDY, Rule, read_rules
+from labpipe.config.tests import Test, TestReader, read_rig
 from labpipe.config.unbalance import UNBALANCE, read_unbalance
 from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.errors import ConfigError
@@ -53,24 +52,6 @@ class ReportSettings:
     """The ``report:`` section."""
 
     formats: tuple[str, ...] = setting("names", "formats written by `labpipe run`", default=("html",))
-
-
-@dataclass(frozen=True)
-class SourceFile:
-    """One recorded file and the rig that recorded it."""
-
-    path: Path
-    rig: Rig
-
-
-@dataclass(frozen=True)
-class Test:
-    """One test: recordings that together give one FRF matrix, or ready FRFs; *conditions* as people wrote them."""
-
-    name: str
-    recordings: tuple[SourceFile, ...] = ()
-    frfs: tuple[Path, ...] = ()
-    conditions: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -118,8 +99,8 @@ def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
     entries = faults.mapping(tree, "")
     if entries:
         faults.unknown_keys(tree, "", SECTIONS)
-    rig = _rig(entries.get("rig"), path.parent, faults, "rig")
-    tests = _tests(entries, path.parent, rig, faults)
+    rig = read_rig(entries.get("rig"), path.parent, faults, "rig")
+    tests = TestReader(entries, path.parent, rig, faults).tests()
     frf = read_settings(FrfSettings, entries["frf"], "frf", faults) if "frf" in entries else None
     fits = _fits(entries.get("identify"), path.parent, rig, faults)
     calibrations = _calibrations(entries.get("calibrate"), path.parent, faults)
@@ -156,104 +137,6 @@ def _check_formats(node: Marked | None, report: ReportSettings | None, faults: F
     for name in report.formats if report else ():
         if name not in REPORT_FORMATS and node is not None:
             faults.add(node.content["formats"], "report.formats", f"unknown format '{name}'", nearest(name, REPORT_FORMATS))
-
-
-def _rig(node: Marked | None, folder: Path, faults: Faults, key: str) -> Rig | None:
-    if node is None:
-        return None
-    try:
-        return load_rig(folder / node.text)
-    except ConfigError as error:
-        if error.what == "no such file":
-            faults.add(node, key, f"no such file '{node.text}'", "paths are relative to the pipeline file")
-        else:
-            faults.merge(error)
-    return None
-
-
-def _tests(entries: dict[str, Marked], folder: Path, rig: Rig | None, faults: Faults) -> tuple[Test, ...]:
-    if "tests" not in entries:
-        single = {key: entries[key] for key in ("recordings", "frfs", "conditions") if key in entries}
-        return (_test("", Marked(single, "", ""), "", folder, rig, entries, faults),) if single else ()
-    node = entries["tests"]
-    if not isinstance(node.content, list):
-        faults.add(node, "tests", "a list of tests is needed", "each begins with '- name: ...'")
-        return ()
-    tests: list[Test] = []
-    for number, entry in enumerate(node.content, 1):
-        key = f"tests.{number}"
-        found = faults.mapping(entry, key)
-        if found:
-            faults.unknown_keys(entry, key, ("name", "recordings", "frfs", "conditions"))
-        name = found["name"].text if "name" in found and found["name"].text else str(number)
-        if name in [test.name for test in tests]:
-            faults.add(entry, key, f"a second test named '{name}'")
-        tests.append(_test(name, entry, key, folder, rig, entries, faults))
-    return tuple(tests)
-
-
-def _test(name: str, node: Marked, key: str, folder: Path, rig: Rig | None, top: dict[str, Marked], faults: Faults) -> Test:
-    entries = node.content if isinstance(node.content, dict) else {}
-    recordings: list[SourceFile] = []
-    frfs: list[Path] = []
-    if "recordings" in entries:
-        recordings = _source_files(entries["recordings"], join(key, "recordings"), folder, rig, top, faults)
-    if "frfs" in entries:
-        frf_node = entries["frfs"]
-        for item in frf_node.content if isinstance(frf_node.content, list) else [frf_node]:
-            frfs.extend(_files(item, join(key, "frfs"), folder, faults))
-    if not recordings and not frfs and not len(faults):
-        faults.add(node if node.place else top["title"], key, "neither recordings nor frfs")
-    conditions = {k: v.text for k, v in faults.mapping(entries["conditions"], "conditions").items()} if "conditions" in entries else {}
-    return Test(name, tuple(recordings), tuple(frfs), conditions)
-
-
-def _source_files(node: Marked, key: str, folder: Path, rig: Rig | None, top: dict[str, Marked], faults: Faults) -> list[SourceFile]:
-    sources: list[SourceFile] = []
-    for entry in node.content if isinstance(node.content, list) else [node]:
-        own = rig
-        file = entry
-        if isinstance(entry.content, dict):
-            faults.unknown_keys(entry, key, ("file", "rig", "channels"))
-            file = entry.content.get("file", Marked(None, entry.where))
-            own = _own_rig(entry, key, folder, rig, top, faults)
-        if own is None and "rig" not in top and not isinstance(entry.content, dict):
-            faults.add(node, key, "no rig file is named", "add rig: FILE")
-        paths = _files(file, key, folder, faults)
-        sources.extend(SourceFile(path, own) for path in paths if own is not None)
-    return sources
-
-
-def _own_rig(entry: Marked, key: str, folder: Path, rig: Rig | None, top: dict[str, Marked], faults: Faults) -> Rig | None:
-    """The rig of one recording: its own file, with its own channel entries over it."""
-    rig_node = entry.content.get("rig", top.get("rig"))
-    if rig_node is None:
-        faults.add(entry, key, "no rig file is named", "add rig: FILE")
-        return None
-    if "channels" not in entry.content:
-        return rig if "rig" not in entry.content else _rig(rig_node, folder, faults, join(key, "rig"))
-    try:
-        return override_channels(folder / rig_node.text, entry.content["channels"], faults, join(key, "channels"))
-    except ConfigError as error:
-        faults.merge(error)
-        return None
-
-
-def _files(node: Marked, key: str, folder: Path, faults: Faults) -> list[Path]:
-    """The files that a path or glob names, sorted; a fault when there is none."""
-    if not node.text:
-        faults.add(node, key, "a file name is needed")
-        return []
-    path = folder / node.text
-    if glob.has_magic(node.text):
-        found = sorted(Path(name) for name in glob.glob(str(path), recursive=True))
-        if not found:
-            faults.add(node, key, f"no file matches '{node.text}'", "paths are relative to the pipeline file")
-        return found
-    if not path.exists():
-        faults.add(node, key, f"no such file '{node.text}'", "paths are relative to the pipeline file")
-        return []
-    return [path]
 
 
 def _fits(node: Marked | None, folder: Path, rig: Rig | None, faults: Faults) -> tuple[FitSettings, ...]:

@@ -37,7 +37,14 @@ def pipeline_schema() -> dict[str, Any]:
     }
     recordings = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"anyOf": [{"type": "string"}, entry]}}]}
     conditions = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
-    test = {"name": {"type": "string"}, "recordings": recordings, "frfs": _TEXTS, "conditions": conditions}
+    test = {
+        "name": {"type": "string"},
+        "recordings": recordings,
+        "frfs": _TEXTS,
+        "each": {**recordings, "description": "files of which each is a test of its own, under the file's name"},
+        "pattern": {"type": "string", "description": "conditions in the file's name, for example {preload}-{direction}"},
+        "conditions": conditions,
+    }
     rules = {"type": "object", "additionalProperties": {"anyOf": [_TEXT_OR_NUMBER, {"type": "boolean"}, {"type": "array"}]}}
     properties = {
         "title": {"type": "string"},
