@@ -17,6 +17,7 @@ from labpipe.records.rig import AXIS_ANGLES
 from labpipe.registry import nearest
 from labpipe.signals.excitation import design_multisine
 from labpipe.simulate import mechanics
+from labpipe.simulate.loop_runs import LOOP_RUNS
 from labpipe.simulate.mechanics import Timing
 from labpipe.simulate.one_dof import ONE_DOF
 from labpipe.simulate.settings import VirtualRig
@@ -38,12 +39,22 @@ class SimulatedRun:
 
 
 def simulate(rig: VirtualRig, seed: int, runs: Iterable[str] | None = None) -> tuple[SimulatedRun, ...]:
-    """The named runs (default: all); the same rig and seed give the same samples, whatever other runs are made."""
-    names = list(RUNS) if runs is None else list(runs)
+    """The named runs; the same rig and seed give the same samples, whatever other runs are made.
+
+    Default: all of RUNS; on a rig under its control loop those that close the loop in the time domain, LOOP_RUNS.
+    """
+    closed = rig.levitation.law == "control-loop"
+    known = {**RUNS, **(dict.fromkeys(LOOP_RUNS, _closed) if closed else {})}
+    names = list(LOOP_RUNS if closed else RUNS) if runs is None else list(runs)
     for name in names:
-        if name not in RUNS:
-            raise ConfigError(f"no run '{name}'", hint=nearest(name, RUNS))
-    return tuple(RUNS[name](rig, name, _generator(seed, name)) for name in names)
+        if name not in known:
+            raise ConfigError(f"no run '{name}'", hint=nearest(name, known))
+    return tuple(known[name](rig, name, _generator(seed, name)) for name in names)
+
+
+def _closed(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+    run = LOOP_RUNS[name](rig, name, rng)
+    return SimulatedRun(name, run.truth, run.recording)
 
 
 def _generator(seed: int, name: str) -> np.random.Generator:

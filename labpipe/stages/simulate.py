@@ -19,6 +19,7 @@ from labpipe.records.recording import Recording
 from labpipe.simulate import ball_bearing_rig, journal_rig, mdof_rig, white_noise_rig
 from labpipe.simulate.ball_bearing_rig import VirtualBallBearingRig
 from labpipe.simulate.journal_rig import VirtualJournalRig
+from labpipe.simulate.loop_runs import LOOP_RUNS
 from labpipe.simulate.magnetic_rig import SimulatedRun, simulate
 from labpipe.simulate.mdof_rig import VirtualMdofRig
 from labpipe.simulate.settings import VirtualRig
@@ -27,6 +28,9 @@ from labpipe.simulate.white_noise_rig import WhiteNoiseRig
 # What the virtual logger writes for a channel: (recorded unit, recorded value per SI value). y comes as the probe's voltage.
 RECORDED = {"f": ("N", 1.0), "x": ("um", 1e6), "y": ("V", 8e3), "z": ("um", 1e6)}
 CSV_RUNS = ("pedestal", "axial")
+# Runs under the control loop are stored as whole numbers: quantity -> (recorded unit, recorded value per SI value).
+WHOLE = {"force": ("mN", 1e3), "displacement": ("nm", 1e9), "current": ("mA", 1e3), "tacho": ("V", 1.0)}
+FINE_VOLTAGE, COARSE_VOLTAGE = ("uV", 1e6), ("mV", 1e3)
 
 
 def simulate_files(rig: Any, seed: int, runs: Iterable[str] | None, output: OutputFolder) -> list[str]:
@@ -108,6 +112,8 @@ def _write_run(run: SimulatedRun, output: OutputFolder) -> str:
     if run.table is not None:
         return _write_csv(run.name, run.table, output)
     assert run.recording is not None
+    if run.name in LOOP_RUNS:
+        return _write_whole(run.recording, output)
     columns = _recorded_columns(run.recording)
     if run.name not in CSV_RUNS:
         name = f"{run.name}.parquet"
@@ -125,6 +131,18 @@ def _recorded_columns(recording: Recording) -> dict[str, NDArray[np.float64]]:
         title = "force" if channel.name == "f" else channel.name
         columns[f"{title} [{unit}]"] = recording.samples[:, number] * per_si
     return columns
+
+
+def _write_whole(recording: Recording, output: OutputFolder) -> str:
+    """Columns such as "x [nm]", "ix [mA]", "ux [mV]" as whole numbers; injected voltages are small, so in uV."""
+    columns = {}
+    for number, channel in enumerate(recording.channels):
+        voltage = FINE_VOLTAGE if channel.role != "reference" else COARSE_VOLTAGE
+        unit, per_si = WHOLE.get(channel.quantity, voltage)
+        columns[f"{channel.name} [{unit}]"] = np.rint(recording.samples[:, number] * per_si).astype(np.int32)
+    path = output.write_path(f"{recording.name}.parquet")
+    pq.write_table(pa.table(columns), path, compression="zstd", compression_level=19, use_dictionary=False, use_byte_stream_split=True)
+    return path.name
 
 
 def _write_csv(name: str, columns: dict[str, NDArray[np.float64]], output: OutputFolder) -> str:

@@ -1,0 +1,186 @@
+"""Runs on the virtual magnetic-bearing rig closed by its loop in the time domain: recordings that hold the loop. LOOP_RUNS by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from labpipe.bearings.magnetic_loop import ControlLoop, dynamic_stiffness
+from labpipe.records.recording import Channel, Recording
+from labpipe.records.rig import AXIS_ANGLES
+from labpipe.signals.excitation import Multisine, design_multisine
+from labpipe.simulate.mechanics import PERIODS, line_frequencies, negative_stiffness
+from labpipe.simulate.sampled_loop import CONTROL_RATE, OUTPUTS, Suspended, sampled_loop, straight
+from labpipe.simulate.settings import VirtualRig
+
+READING, BEFORE, AFTER, OUTPUT, CURRENT = range(len(OUTPUTS))
+HOVER_CORNER = 5.0
+# The logger's filter looks this far to either side [s].
+MARGIN = 0.05
+SETTLING = 3.0
+GAINS = {"gain-1.0": 1.0, "gain-1.1": 1.1, "gain-1.2": 1.2}
+INJECTION = 0.05  # rms [V]
+# Run-up: speeds [Hz], time [s]; mass eccentricity [m] and its angle [rad] at both ends; axial force per radial one.
+RUN_UP = (20.0, 8000 / 60, 10.0)
+UNBALANCE = {"front": (15e-6, 0.0), "rear": (9e-6, 1.2)}
+AXIAL_SHARE = 0.15
+
+Samples = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class LoopRun:
+    """A recording that holds the loop's signals, and the truth behind it."""
+
+    name: str
+    truth: dict[str, Any]
+    recording: Recording
+
+
+def suspended(rig: VirtualRig, loop: ControlLoop | None = None) -> Suspended:
+    """Pedestal and rotor on all bearings in one direction; the bias field is that of the rig's own loop, whatever gains *loop* has."""
+    own = rig.levitation
+    pull = negative_stiffness(own)
+    return Suspended(loop or own.loop, pull, rig.rotor_mass, own.bearings, rig.pedestal_stiffness, rig.pedestal_damping)
+
+
+def rotor_alone(rig: VirtualRig) -> Suspended:
+    """The share of the levitated rotor that one bearing carries."""
+    own = rig.levitation
+    return Suspended(own.loop, negative_stiffness(own), (rig.rotor_mass - rig.pedestal_mass) / own.bearings)
+
+
+def radial(rig: VirtualRig, name: str, rng: np.random.Generator) -> LoopRun:
+    """The levitated rotor under one force at 45 deg, 1-250 Hz every 1 Hz, 1 + 5 periods; x, y, current and controller output."""
+    loop = replace(rig.levitation.loop, proportional=GAINS.get(name, rig.levitation.loop.proportional))
+    plant = suspended(rig, loop)
+    force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
+    periods, rate = 1 + PERIODS, 2000.0
+    closed = sampled_loop(plant)
+    length = _length(periods / force.spacing)
+    fed = np.resize(_straight_force(force), length + 1) * np.cos(np.pi / 4)
+    noise = _probe_noise(rig, rate, (length, 2), rng)
+    pushed = fed[:, None] + _hover_force(rig, plant, (length + 1, 2), rng)
+    found = _logged(closed.run(_inputs(pushed, noise)), rate, round(periods * rate))
+    shaker = force.samples(rate, periods) + rng.normal(0.0, rig.noise.force, round(periods * rate))
+    channels = [Channel("f", "force", "input", "45 deg", np.pi / 4)]
+    columns: list[Samples] = [shaker]
+    for number, dof in enumerate("xy"):
+        channels.append(Channel(dof, "displacement", "output", dof, AXIS_ANGLES[dof]))
+        columns.append(found[:, number, READING])
+    # The gain study needs force and motion only.
+    for number, dof in enumerate("xy" if name not in GAINS else ""):
+        channels += [Channel(f"i{dof}", "current", "reference", f"i{dof}"), Channel(f"u{dof}", "voltage", "reference", f"u{dof}")]
+        columns += [found[:, number, CURRENT], found[:, number, OUTPUT]]
+    return LoopRun(name, _radial_truth(rig, plant, force), Recording(tuple(channels), np.column_stack(columns), rate, name))
+
+
+def _radial_truth(rig: VirtualRig, plant: Suspended, force: Multisine) -> dict[str, Any]:
+    omega = line_frequencies(force)
+    bearing = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
+    return {
+        "mass": rig.rotor_mass,
+        "pedestal": {"k": rig.pedestal_stiffness, "c": rig.pedestal_damping},
+        "proportional": plant.loop.proportional,
+        "delay": plant.loop.delay,
+        "negative_stiffness_per_bearing": plant.negative_stiffness,
+        "frequency_hz": (omega / (2 * np.pi)).tolist(),
+        "k_per_bearing": bearing.real.tolist(),
+        "c_per_bearing": (bearing.imag / omega).tolist(),
+    }
+
+
+def injection(rig: VirtualRig, name: str, rng: np.random.Generator) -> LoopRun:
+    """The rotor alone; a multisine, 4-1000 Hz every 2 Hz, is added between probe and controller, both sides recorded; 1 + 5 periods."""
+    plant = rotor_alone(rig)
+    added = design_multisine((4.0, 1000.0), 2.0, INJECTION)
+    periods, rate = 1 + PERIODS, 5000.0
+    n_sample = round(periods / added.spacing * rate)
+    settling = round(SETTLING * added.spacing) / added.spacing
+    length = _length(settling + periods / added.spacing)
+    inputs = _inputs(_hover_force(rig, plant, (length + 1, 1), rng), _probe_noise(rig, rate, (length, 1), rng))
+    inputs[:, 0, 3] = np.resize(added.samples(CONTROL_RATE, 1), length)
+    found = _logged(sampled_loop(plant).run(inputs)[round(settling * CONTROL_RATE) :], rate, n_sample)[:, 0]
+    reference = added.samples(rate, periods) + rng.normal(0.0, 1e-4, n_sample)
+    channels = [Channel("e", "voltage", "input", "e")]
+    channels += [Channel(label, "voltage", "output", label) for label in ("before", "after")]
+    samples = np.column_stack([reference, found[:, BEFORE], found[:, AFTER]])
+    return LoopRun(name, {"mass": plant.mass, "injection_rms": INJECTION}, Recording(tuple(channels), samples, rate, name))
+
+
+def run_up(rig: VirtualRig, name: str, rng: np.random.Generator) -> LoopRun:
+    """The rotor alone from 1200 to 8000 rpm on both bearings and the passive axial one: x, y at both ends, z, tacho."""
+    low, high, lasts = RUN_UP
+    rate, length = 2000.0, _length(lasts)
+    t = np.arange(length + 1) / CONTROL_RATE
+    speed = low + (high - low) * t / lasts
+    angle = 2 * np.pi * (low * t + (high - low) * t**2 / (2 * lasts))
+    plant = rotor_alone(rig)
+    pushed = [_unbalance_force(plant.mass, speed, angle, *UNBALANCE[end], quarter) for end in UNBALANCE for quarter in (0.0, np.pi / 2)]
+    force = np.column_stack(pushed) + _hover_force(rig, plant, (length + 1, 4), rng)
+    radial_motion = sampled_loop(plant).run(_inputs(force, _probe_noise(rig, rate, (length, 4), rng)))
+    axial = Suspended(plant.loop, 0.0, rig.axial_mass, 0, rig.axial_stiffness, rig.axial_damping)
+    pulled = AXIAL_SHARE * _unbalance_force(rig.axial_mass, speed, angle, *UNBALANCE["front"], 0.0)
+    axial_motion = sampled_loop(axial).run(_inputs(pulled[:, None], _probe_noise(rig, rate, (length, 1), rng)))
+    n_sample = round(lasts * rate)
+    found = _logged(np.concatenate([radial_motion, axial_motion], axis=1), rate, n_sample)[:, :, READING]
+    pulse = np.where(angle[: length : round(CONTROL_RATE / rate)][:n_sample] / (2 * np.pi) % 1.0 < 0.3, 5.0, 0.0)
+    labels = [*(f"{end}.{dof}" for end in UNBALANCE for dof in "xy"), "z"]
+    channels = [Channel(label, "displacement", "output", label) for label in labels]
+    channels.append(Channel("n", "tacho", "reference", "n"))
+    truth = {"mass": plant.mass, "unbalance": {end: {"eccentricity": e, "angle": a} for end, (e, a) in UNBALANCE.items()}}
+    return LoopRun(name, truth, Recording(tuple(channels), np.column_stack([found, pulse]), rate, name))
+
+
+def _unbalance_force(mass: float, speed: Samples, angle: Samples, eccentricity: float, place: float, quarter: float) -> Samples:
+    """m e (2 pi n)^2 cos(theta + place - quarter) [N]."""
+    force: Samples = mass * eccentricity * (2 * np.pi * speed) ** 2 * np.cos(angle + place - quarter)
+    return force
+
+
+def _length(seconds: float) -> int:
+    return round((seconds + MARGIN) * CONTROL_RATE)
+
+
+def _straight_force(force: Multisine) -> Samples:
+    """One period at the controller's rate whose straight lines between samples have the multisine's lines."""
+    spectrum = np.fft.rfft(force.samples(CONTROL_RATE, 1))
+    spectrum[force.lines] /= straight(line_frequencies(force), CONTROL_RATE)
+    return np.fft.irfft(spectrum, round(CONTROL_RATE / force.spacing))
+
+
+def _inputs(force: Samples, noise: Samples) -> Samples:
+    """(n_sample, n_direction, 4) of the force (n_sample + 1, n_direction) and the probe's noise; nothing injected."""
+    return np.stack([force[:-1], force[1:], noise, np.zeros_like(noise)], axis=2)
+
+
+def _probe_noise(rig: VirtualRig, rate: float, shape: tuple[int, int], rng: np.random.Generator) -> Samples:
+    """White noise in the loop that has the rig's standard deviation in a recording at *rate* [Hz]."""
+    return rng.normal(0.0, rig.noise.displacement * np.sqrt(CONTROL_RATE / rate), shape)
+
+
+def _hover_force(rig: VirtualRig, plant: Suspended, shape: tuple[int, int], rng: np.random.Generator) -> Samples:
+    """A slow force that makes the rotor wander by the stated rms: white noise through a first-order low pass."""
+    b, a = signal.butter(1, HOVER_CORNER, fs=CONTROL_RATE)
+    wander = signal.lfilter(b, a, rng.normal(0.0, 1.0, shape), axis=0)
+    static = plant.stiffness + plant.bearings * dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real
+    force: Samples = static * rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
+    return force
+
+
+def _logged(outputs: Samples, rate: float, n_sample: int) -> Samples:
+    """The loop's signals as a logger with its filter stores them: every channel by the same filter without delay."""
+    return signal.resample_poly(outputs, 1, round(CONTROL_RATE / rate), axis=0)[:n_sample]
+
+
+LOOP_RUNS: dict[str, Callable[[VirtualRig, str, np.random.Generator], LoopRun]] = {
+    "loop-0rpm": radial,
+    **dict.fromkeys(GAINS, radial),
+    "loop-injection": injection,
+    "run-up": run_up,
+}
