@@ -6,7 +6,8 @@ import dataclasses
 import math
 from typing import Any
 
-from labpipe.records.comparison import ComparedPoint, Comparison, Overlay
+from labpipe.records.comparison import ComparedBand, ComparedPoint, Comparison, Curve, Overlay
+from labpipe.records.finding import Finding
 from labpipe.records.identification import Parameter
 
 
@@ -23,6 +24,10 @@ def read_comparison(entry: dict[str, Any]) -> Comparison:
             "amounts": tuple(_amount(amount) for amount in entry["amounts"]),
             "line": tuple((x, y) for x, y in entry["line"]),
             "overlays": tuple(_overlay(overlay) for overlay in entry["overlays"]),
+            "bands": tuple(_band(band) for band in entry.get("bands", [])),
+            "curves": tuple(Curve(**{key: _sequence(value) for key, value in curve.items()}) for curve in entry.get("curves", [])),
+            "correlations": tuple((one, other, value) for one, other, value in entry.get("correlations", [])),
+            "findings": tuple(Finding(**finding) for finding in entry.get("findings", [])),
         }
     )
 
@@ -30,6 +35,14 @@ def read_comparison(entry: dict[str, Any]) -> Comparison:
 def _overlay(entry: dict[str, Any]) -> Overlay:
     curves = {name: tuple(entry[name]) for name in ("frequency", "measured", "theory", "matched")}
     return Overlay(entry["test"], entry["form"], **curves)
+
+
+def _sequence(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _band(entry: dict[str, Any]) -> ComparedBand:
+    return ComparedBand(**{key: _sequence(value) for key, value in entry.items()})
 
 
 def _interval(entry: list[float] | None) -> tuple[float, float] | None:

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labpipe import __version__
 from labpipe.artefacts.comparison_entry import comparison_entry, read_comparison
+from labpipe.artefacts.fit_entry import complex_entry, finding_entries, fit_entry, read_complex, read_findings, read_fit
+from labpipe.artefacts.json_file import write_json
 from labpipe.artefacts.study_entry import read_study
 from labpipe.artefacts.unbalance_entry import read_unbalance
 from labpipe.errors import DataError
-from labpipe.records.finding import NOTE, WARNING, Finding, of_level
-from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness, Identification, Parameter, Region, RuleOutcome
+from labpipe.records.identification import Failed, Identification, RuleOutcome
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 
 SCHEMA = "labpipe/identification/1"
@@ -25,7 +25,7 @@ NAME = "identification.json"
 
 
 def write_identification(path: Path, identification: Identification) -> None:
-    """Write the result; not-a-number has no place in JSON, what cannot be given is null."""
+    """Write the result."""
     entries = {
         "schema": SCHEMA,
         "labpipe": __version__,
@@ -34,7 +34,8 @@ def write_identification(path: Path, identification: Identification) -> None:
         "sources": list(identification.sources),
         "rig": identification.rig,
         "settings": identification.settings,
-        "fits": [_fit_entry(fit) for fit in identification.fits],
+        **({"failed": [dataclasses.asdict(failed) for failed in identification.failed]} if identification.failed else {}),
+        "fits": [fit_entry(fit) for fit in identification.fits],
         "accept": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "accept"],
         "expect": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "expect"],
         "comparisons": [comparison_entry(comparison) for comparison in identification.comparisons],
@@ -42,7 +43,7 @@ def write_identification(path: Path, identification: Identification) -> None:
         "responses": [_response_entry(response) for response in identification.responses],
         **({} if identification.unbalance is None else {"unbalance": dataclasses.asdict(identification.unbalance)}),
     }
-    path.write_text(json.dumps(_without_nan(entries), indent=1, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_json(path, entries)
 
 
 def read_identification(path: Path) -> Identification:
@@ -66,7 +67,7 @@ def read_identification(path: Path) -> Identification:
 def _identification(entries: dict[str, Any]) -> Identification:
     outcomes = [RuleOutcome(section, **entry) for section in ("accept", "expect") for entry in entries.get(section, [])]
     return Identification(
-        fits=tuple(_fit(entry) for entry in entries["fits"]),
+        fits=tuple(read_fit(entry) for entry in entries["fits"]),
         title=entries["title"],
         pipeline=entries["pipeline"],
         sources=tuple(entries["sources"]),
@@ -78,114 +79,12 @@ def _identification(entries: dict[str, Any]) -> Identification:
         studies=tuple(read_study(entry) for entry in entries.get("studies", [])),
         unbalance=read_unbalance(entries["unbalance"]) if "unbalance" in entries else None,
         version=entries["labpipe"],
+        failed=tuple(Failed(**entry) for entry in entries.get("failed", [])),
     )
-
-
-def _without_nan(entry: Any) -> Any:
-    if isinstance(entry, dict):
-        return {key: _without_nan(item) for key, item in entry.items()}
-    if isinstance(entry, (list, tuple)):
-        return [_without_nan(item) for item in entry]
-    return None if isinstance(entry, float) and not math.isfinite(entry) else entry
 
 
 def _outcome_entry(outcome: RuleOutcome) -> dict[str, Any]:
     return {"rule": outcome.rule, "value": outcome.value, "passed": outcome.passed}
-
-
-def _fit_entry(fit: Fit) -> dict[str, Any]:
-    return {
-        **{name: getattr(fit, name) for name in ("name", "test", "term", "model", "estimator")},
-        "band_hz": list(fit.band_hz),
-        "centre_hz": fit.centre_hz,
-        **{name: getattr(fit, name) for name in ("lines", "equations", "dof")},
-        "gof": dataclasses.asdict(fit.gof),
-        **{name: getattr(fit, name) for name in ("condition_number", "converged", "iterations")},
-        "parameters": [dataclasses.asdict(parameter) for parameter in fit.parameters],
-        "correlation": fit.correlation.tolist(),
-        **_finding_entries(fit.findings),
-        "notes": list(fit.notes),
-        "candidates": [dataclasses.asdict(candidate) for candidate in fit.candidates],
-        "curve": None if fit.curve is None else _curve_entry(fit.curve),
-        **({} if fit.region is None else {"region": {**dataclasses.asdict(fit.region), "outline": fit.region.outline.tolist()}}),
-    }
-
-
-def _fit(entry: dict[str, Any]) -> Fit:
-    plain = {name: entry[name] for name in ("name", "test", "model", "estimator", "lines", "equations", "dof", "converged", "iterations")}
-    condition = entry["condition_number"]
-    return Fit(
-        **plain,
-        term=entry.get("term", ""),
-        band_hz=(entry["band_hz"][0], entry["band_hz"][1]),
-        gof=Goodness(**entry["gof"]),
-        condition_number=math.inf if condition is None else condition,
-        parameters=tuple(_parameter(parameter) for parameter in entry["parameters"]),
-        correlation=np.array(entry["correlation"], np.float64),
-        findings=_findings(entry),
-        notes=tuple(entry.get("notes", [])),
-        candidates=tuple(Candidate(**candidate) for candidate in entry.get("candidates", [])),
-        curve=None if entry.get("curve") is None else _curve(entry["curve"]),
-        region=_region(entry["region"]) if "region" in entry else None,
-    )
-
-
-def _region(entry: dict[str, Any]) -> Region:
-    return Region((entry["names"][0], entry["names"][1]), np.array(entry["outline"], np.float64), entry["level"])
-
-
-_FINDING_LISTS = {"warnings": WARNING, "remarks": NOTE}
-
-
-def _finding_entries(findings: tuple[Finding, ...]) -> dict[str, list[dict[str, str]]]:
-    """Warnings, and apart from them what only informs."""
-    return {
-        name: [{"code": finding.code, "message": finding.message} for finding in of_level(level, findings)]
-        for name, level in _FINDING_LISTS.items()
-    }
-
-
-def _findings(entry: dict[str, Any]) -> tuple[Finding, ...]:
-    return tuple(Finding(**one, level=level) for name, level in _FINDING_LISTS.items() for one in entry.get(name, []))
-
-
-def _parameter(entry: dict[str, Any]) -> Parameter:
-    interval = entry["ci95"]
-    return Parameter(**{**entry, "ci95": None if interval is None else (interval[0], interval[1])})
-
-
-def _complex_entry(values: NDArray[np.complex128]) -> dict[str, Any]:
-    return {"re": values.real.tolist(), "im": values.imag.tolist()}
-
-
-def _complex(entry: dict[str, Any]) -> NDArray[np.complex128]:
-    return np.array(entry["re"], np.float64) + 1j * np.array(entry["im"], np.float64)
-
-
-def _curve_entry(curve: FittedCurve) -> dict[str, Any]:
-    return {
-        "frequency_hz": curve.frequency.tolist(),
-        "measured": _complex_entry(curve.measured),
-        "fitted": _complex_entry(curve.fitted),
-        "variance": None if curve.variance is None else curve.variance.tolist(),
-        "outputs": list(curve.outputs),
-        "inputs": list(curve.inputs),
-        "form": curve.form,
-        **({} if curve.before is None else {"before": _complex_entry(curve.before)}),
-    }
-
-
-def _curve(entry: dict[str, Any]) -> FittedCurve:
-    return FittedCurve(
-        np.array(entry["frequency_hz"], np.float64),
-        _complex(entry["measured"]),
-        _complex(entry["fitted"]),
-        None if entry["variance"] is None else np.array(entry["variance"], np.float64),
-        tuple(entry["outputs"]),
-        tuple(entry["inputs"]),
-        entry["form"],
-        _complex(entry["before"]) if "before" in entry else None,
-    )
 
 
 _OPTIONAL_ARRAYS = ("coherence", "multiple_coherence", "partial_coherence", "distortion", "snr")
@@ -201,19 +100,19 @@ def _response_entry(response: FrequencyResponse) -> dict[str, Any]:
         "outputs": [dataclasses.asdict(port) for port in response.outputs],
         "inputs": [dataclasses.asdict(port) for port in response.inputs],
         "frequency_hz": response.frequency.tolist(),
-        "matrix": _complex_entry(response.matrix),
+        "matrix": complex_entry(response.matrix),
         "variance": None if variance is None else variance.tolist(),
         **{name: None if values is None else values.tolist() for name, values in optional.items()},
         "snr_channels": list(response.snr_channels),
         "averages": response.averages,
         "covariance_dof": response.covariance_dof,
         "conditions": response.conditions,
-        **_finding_entries(response.findings),
+        **finding_entries(response.findings),
     }
 
 
 def _response(entry: dict[str, Any]) -> FrequencyResponse:
-    matrix = _complex(entry["matrix"])
+    matrix = read_complex(entry["matrix"])
     variance = entry["variance"]
     dof = entry["covariance_dof"]
     return FrequencyResponse(
@@ -228,6 +127,6 @@ def _response(entry: dict[str, Any]) -> FrequencyResponse:
         averages=entry["averages"],
         covariance_dof=math.inf if dof is None else dof,
         name=entry["test"],
-        findings=_findings(entry),
+        findings=read_findings(entry),
         conditions=entry["conditions"],
     )

@@ -32,15 +32,23 @@ class OutputFolder:
         return staged if staged.exists() else self.target / name
 
 
-@contextmanager
-def output_folder(target: Path) -> Iterator[OutputFolder]:
-    """A folder that changes only if the block succeeds; DataError when it cannot be a folder or may not be written."""
+def existing_home(target: Path) -> Path:
+    """The folder itself, or the nearest one above it that is there; DataError when *target* is a file."""
     if target.exists() and not target.is_dir():
         raise DataError("is a file, a folder is needed", where=str(target))
-    home = target
-    while not home.exists():
-        home = home.parent
-    staging = Path(tempfile.mkdtemp(prefix=".labpipe-", dir=home))
+    while not target.exists():
+        target = target.parent
+    return target
+
+
+@contextmanager
+def output_folder(target: Path, scratch: Path | None = None) -> Iterator[OutputFolder]:
+    """A folder that changes only if the block succeeds; DataError when it cannot be a folder or may not be written.
+
+    What is being made stands in a hidden folder in *scratch*, by default in the target itself.
+    """
+    home = existing_home(target)
+    staging = Path(tempfile.mkdtemp(prefix=".labpipe-", dir=scratch or home))
     try:
         yield OutputFolder(target, staging)
         _move_all(staging, target)

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import click
 
-from labpipe import pipeline as flow
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
 from labpipe.config.pipeline import load_pipeline
+from labpipe.errors import DataError
+from labpipe.pipeline.run import Manner, run
 from labpipe.records.identification import RuleOutcome
 
 
@@ -26,7 +27,10 @@ def check(pipelines: tuple[Path, ...], overrides: tuple[str, ...], quiet: bool, 
     for path in pipelines:
         pipeline = load_pipeline(path, overrides)
         with tempfile.TemporaryDirectory() as scratch, output_folder(Path(scratch) / "out") as folder:
-            outcomes = flow.run(pipeline, folder, tell).outcomes
+            identification = run(pipeline, folder, Manner(tell))
+        for one in identification.failed:
+            raise DataError(one.message)
+        outcomes = identification.outcomes
         wrong = [outcome for outcome in outcomes if not outcome.passed]
         failed += len(wrong)
         if not quiet:

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import click
 
-from labpipe import pipeline as flow
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
+from labpipe.cli.many import echo_failed, manner
 from labpipe.config.pipeline import Pipeline, load_pipeline
 from labpipe.config.tests import SourceFile, Test
 from labpipe.errors import ConfigError
+from labpipe.pipeline.run import measure_tests
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.response import FrequencyResponse
 
@@ -21,10 +22,21 @@ from labpipe.records.response import FrequencyResponse
 @click.argument("recordings", nargs=-1, metavar="[RECORDING...]", type=options.PATH)
 @options.pipeline_file
 @options.out_folder
+@options.jobs
+@options.cluster
 @options.overrides
 @options.quiet
 @options.verbose
-def frf(recordings: tuple[Path, ...], pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> None:
+def frf(
+    recordings: tuple[Path, ...],
+    pipeline_path: Path,
+    output: Path,
+    jobs: int,
+    cluster: str | None,
+    overrides: tuple[str, ...],
+    quiet: bool,
+    verbose: bool,
+) -> int:
     """Turn recordings into frequency responses: DIR/<test>.frf.parquet.
 
     RECORDING... (raw or calibrated) take the place of the pipeline's own and together give one FRF matrix.
@@ -33,9 +45,11 @@ def frf(recordings: tuple[Path, ...], pipeline_path: Path, output: Path, overrid
     if recordings:
         pipeline = with_recordings(pipeline, recordings)
     with output_folder(output) as folder:
-        measured = flow.measure_tests(pipeline, folder, options.teller(quiet, verbose))
+        measured = measure_tests(pipeline, folder, manner(quiet, verbose, jobs, cluster))
     for response in measured.responses:
         echo_response(response, quiet)
+    echo_failed(measured.failed)
+    return 2 if measured.failed else 0
 
 
 def with_recordings(pipeline: Pipeline, recordings: tuple[Path, ...]) -> Pipeline:

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
+
+# Small matrices all the way: one thread is quicker, and the same figures come out whatever the number of processors.
+for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_threads, "1")
+
 from typing import Any, NoReturn
 
 import click

@@ -22,6 +22,9 @@ verbose = click.option("-v", "--verbose", is_flag=True, help="Say every step, al
 out_folder = click.option("-o", "--output", type=PATH, required=True, metavar="DIR", help="Folder for the results.")
 pipeline_file = click.option("-c", "--config", "pipeline_path", type=PATH, required=True, metavar="PIPELINE", help="Pipeline file (YAML).")
 
+jobs = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Processes for several tests; 0: one per processor.")
+cluster = click.option("--cluster", metavar="ADDRESS", help="Do the tests on the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786.")
+
 
 def teller(quiet: bool, verbose: bool) -> Callable[[str], None]:
     """Where progress goes: to a terminal, or anywhere with -v; nowhere with -q."""

@@ -6,33 +6,40 @@ from pathlib import Path
 
 import click
 
-from labpipe import pipeline as flow
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
+from labpipe.cli.many import echo_failed, manner
 from labpipe.cli.terminal import echo_identification
 from labpipe.config.pipeline import load_pipeline
+from labpipe.pipeline.run import run as run_pipeline
 from labpipe.stages.report import write_report
 
 
 @click.command()
 @click.argument("pipeline_path", metavar="PIPELINE", type=options.PATH)
 @options.out_folder
+@options.jobs
+@options.cluster
 @options.overrides
 @options.quiet
 @options.verbose
-def run(pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
+def run(
+    pipeline_path: Path, output: Path, jobs: int, cluster: str | None, overrides: tuple[str, ...], quiet: bool, verbose: bool
+) -> int:
     """Run all stages of PIPELINE: recordings -> FRFs -> identification.json -> report.
 
-    What is up to date is not computed again. Exit code 1 when an accept: or expect: rule fails.
+    What is up to date is not computed again. Of several tests one that fails is named at the end (exit code 2), and the others
+    are finished; an interrupted run goes on where it stopped. Exit code 1 when an accept: or expect: rule fails.
     """
-    tell = options.teller(quiet, verbose)
+    how = manner(quiet, verbose, jobs, cluster)
     pipeline = load_pipeline(pipeline_path, overrides)
     with output_folder(output) as folder:
-        identification = flow.run(pipeline, folder, tell)
+        identification = run_pipeline(pipeline, folder, how)
         for name in pipeline.report.formats:
-            tell(f"report    report.{name}")
+            how.tell(f"report    report.{name}")
             write_report(identification, folder.write_path(f"report.{name}"))
     echo_identification(identification, quiet)
     if not quiet:
         click.echo(f"written: {output}/identification.json" + "".join(f", report.{name}" for name in pipeline.report.formats))
-    return 0 if identification.accepted else 1
+    echo_failed(identification.failed)
+    return 2 if identification.failed else 0 if identification.accepted else 1

@@ -121,6 +121,14 @@ class RuleOutcome:
 
 
 @dataclass(frozen=True)
+class Failed:
+    """A test or comparison that could not be evaluated, and why, while others were."""
+
+    name: str
+    message: str
+
+
+@dataclass(frozen=True)
 class Identification:
     """All fits of a pipeline with what they came from: the measured responses, the source files, the settings used."""
 
@@ -136,8 +144,9 @@ class Identification:
     studies: tuple[Study, ...] = ()
     comparisons: tuple[Comparison, ...] = ()
     unbalance: UnbalanceRuns | None = None
+    failed: tuple[Failed, ...] = ()
 
     @property
     def accepted(self) -> bool:
-        """Whether every rule holds (true without rules)."""
-        return all(outcome.passed for outcome in self.outcomes)
+        """Whether every test could be evaluated and every rule holds (true without rules)."""
+        return not self.failed and all(outcome.passed for outcome in self.outcomes)

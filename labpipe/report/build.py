@@ -59,6 +59,19 @@ def _series_title(fits: list[Fit]) -> str:
 
 
 def _verdict(identification: Identification) -> tuple[Block, ...]:
+    if identification.failed:
+        return (*_failed(identification), *_judged(identification))
+    return _judged(identification)
+
+
+def _failed(identification: Identification) -> tuple[Block, ...]:
+    """What is missing, and why: it stands before all that was found."""
+    rows = tuple((failed.name, failed.message) for failed in identification.failed)
+    lead = Paragraph(f"INCOMPLETE: {len(rows)} test(s) or comparison(s) could not be evaluated. What follows is the rest.", "failed")
+    return (lead, Table(("test", "why"), rows, "What could not be evaluated"))
+
+
+def _judged(identification: Identification) -> tuple[Block, ...]:
     outcomes = identification.outcomes
     codes = _all_findings(identification, WARNING)
     doubt = f" {len(codes)} kind(s) of warning below limit how far the numbers can be trusted." if codes else " No warnings."

@@ -14,18 +14,30 @@ from labpipe.config.pipeline import Pipeline
 from labpipe.errors import ConfigError, LabpipeError
 from labpipe.marked_yaml import set_entry
 from labpipe.records.comparison import Comparison
-from labpipe.records.identification import Fit
+from labpipe.records.identification import Failed, Fit
 from labpipe.records.response import FrequencyResponse
 from labpipe.stages.bearing import BearingFile, open_bearing
 
 # The condition is raised by this share for the slope of the theory.
 STEP = 1e-3
+COMPARE_PREFIX = "compare."
 
 
-def compare_tests(pipeline: Pipeline, fits: Sequence[Fit], responses: Sequence[FrequencyResponse]) -> tuple[Comparison, ...]:
-    """Every comparison of the pipeline, in its order; LabpipeError names the comparison."""
+def compare_tests(
+    pipeline: Pipeline, fits: Sequence[Fit], responses: Sequence[FrequencyResponse], go_on: bool = False
+) -> tuple[tuple[Comparison, ...], tuple[Failed, ...]]:
+    """Every comparison of the pipeline, in its order, and with *go_on* those that failed; otherwise LabpipeError names the comparison."""
     evidence = Evidence(tuple(fits), tuple(responses), pipeline.fits)
-    return tuple(_compared(pipeline.path, settings, evidence) for settings in pipeline.comparisons)
+    made: list[Comparison] = []
+    failed: list[Failed] = []
+    for settings in pipeline.comparisons:
+        try:
+            made.append(_compared(pipeline.path, settings, evidence))
+        except LabpipeError as error:
+            if not go_on:
+                raise
+            failed.append(Failed(COMPARE_PREFIX + settings.name, str(error)))
+    return tuple(made), tuple(failed)
 
 
 def _compared(path: Path, settings: CompareSettings, evidence: Evidence) -> Comparison:

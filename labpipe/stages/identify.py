@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from labpipe import __version__
@@ -17,11 +19,11 @@ from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.unbalance import unbalance_runs
 from labpipe.identify.worn_prior import with_prior
-from labpipe.records.identification import Fit, Identification
+from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.records.response import FrequencyResponse
 from labpipe.registry import nearest
 from labpipe.stages.calibrate import calibrate
-from labpipe.stages.compare import compare_tests
+from labpipe.stages.compare import COMPARE_PREFIX, compare_tests
 from labpipe.stages.judging import judge
 from labpipe.stages.study import study
 
@@ -33,18 +35,22 @@ def identify_stage(
     output: OutputFolder,
     tell: Callable[[str], None] = lambda _: None,
     jobs: int = 0,
+    made: Mapping[str, Sequence[Fit]] = MappingProxyType({}),
+    failed: Sequence[Failed] = (),
 ) -> Identification:
     """The identification of all tests, calibrations and the study of a pipeline, made unless the one on disk is fresh.
 
-    *jobs*: processes of the study, 0 for one per processor.
+    *jobs*: processes of the study, 0 for one per processor. *made*: fits that were made test by test, by their name in the
+    pipeline. *failed*: the tests that are missing; a comparison that cannot do without them is missing as well.
     """
     listed = tuple(dataclasses.asdict(source) for source in sources)
     settings = settings_entry(pipeline)
     existing = _existing(output)
-    if existing is not None and (existing.sources, existing.settings, existing.version) == (listed, settings, __version__):
+    if existing is not None and _same_work(existing, listed, settings, failed):
         return existing
-    fits = [*_fits(pipeline, responses), *calibrate(pipeline.calibrations)]
-    comparisons = compare_tests(pipeline, fits, responses)
+    fits = [*_fits(pipeline, responses, made), *calibrate(pipeline.calibrations)]
+    comparisons, missing = compare_tests(pipeline, fits, responses, go_on=bool(failed))
+    failed = (*failed, *missing)
     studies = study(pipeline, tell, jobs)
     unbalance = None if pipeline.unbalance is None else unbalance_runs(pipeline.unbalance)
     identification = Identification(
@@ -55,14 +61,20 @@ def identify_stage(
         settings=settings,
         rig=_rig_entry(pipeline),
         responses=tuple(responses),
-        outcomes=judge(pipeline.rules, fits, studies, comparisons, unbalance),
+        outcomes=judge(pipeline.rules, fits, studies, comparisons, unbalance, incomplete=bool(failed)),
         studies=studies,
         comparisons=comparisons,
         unbalance=unbalance,
         version=__version__,
+        failed=tuple(failed),
     )
     write_identification(output.write_path(NAME), identification)
     return identification
+
+
+def _same_work(existing: Identification, sources: tuple[dict[str, str], ...], settings: dict[str, Any], failed: Sequence[Failed]) -> bool:
+    tests_failed = tuple(one for one in existing.failed if not one.name.startswith(COMPARE_PREFIX))
+    return (existing.sources, existing.settings, existing.version, tests_failed) == (sources, settings, __version__, tuple(failed))
 
 
 def _existing(output: OutputFolder) -> Identification | None:
@@ -76,27 +88,38 @@ def _existing(output: OutputFolder) -> Identification | None:
         return None
 
 
-def _fits(pipeline: Pipeline, responses: Sequence[FrequencyResponse]) -> list[Fit]:
+def _fits(pipeline: Pipeline, responses: Sequence[FrequencyResponse], made: Mapping[str, Sequence[Fit]]) -> list[Fit]:
     fits: list[Fit] = []
     for settings in pipeline.fits:
-        for response in _tested(settings, responses):
-            try:
-                found = identify(response, with_prior(settings, fits))
-            except LabpipeError as error:
-                test = f", test {response.name}" if response.name else ""
-                error.where = error.where or f"{pipeline.path}: identify.{settings.name}{test}"
-                raise
-            fits.extend(dataclasses.replace(fit, test=response.name) for fit in found)
+        if settings.name in made:
+            fits.extend(made[settings.name])
+        else:
+            check_tested(settings, [response.name for response in responses])
+            fits.extend(fits_of(responses, with_prior(settings, fits), pipeline.path))
     return fits
 
 
-def _tested(settings: FitSettings, responses: Sequence[FrequencyResponse]) -> list[FrequencyResponse]:
-    """The responses of the tests that a fit names; all where it names none."""
-    known = [response.name for response in responses]
+def fits_of(responses: Sequence[FrequencyResponse], settings: FitSettings, pipeline_path: Path) -> list[Fit]:
+    """The fits of the responses whose test the settings name, or of all; LabpipeError names fit and test."""
+    fits: list[Fit] = []
+    for response in responses:
+        if settings.test and response.name not in settings.test:
+            continue
+        try:
+            found = identify(response, settings)
+        except LabpipeError as error:
+            test = f", test {response.name}" if response.name else ""
+            error.where = error.where or f"{pipeline_path}: identify.{settings.name}{test}"
+            raise
+        fits.extend(dataclasses.replace(fit, test=response.name) for fit in found)
+    return fits
+
+
+def check_tested(settings: FitSettings, known: Sequence[str]) -> None:
+    """ConfigError when a fit names a test that is not *known*."""
     for name in settings.test:
         if name not in known:
             raise ConfigError(f"identify.{settings.name}.test: no test '{name}'", hint=nearest(name, known))
-    return [response for response in responses if not settings.test or response.name in settings.test]
 
 
 def settings_entry(pipeline: Pipeline) -> dict[str, Any]:

@@ -46,14 +46,24 @@ def judge(
     studies: Sequence[Study] = (),
     comparisons: Sequence[Comparison] = (),
     unbalance: UnbalanceRuns | None = None,
+    incomplete: bool = False,
 ) -> tuple[RuleOutcome, ...]:
-    """The outcome of every rule; ConfigError at the rule's place when it addresses what the result does not have."""
-    return tuple(
-        unbalance_outcome(rule, unbalance, _held)
-        if unbalance is not None and rule.fit == UNBALANCE
-        else _ruled(rule, fits, studies, comparisons)
-        for rule in rules
-    )
+    """The outcome of every rule; ConfigError at the rule's place when it addresses what the result does not have.
+
+    In an *incomplete* result, where tests failed, such a rule fails.
+    """
+    outcomes: list[RuleOutcome] = []
+    for rule in rules:
+        try:
+            if unbalance is not None and rule.fit == UNBALANCE:
+                outcomes.append(unbalance_outcome(rule, unbalance, _held))
+            else:
+                outcomes.append(_ruled(rule, fits, studies, comparisons))
+        except ConfigError:
+            if not incomplete:
+                raise
+            outcomes.append(RuleOutcome(rule.section, rule.text, None, False))
+    return tuple(outcomes)
 
 
 def _ruled(rule: Rule, fits: Sequence[Fit], studies: Sequence[Study], comparisons: Sequence[Comparison]) -> RuleOutcome:

@@ -1,0 +1,49 @@
+"""``fits/TEST.json``: the fits of one test among many, so that a run that was interrupted goes on where it stopped."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from labpipe import __version__
+from labpipe.artefacts.fit_entry import fit_entry, read_fit
+from labpipe.artefacts.header import SourceRef
+from labpipe.artefacts.json_file import write_json
+from labpipe.identify.settings import FitSettings
+from labpipe.records.identification import Fit
+
+SCHEMA = "labpipe/fits/1"
+
+
+def _work(settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> dict[str, Any]:
+    """What the fits depend on: equal work gives equal fits."""
+    entry = {
+        "schema": SCHEMA,
+        "labpipe": __version__,
+        "settings": [dataclasses.asdict(one) for one in settings],
+        "responses": [dataclasses.asdict(one) for one in responses],
+    }
+    return json.loads(json.dumps(entry))  # type: ignore[no-any-return]
+
+
+def write_fits(path: Path, fits: Sequence[Fit], settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> None:
+    """Write the fits with the settings and the checksums of the responses they were made from."""
+    write_json(path, {**_work(settings, responses), "fits": [fit_entry(fit) for fit in fits]})
+
+
+def has_fresh_fits(path: Path, settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> bool:
+    """Whether the file holds the fits of these settings and responses by this version."""
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    work = _work(settings, responses)
+    return isinstance(entries, dict) and {key: entries.get(key) for key in work} == work
+
+
+def read_fits(path: Path) -> list[Fit]:
+    """The fits of a file that `write_fits` wrote."""
+    return [read_fit(entry) for entry in json.loads(path.read_text(encoding="utf-8"))["fits"]]

@@ -1,0 +1,37 @@
+"""What the commands that work on several tests have in common: where the work is done, and how failed tests are named."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+
+import click
+
+from labpipe.cli import options
+from labpipe.cli.progress import Progress, silent
+from labpipe.errors import ConfigError
+from labpipe.pipeline.executors import Execute, in_processes, on_cluster, serially
+from labpipe.pipeline.run import Manner
+from labpipe.records.identification import Failed
+
+
+def manner(quiet: bool, verbose: bool, jobs: int, cluster: str | None) -> Manner:
+    """How the options of a command want its tests to be done."""
+    return Manner(options.teller(quiet, verbose), silent if quiet else Progress(verbose), _execute(jobs, cluster))
+
+
+def _execute(jobs: int, cluster: str | None) -> Execute:
+    if cluster is not None and jobs != 1:
+        raise ConfigError("--cluster and -j exclude each other", hint="the cluster's workers say how many tests run at once")
+    if cluster is not None:
+        return on_cluster(cluster)
+    processes = jobs or os.cpu_count() or 1
+    return serially if processes == 1 else in_processes(processes)
+
+
+def echo_failed(failed: Sequence[Failed]) -> None:
+    """Name what failed, at the end, on standard error."""
+    for one in failed:
+        click.echo(f"error: {one.name}: {one.message}", err=True)
+    if failed:
+        click.echo(f"{len(failed)} failed, the rest is finished; put it right and run the same command again", err=True)

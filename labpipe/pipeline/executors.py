@@ -1,0 +1,122 @@
+"""Where the jobs of many tests run: one after the other, in processes of this machine, or on a cluster; the results are the same."""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+from labpipe import __version__
+from labpipe.errors import ConfigError, DataError
+from labpipe.pipeline.one_test import Done, Job
+from labpipe.records.identification import Failed
+
+Work = Callable[[Job], Done]
+Execute = Callable[[Work, Sequence[Job]], Iterator[Done]]
+
+# A job whose process was ended from outside is tried this often before it counts as failed.
+ATTEMPTS = 3
+CONNECT_SECONDS = 10
+
+
+def serially(work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
+    """One after the other in this process."""
+    return map(work, jobs)
+
+
+def in_processes(count: int) -> Execute:
+    """In *count* processes of this machine; jobs of a process that was ended from outside are done again."""
+
+    def execute(work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
+        left = {job.test.name: job for job in jobs}
+        for _ in range(ATTEMPTS - 1):
+            for done in _pooled(work, tuple(left.values()), count):
+                del left[done.test]
+                yield done
+        # Which job ends its process is not told: what is left gets a process of its own each.
+        for job in tuple(left.values()):
+            for done in _pooled(work, (job,), 1):
+                del left[done.test]
+                yield done
+        for name in left:
+            yield Done(name, failed=Failed(name, "its process was ended from outside, perhaps for lack of memory; use fewer processes"))
+
+    return execute
+
+
+def _pooled(work: Work, jobs: Sequence[Job], count: int) -> Iterator[Done]:
+    """The jobs that come to an end before a process is ended from outside."""
+    # Fresh interpreters: forking a process that has threads is not safe.
+    if not jobs:
+        return
+    pool = ProcessPoolExecutor(min(count, len(jobs)), mp_context=multiprocessing.get_context("spawn"), initializer=_end_quietly)
+    try:
+        for future in as_completed([pool.submit(work, job) for job in jobs]):
+            if not isinstance(future.exception(), BrokenProcessPool):
+                yield future.result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _end_quietly() -> None:
+    """Ctrl-C reaches all processes of a terminal: they clean up and end without a word, the first one speaks."""
+    signal.signal(signal.SIGINT, lambda *_: sys.exit(1))
+
+
+def on_cluster(address: str) -> Execute:
+    """On the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786; they must see the same files under the same paths."""
+
+    def execute(work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
+        distributed = _distributed()
+        client = _connected(distributed, address)
+        try:
+            names = {}
+            for job in jobs:
+                names[client.submit(work, job.absolute(), pure=False, retries=ATTEMPTS - 1)] = job.test.name
+            for future in distributed.as_completed(list(names), loop=client.loop):
+                error = future.exception()
+                if isinstance(error, distributed.scheduler.KilledWorker):
+                    yield Done(names[future], failed=Failed(names[future], "every worker that tried it was ended from outside"))
+                else:
+                    yield future.result()
+        finally:
+            client.close()
+
+    return execute
+
+
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError:
+        raise ConfigError("--cluster: needs the package dask.distributed", hint="pip install 'labpipe[cluster]'") from None
+    return distributed
+
+
+def _connected(distributed: Any, address: str) -> Any:
+    """A client of the scheduler whose workers have this version of labpipe."""
+    try:
+        client = distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        hint = "start one with `dask scheduler` and workers with `dask worker`"
+        raise DataError(f"no scheduler answers ({error})", where=address, hint=hint) from None
+    try:
+        client.wait_for_workers(1, timeout=CONNECT_SECONDS)
+        versions = client.run(_version)
+    except TimeoutError:
+        client.close()
+        raise DataError("the scheduler has no workers", where=address, hint=f"start some with `dask worker {address}`") from None
+    others = {worker: version for worker, version in versions.items() if version != __version__}
+    if others:
+        client.close()
+        worker, version = next(iter(others.items()))
+        raise DataError(f"worker {worker} has labpipe {version}, this is {__version__}", where=address, hint="install the same version")
+    return client
+
+
+def _version() -> str:
+    return __version__

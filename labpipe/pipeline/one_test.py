@@ -1,0 +1,125 @@
+"""The work of one test, by itself: its recordings -> its response -> its fits, all on disk, so that any process can do it."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from labpipe.artefacts.fits_file import has_fresh_fits, read_fits, write_fits
+from labpipe.artefacts.header import SourceRef, source_ref
+from labpipe.artefacts.writing import OutputFolder, output_folder
+from labpipe.config.tests import SourceFile, Test
+from labpipe.errors import ConfigError, LabpipeError
+from labpipe.identify.settings import FitSettings
+from labpipe.records.identification import Failed, Fit
+from labpipe.records.response import FrequencyResponse
+from labpipe.spectra.settings import FrfSettings
+from labpipe.stages.frf import frf, frf_file_name, load_response
+from labpipe.stages.identify import fits_of
+from labpipe.stages.ingest import ingest, recording_ref
+
+Tell = Callable[[str], None]
+
+
+def silent(_message: str) -> None:
+    """Tells nobody."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that one test needs.
+
+    names: the file names of its calibrated recordings. fits: those that depend on no other fit. target: the run's output folder;
+    scratch: the run's folder for what is not finished.
+    """
+
+    test: Test
+    names: tuple[str, ...]
+    frf: FrfSettings | None
+    fits: tuple[FitSettings, ...]
+    pipeline_path: Path
+    target: Path
+    scratch: Path
+
+    @property
+    def folder(self) -> Path:
+        return self.pipeline_path.parent
+
+    @property
+    def fits_name(self) -> str:
+        return f"fits/{frf_file_name(self.test.name).removesuffix('.frf.parquet')}.json"
+
+    def absolute(self) -> Job:
+        """The same job, to be done by a process that works in another folder."""
+        recordings = tuple(SourceFile(source.path.absolute(), source.rig) for source in self.test.recordings)
+        test = dataclasses.replace(self.test, recordings=recordings, frfs=tuple(path.absolute() for path in self.test.frfs))
+        paths = {name: getattr(self, name).absolute() for name in ("pipeline_path", "target", "scratch")}
+        return dataclasses.replace(self, test=test, **paths)
+
+
+@dataclass(frozen=True)
+class Done:
+    """How a test ended: the raw files behind it, or why it failed."""
+
+    test: str
+    sources: tuple[SourceRef, ...] = ()
+    failed: Failed | None = None
+
+
+def work(job: Job) -> Done:
+    """Do the job; a fault of its input is its outcome, and what was finished before the fault stays."""
+    try:
+        with output_folder(job.target, job.scratch) as output:
+            sources = measure(job, output)
+        if job.fits:
+            with output_folder(job.target, job.scratch) as output:
+                fit(job, output)
+    except LabpipeError as error:
+        return Done(job.test.name, failed=Failed(job.test.name, str(error)))
+    except OSError as error:
+        if error.errno is None:
+            raise
+        return Done(job.test.name, failed=Failed(job.test.name, f"{error.filename or 'output'}: {os.strerror(error.errno).lower()}"))
+    return Done(job.test.name, sources)
+
+
+def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[SourceRef, ...]:
+    """ingest and frf of the test; the references of the raw files or ready responses behind it."""
+    stored = []
+    for source, name in zip(job.test.recordings, job.names, strict=True):
+        tell(f"ingest    {source.path.name}")
+        stored.append(ingest(source.path, source.rig, output, f"recordings/{name}", job.folder))
+    if stored:
+        if job.frf is None:
+            raise ConfigError("frf: is missing", where=str(job.pipeline_path), hint="say how the recordings become FRFs")
+        tell(f"frf       {job.test.name or job.pipeline_path.stem}")
+        frf(stored, job.frf, output, job.test.name, job.test.conditions)
+    recorded = [recording_ref(recording, job.folder) for recording in stored]
+    return (*recorded, *(source_ref(path, job.folder) for path in job.test.frfs))
+
+
+def responses_of(job: Job, output: OutputFolder) -> list[FrequencyResponse]:
+    """The measured response of the test, and its ready ones."""
+    made = [load_response(output.read_path(frf_file_name(job.test.name)))] if job.test.recordings else []
+    return [*made, *(load_response(path, job.test.name or path.stem, job.test.conditions) for path in job.test.frfs)]
+
+
+def fit(job: Job, output: OutputFolder) -> None:
+    """The independent fits of the test, made unless those on disk are fresh."""
+    measured = [output.read_path(frf_file_name(job.test.name))] if job.test.recordings else []
+    inputs = [source_ref(path, path.parent) for path in (*measured, *job.test.frfs)]
+    if has_fresh_fits(output.read_path(job.fits_name), job.fits, inputs):
+        return
+    responses = responses_of(job, output)
+    fits = [one for settings in job.fits for one in fits_of(responses, settings, job.pipeline_path)]
+    write_fits(output.write_path(job.fits_name), fits, job.fits, inputs)
+
+
+def finished_fits(jobs: Sequence[Job], output: OutputFolder) -> dict[str, list[Fit]]:
+    """The independent fits of finished jobs by their name in the pipeline, each in the order of the tests."""
+    read = [read_fits(output.read_path(job.fits_name)) for job in jobs if job.fits]
+    names = dict.fromkeys(settings.name for job in jobs for settings in job.fits)
+    return {name: [one for fits in read for one in fits if one.name == name] for name in names}

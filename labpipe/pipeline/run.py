@@ -1,0 +1,131 @@
+"""A whole pipeline: the stages in their order, what is fresh left as it is.
+
+A single test is all or nothing. Of several tests each is all or nothing: one that fails is named and the others are finished.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from labpipe.artefacts.header import SourceRef, source_ref
+from labpipe.artefacts.writing import OutputFolder, existing_home
+from labpipe.config.pipeline import Pipeline
+from labpipe.errors import ConfigError, DataError
+from labpipe.pipeline.executors import Execute, serially
+from labpipe.pipeline.one_test import Done, Job, Tell, finished_fits, measure, responses_of, silent, work
+from labpipe.records.identification import Failed, Fit, Identification
+from labpipe.records.response import FrequencyResponse
+from labpipe.stages.frf import frf_file_name
+from labpipe.stages.identify import check_tested, identify_stage
+from labpipe.stages.ingest import unique_names
+
+# Called when a test is done: tests done, tests in all, name of the test.
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How a run is done, which does not change its results.
+
+    *execute* does the jobs of several tests; *processes*: for a study, 0 for one per processor.
+    """
+
+    tell: Tell = silent
+    progress: Progress = lambda _done, _total, _name: None
+    execute: Execute = serially
+    processes: int = 0
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The responses of all tests, the files behind them, the fits made on the way, and the tests that failed."""
+
+    responses: tuple[FrequencyResponse, ...]
+    sources: tuple[SourceRef, ...]
+    fits: dict[str, list[Fit]] = field(default_factory=dict)
+    failed: tuple[Failed, ...] = ()
+
+
+def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identification:
+    """All stages up to the identification."""
+    measured = measure_tests(pipeline, output, manner, independent_fits(pipeline))
+    manner.tell(f"identify  {pipeline.title}")
+    return identify_stage(
+        pipeline, measured.responses, measured.sources, output, manner.tell, manner.processes, measured.fits, measured.failed
+    )
+
+
+def measure_tests(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str] = ()) -> Measured:
+    """ingest and frf of every test, and of several tests the fits named in *fits*; ready responses are read as they are."""
+    with _scratch(output.target) as scratch:
+        jobs = _jobs(pipeline, output.target, scratch, fits if len(pipeline.tests) > 1 else ())
+        if len(jobs) > 1:
+            done = _worked(jobs, manner)
+        else:
+            done = {job.test.name: Done(job.test.name, measure(job, output, manner.tell)) for job in jobs}
+    finished = [job for job in jobs if done[job.test.name].failed is None]
+    failed = tuple(one.failed for one in (done[job.test.name] for job in jobs) if one.failed is not None)
+    if failed and not finished:
+        raise DataError(f"{failed[0].message} (and none of the other {len(failed) - 1} tests could be evaluated)")
+    sources = [source for job in finished for source in done[job.test.name].sources]
+    sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
+    responses = [response for job in finished for response in responses_of(job, output)]
+    return Measured(tuple(responses), tuple(sources), finished_fits(finished, output), failed)
+
+
+def independent_fits(pipeline: Pipeline) -> list[str]:
+    """The fits that a test can make by itself: all but those that begin with what another fit found."""
+    return [settings.name for settings in pipeline.fits if settings.wear is None or not settings.wear.prior]
+
+
+@contextmanager
+def _scratch(target: Path) -> Iterator[Path]:
+    """A folder beside the output for what is being made; gone at the end, whatever happened to those who used it."""
+    scratch = Path(tempfile.mkdtemp(prefix=".labpipe-", dir=existing_home(target)))
+    try:
+        yield scratch
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _jobs(pipeline: Pipeline, target: Path, scratch: Path, fits: Sequence[str]) -> list[Job]:
+    """One job for each test; ConfigError when two would write the same file, or a fit names a test that there is not."""
+    files: dict[str, str] = {}
+    for test in pipeline.tests:
+        other = files.setdefault(frf_file_name(test.name), test.name)
+        if other != test.name:
+            raise ConfigError(f"tests '{other}' and '{test.name}' would write the same file", where=str(pipeline.path), hint="rename one")
+    known = [name for test in pipeline.tests for name in ([test.name] if test.recordings else [test.name or p.stem for p in test.frfs])]
+    for settings in pipeline.fits:
+        check_tested(settings, known)
+    names = iter(unique_names([source.path for test in pipeline.tests for source in test.recordings]))
+    return [
+        Job(
+            test,
+            tuple(next(names) for _ in test.recordings),
+            pipeline.frf,
+            tuple(settings for settings in pipeline.fits if settings.name in fits and (not settings.test or test.name in settings.test)),
+            pipeline.path,
+            target,
+            scratch,
+        )
+        for test in pipeline.tests
+    ]
+
+
+def _worked(jobs: Sequence[Job], manner: Manner) -> dict[str, Done]:
+    """How every job ended, by its test; DataError when the user interrupts it."""
+    done: dict[str, Done] = {}
+    try:
+        for one in manner.execute(work, jobs):
+            done[one.test] = one
+            manner.progress(len(done), len(jobs), one.test)
+    except KeyboardInterrupt:
+        kept = f"{len(done)} of {len(jobs)} tests are finished and kept"
+        raise DataError(f"interrupted; {kept}", hint="the same command goes on from there") from None
+    return done
