@@ -18,6 +18,7 @@ from labpipe.errors import ConfigError, FitError
 
 DEFAULT_MESH = FilmMesh(120, 30)
 MOST_CELLS_AROUND = 960
+WIDEST_GROOVE = 2 * np.pi / 3
 
 Array = NDArray[np.floating]
 
@@ -27,7 +28,8 @@ class JournalBearing:
     """A plain bearing; every length in [m], *clearance* radial, viscosity [Pa s].
 
     wear_depth [m] is the deepest wear, wear_angle [rad] its place from the bottom, positive with the spin. cavitation_pressure
-    [Pa] is against the ambient pressure at both ends, zero or negative. ConfigError where a value has no meaning.
+    [Pa] is against the ambient pressure at both ends, zero or negative. groove_width [rad]: of each of two axial grooves at the
+    horizontal split, over the whole length and at ambient pressure; zero for none. ConfigError where a value has no meaning.
     """
 
     diameter: float
@@ -37,6 +39,7 @@ class JournalBearing:
     wear_depth: float = 0.0
     wear_angle: float = 0.0
     cavitation_pressure: float = 0.0
+    groove_width: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("diameter", "length", "clearance", "viscosity"):
@@ -54,6 +57,9 @@ class JournalBearing:
                 f"a cavitation pressure of {self.cavitation_pressure:g} Pa is above the ambient pressure", hint="give zero or less"
             )
 
+        if not 0 <= self.groove_width <= WIDEST_GROOVE:
+            raise ConfigError(f"a groove of {np.degrees(self.groove_width):g} deg is none", hint="from 0 to 120 deg, one on either side")
+
     def pressure_scale(self, speed: float) -> float:
         """6 mu Omega (R / c)^2 [Pa]; *speed* [rad/s]."""
         if not 0 < speed < np.inf:
@@ -67,7 +73,7 @@ class JournalBearing:
     def film(self, speed: float, mesh: FilmMesh) -> Film:
         """The dimensionless film on a mesh."""
         cavitation = self.cavitation_pressure / self.pressure_scale(speed)
-        return Film.of(mesh, self.diameter / self.length, self.wear_depth / self.clearance, self.wear_angle, cavitation)
+        return Film.of(mesh, self.diameter / self.length, self.wear_depth / self.clearance, self.wear_angle, cavitation, self.groove_width)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ discrete operator, gap >= 0, surplus >= 0 and gap * surplus = 0 in every cell (c
 cell makes stiffness and damping rough functions of load, wear depth and angle. Therefore the equivalent
 gap = max(0, gap - c * surplus) uses a maximum rounded over a width that is proportional to the diverging wedge and to the square
 of the mesh, so that the front crosses about two cells gradually; away from it the equations hold exactly.
+
+Axial grooves over the whole length hold the ambient pressure: the film before and after them is parted.
 """
 
 from __future__ import annotations
@@ -29,6 +31,10 @@ ROUNDING = 0.8
 LEAST_WEDGE = 0.02
 # Slope of the rounded maximum where it is zero: keeps the equations of cavitated cells finite.
 LEAST_SLOPE = 1e-9
+# Diagonal that holds a cell in a groove at ambient pressure.
+GROOVE_DIAGONAL = 1e12
+# Shortest distance from a cell's centre to the edge of a groove, in cells: keeps the flow into the groove finite.
+LEAST_DISTANCE = 0.05
 
 Array = NDArray[np.floating]
 
@@ -37,7 +43,9 @@ Array = NDArray[np.floating]
 class Film:
     """A film to be solved: *slenderness* D / L, wear *depth* at *angle* [rad] from the bottom, cavitation pressure (<= 0).
 
-    worn_centre, worn_face (n_theta,): added thickness at cell centres and faces.
+    worn_centre, worn_face (n_theta,): added thickness at cell centres and faces; groove [rad]: width of each of two axial grooves at
+    the horizontal split, zero for none; grooved, opening (n_theta,): cells in a groove, and what the distance to its edge makes of
+    the conductance of the face after each cell.
     """
 
     mesh: FilmMesh
@@ -48,18 +56,24 @@ class Film:
     cavitation: float
     worn_centre: Array
     worn_face: Array
+    groove: float
+    grooved: NDArray[np.bool_]
+    opening: Array
 
     @classmethod
-    def of(cls, mesh: FilmMesh, slenderness: float, depth: float = 0.0, angle: float = 0.0, cavitation: float = 0.0) -> Film:
-        """The film over a bore worn by *depth* (over clearance) at *angle* [rad] from the bottom."""
+    def of(
+        cls, mesh: FilmMesh, slenderness: float, depth: float = 0.0, angle: float = 0.0, cavitation: float = 0.0, groove: float = 0.0
+    ) -> Film:
+        """The film over a bore worn by *depth* (over clearance) at *angle* [rad] from the bottom, with or without grooves."""
         grid = film_grid(mesh)
-        worn = (mean_worn_depth(theta, depth, angle, mesh.arc) for theta in (grid.centre, grid.face))
-        return cls(mesh, grid, slenderness, depth, angle, cavitation, *worn)
+        centre, face = (mean_worn_depth(theta, depth, angle, mesh.arc) for theta in (grid.centre, grid.face))
+        grooved, opening = _grooves(grid, mesh.arc, groove)
+        return cls(mesh, grid, slenderness, depth, angle, cavitation, centre, face, groove, grooved, opening)
 
     def coarser(self) -> Film | None:
         """The same film on half the cells each way, None where that is too coarse to help."""
         mesh = self.mesh.halved()
-        return None if mesh is None else Film.of(mesh, self.slenderness, self.depth, self.angle, self.cavitation)
+        return None if mesh is None else Film.of(mesh, self.slenderness, self.depth, self.angle, self.cavitation, self.groove)
 
     def thickness(self, displacement: Array) -> tuple[Array, Array]:
         """h at cell centres and at faces, (n_theta,); *displacement* (2,) of the journal in y and z."""
@@ -91,7 +105,7 @@ def film_equations(film: Film, displacement: Array, velocity: Array, pressure: A
     """The equations linearised at a pressure field (n_theta, n_half), a displacement (2,) and a velocity (2,) over c Omega."""
     grid, arc = film.grid, film.mesh.arc
     centre, face = film.thickness(displacement)
-    around, across = face**3 / arc**2, film.slenderness**2 * centre**3
+    around, across = film.opening * face**3 / arc**2, film.slenderness**2 * centre**3
     flow = around[:, None] * (pressure - np.concatenate([pressure[1:], pressure[:1]]))
     leak = across[:, None] * (pressure @ grid.curvature)
     wedge = _out(face) / arc
@@ -112,7 +126,32 @@ def film_equations(film: Film, displacement: Array, velocity: Array, pressure: A
     for axis in range(2):
         by_displacement[axis] = _out((3 * grid.at_face[axis] / face)[:, None] * flow) + thicker[axis, :, None] * (leak - surplus)
         by_displacement[axis] += grid.wedge[axis, :, None] - wider[axis, :, None] * by_width
-    return FilmEquations(around, across, (1 - slope) * in_flow, (gap - largest) * in_flow, by_displacement, slope <= LEAST_SLOPE)
+    diagonal, residual, cavitated = (1 - slope) * in_flow, (gap - largest) * in_flow, slope <= LEAST_SLOPE
+    if film.groove > 0:
+        _hold_ambient(film.grooved, pressure, diagonal, residual, by_displacement, cavitated)
+    return FilmEquations(around, across, diagonal, residual, by_displacement, cavitated)
+
+
+def _hold_ambient(
+    grooved: NDArray[np.bool_], pressure: Array, diagonal: Array, residual: Array, by_displacement: Array, cavitated: NDArray[np.bool_]
+) -> None:
+    """Turn the equations of the cells in grooves into p = 0, whatever the journal does; in place."""
+    diagonal[grooved] = GROOVE_DIAGONAL
+    residual[grooved] = GROOVE_DIAGONAL * pressure[grooved]
+    by_displacement[:, grooved] = 0
+    cavitated[grooved] = True
+
+
+def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[NDArray[np.bool_], Array]:
+    """Cells in the grooves at theta = 0 and 180 deg, and conductances of the faces: one over the distance to the edge, in cells."""
+    from_split = np.abs(np.mod(grid.centre + np.pi / 2, np.pi) - np.pi / 2)
+    grooved: NDArray[np.bool_] = from_split < groove / 2
+    distance = np.maximum((from_split - groove / 2) / arc, LEAST_DISTANCE)
+    after = np.roll(grooved, -1)
+    opening = np.ones_like(grid.centre)
+    opening[after & ~grooved] = 1 / distance[after & ~grooved]
+    opening[grooved & ~after] = 1 / np.roll(distance, -1)[grooved & ~after]
+    return grooved, opening
 
 
 def rounded_maximum(x: Array, width: Array) -> tuple[Array, Array, Array]:

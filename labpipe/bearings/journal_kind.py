@@ -35,6 +35,7 @@ class JournalSettings:
     clearance: float = setting("value", "radial clearance", unit="m")
     viscosity: float = setting("value", "dynamic viscosity of the oil", unit="Pa.s")
     cavitation_pressure: float = setting("value", "pressure at which the film tears, against ambient", unit="Pa", default=0.0)
+    groove_width: float = setting("value", "width of two axial grooves at the horizontal split", unit="rad", default=0.0)
     wear: Wear = setting("section", "wear of the bushing", section=Wear, default=Wear())
 
     def __post_init__(self) -> None:
@@ -43,9 +44,8 @@ class JournalSettings:
     def bearing(self) -> JournalBearing:
         """The bearing; ConfigError where data are impossible."""
         wear = self.wear
-        return JournalBearing(
-            self.diameter, self.length, self.clearance, self.viscosity, wear.depth, wear.angle, self.cavitation_pressure
-        )
+        sizes = (self.diameter, self.length, self.clearance, self.viscosity)
+        return JournalBearing(*sizes, wear.depth, wear.angle, self.cavitation_pressure, self.groove_width)
 
 
 @dataclass(frozen=True, kw_only=True)

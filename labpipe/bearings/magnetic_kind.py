@@ -113,7 +113,7 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
         shares=_shares(plant, omega),
         poles=stability.poles,
         words={"stability": "unstable" if stability.unstable else "stable", **zone, "assumptions": settings.assumptions()},
-        findings=_findings(stability),
+        findings=stability_findings(stability),
     )
 
 
@@ -139,7 +139,7 @@ def _notes(settings: MagneticFile, plant: Levitated, stability: Verdict) -> tupl
     return tuple(notes)
 
 
-def _findings(stability: Verdict) -> tuple[Finding, ...]:
+def stability_findings(stability: Verdict) -> tuple[Finding, ...]:
     """An unstable loop, its poles listed; poles that the approximated delay moves across; a sensitivity beyond zone B."""
     right = stability.poles[stability.poles.real > 0]
     if stability.unstable:

@@ -1,0 +1,93 @@
+"""Grooves in the film, and the curve of coefficients over the Sommerfeld number."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from labpipe.bearings.journal import JournalBearing, journal_equilibrium
+from labpipe.bearings.journal_curve import HIGHEST_SOMMERFELD, LOWEST_SOMMERFELD, TO_LOAD_FRAME, journal_curve, sommerfeld_number
+from labpipe.bearings.journal_film import Film
+from labpipe.bearings.journal_mesh import FilmMesh
+from labpipe.errors import ConfigError, FitError
+
+GROOVE = np.deg2rad(20)
+MESH = FilmMesh(72, 12)
+GROOVED = JournalBearing(16.5e-3, 8.25e-3, 0.2e-3, 0.55, groove_width=GROOVE)
+
+
+def test_grooves_hold_the_ambient_pressure_and_nothing_else_does() -> None:
+    found = journal_equilibrium(GROOVED, (0.0, -5.0), 150.0, MESH)
+    degrees = np.degrees(found.theta)
+    grooved = np.minimum(np.abs((degrees + 90) % 180 - 90), 90) < 10
+    assert np.count_nonzero(grooved) == 8
+    assert np.abs(found.pressure[grooved]).max() < 1e-6 * found.pressure.max()
+    assert np.all(found.pressure[(degrees > 200) & (degrees < 300)] > 0)
+
+
+def test_the_film_reaches_zero_at_the_edge_of_the_groove_not_at_a_cell_s_centre() -> None:
+    """The face towards a groove conducts twice as well when its edge is half a cell away."""
+    film = Film.of(MESH, 2.0, groove=GROOVE)
+    np.testing.assert_allclose(np.unique(film.opening.round(9)), [1, 2])
+    assert np.count_nonzero(film.opening > 1) == 4
+    assert np.all(Film.of(MESH, 2.0).opening == 1)
+
+
+def test_grooves_of_any_width_are_followed_smoothly() -> None:
+    """Edges within a cell: the eccentricity grows steadily with the width, without steps of a whole cell."""
+    widths = np.deg2rad(np.arange(16.0, 25.0, 0.5))
+    found = [journal_equilibrium(dataclasses.replace(GROOVED, groove_width=width), (0.0, -5.0), 150.0, MESH) for width in widths]
+    stiffness = np.array([one.stiffness[1, 1] for one in found])
+    assert np.ptp(stiffness) / stiffness.mean() < 0.1
+    assert np.max(np.abs(np.diff(stiffness))) / stiffness.mean() < 0.02
+
+
+def test_stiffness_of_a_grooved_film_is_the_slope_of_its_equilibrium() -> None:
+    here = journal_equilibrium(GROOVED, (0.0, -5.0), 150.0, MESH)
+    for change in ((1e-3, 0.0), (0.0, 1e-3)):
+        plus, minus = (journal_equilibrium(GROOVED, (s * change[0], -5 + s * change[1]), 150.0, MESH, here) for s in (1, -1))
+        np.testing.assert_allclose(here.stiffness @ (plus.position - minus.position) / 2, change, atol=2e-6)
+
+
+def test_damping_of_a_grooved_film_stays_symmetric() -> None:
+    damping = journal_equilibrium(GROOVED, (0.0, -5.0), 150.0, MESH).damping
+    np.testing.assert_allclose(damping[0, 1], damping[1, 0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("width", [-0.1, 2.5, float("nan")])
+def test_grooves_that_cannot_be_are_refused(width: float) -> None:
+    with pytest.raises(ConfigError, match="a groove of"):
+        dataclasses.replace(GROOVED, groove_width=width)
+
+
+def test_the_curve_gives_the_equilibrium_s_own_coefficients() -> None:
+    """Between nodes, in newtons and metres, for a bearing that was not tabulated."""
+    curve = journal_curve(0.5, GROOVE, MESH, 60)
+    speed, load = 180.0, 7.3
+    direct = journal_equilibrium(GROOVED, (0.0, -load), speed, MESH)
+    number = sommerfeld_number(GROOVED, np.array(load), np.array(speed))
+    np.testing.assert_allclose(number, direct.sommerfeld)
+    found = curve.coefficients(number)
+    scale = load / GROOVED.clearance
+    stiffness = TO_LOAD_FRAME @ direct.stiffness @ TO_LOAD_FRAME.T
+    damping = TO_LOAD_FRAME @ direct.damping @ TO_LOAD_FRAME.T
+    np.testing.assert_allclose(found.stiffness * scale, stiffness, atol=2e-3 * np.abs(stiffness).max())
+    np.testing.assert_allclose(found.damping * scale / speed, damping, atol=2e-3 * np.abs(damping).max())
+    eccentricity, attitude = curve.rest(number)
+    np.testing.assert_allclose([eccentricity, attitude], [direct.eccentricity_ratio, direct.attitude], atol=2e-4)
+
+
+def test_slopes_are_the_derivatives_by_the_logarithm() -> None:
+    curve = journal_curve(0.5, GROOVE, MESH, 60)
+    numbers, step = np.array([0.05, 0.4, 3.0]), 1e-5
+    here, plus, minus = (curve.coefficients(numbers * np.exp(change)) for change in (0, step, -step))
+    np.testing.assert_allclose(here.stiffness_slope, (plus.stiffness - minus.stiffness) / (2 * step), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(here.damping_slope, (plus.damping - minus.damping) / (2 * step), rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("number", [LOWEST_SOMMERFELD / 2, HIGHEST_SOMMERFELD * 2, float("nan")])
+def test_outside_the_table_nothing_is_guessed(number: float) -> None:
+    with pytest.raises(FitError, match="outside the bearing's table"):
+        journal_curve(0.5, GROOVE, MESH, 60).coefficients(np.array([1.0, number]))
