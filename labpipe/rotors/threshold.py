@@ -1,0 +1,161 @@
+"""Stability of a pinned rotor on one bearing whose coefficients change with speed: growth rates, critical and threshold speed.
+
+Modes that leave the journal at rest (the anti-phase modes of a symmetric rotor) are damped by nothing and decide nothing: they are
+left out, and what remains is unstable above a growth rate of GROWTH_TOLERANCE.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, optimize
+
+from labpipe.errors import FitError
+from labpipe.rotors.modes import GROWTH_TOLERANCE
+from labpipe.rotors.pinned import PinnedRotor
+
+# Part of a mode's squared deflections that the journal must have for its bearing to matter.
+LEAST_PARTICIPATION = 1e-8
+
+Array = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
+# K [N/m] and C [N s/m], (n_speed, 2, 2) each, at speeds (n_speed,) [rad/s].
+CoefficientsAtSpeed = Callable[[Array], tuple[Array, Array]]
+
+
+@dataclass(frozen=True)
+class LeastStable:
+    """The least stable mode that moves the journal: eigenvalue [1/s]; growth by K and by C (2, 2): d Re / d K_kl, d Re / d C_kl."""
+
+    eigenvalue: complex
+    by_stiffness: Array
+    by_damping: Array
+
+    @property
+    def growth(self) -> float:
+        """Real part [1/s]: positive means unstable."""
+        return self.eigenvalue.real
+
+
+@dataclass(frozen=True)
+class Stability:
+    """A pinned *rotor* and the node of its *bearing*; *inverse_mass* is kept, since searches ask for modes hundreds of times."""
+
+    rotor: PinnedRotor
+    bearing: int
+    inverse_mass: Array
+
+    @classmethod
+    def of(cls, rotor: PinnedRotor, bearing: int) -> Stability:
+        return cls(rotor, bearing, np.linalg.inv(rotor.matrices.mass))
+
+    def system(self, speed: Array, stiffness: Array, damping: Array) -> Array:
+        """A of y' = A y, y = (q, q'), (n_speed, 2 n_dof, 2 n_dof), G with it."""
+        n, place = self.rotor.n_dof, self.rotor.dofs(self.bearing)
+        speed = np.atleast_1d(np.asarray(speed, np.float64))
+        matrices = self.rotor.matrices
+        k = np.repeat(matrices.stiffness[None], speed.size, axis=0)
+        c = matrices.damping + speed[:, None, None] * matrices.gyroscopic
+        rows = np.ix_(range(speed.size), place, place)
+        k[rows] += stiffness
+        c[rows] += damping
+        system = np.zeros((speed.size, 2 * n, 2 * n))
+        system[:, :n, n:] = np.eye(n)
+        system[:, n:, :n], system[:, n:, n:] = -self.inverse_mass @ k, -self.inverse_mass @ c
+        return system
+
+    def growth(self, speed: Array, stiffness: Array, damping: Array) -> Array:
+        """Largest growth rate [1/s] of modes that move the journal, (n_speed,)."""
+        roots, vectors = np.linalg.eig(self.system(speed, stiffness, damping))
+        return np.max(np.where(self.moving(vectors), roots.real, -np.inf), axis=-1)
+
+    def eigenvalues(self, speed: Array, stiffness: Array, damping: Array) -> ComplexArray:
+        """All eigenvalues [1/s], (n_speed, 2 n_dof)."""
+        roots: ComplexArray = np.linalg.eigvals(self.system(speed, stiffness, damping))
+        return roots
+
+    def least_stable(self, speed: float, stiffness: Array, damping: Array) -> LeastStable:
+        """The least stable mode at one *speed* [rad/s] with the slopes of its growth by the bearing's coefficients.
+
+        d lambda = y^T (dA) x / (y^T x) with left and right eigenvectors y, x of A.
+        """
+        system = self.system(np.array([speed]), stiffness, damping)[0]
+        roots, left, right = linalg.eig(system, left=True, right=True)
+        chosen = int(np.argmax(np.where(self.moving(right) & (roots.imag >= 0), roots.real, -np.inf)))
+        n, place = self.rotor.n_dof, self.rotor.dofs(self.bearing)
+        y, x = left[:, chosen].conj(), right[:, chosen]
+        pushed = (y[n:] @ self.inverse_mass[:, place]) / (y @ x)
+        slopes = -np.outer(pushed, x[place])
+        return LeastStable(complex(roots[chosen]), slopes.real, (slopes * roots[chosen]).real)
+
+    def moving(self, vectors: ComplexArray) -> NDArray[np.bool_]:
+        """Modes (..., n_mode) in which the journal takes part; *vectors* (..., 2 n_dof, n_mode)."""
+        n = self.rotor.n_dof
+        deflections = np.abs(vectors[..., :n, :]) ** 2
+        share = deflections[..., self.rotor.dofs(self.bearing), :].sum(axis=-2) / deflections[..., 0:n:4, :].sum(axis=-2).clip(1e-300)
+        moving: NDArray[np.bool_] = share > LEAST_PARTICIPATION
+        return moving
+
+
+def threshold_speed(
+    stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float], tolerance: float = 1e-4
+) -> float | None:
+    """Speed [rad/s] at which the growth rate passes GROWTH_TOLERANCE, between the first pair of *speeds* around it; None when stable.
+
+    FitError when the rotor is unstable already at the first speed.
+    """
+    speed = np.asarray(list(speeds), np.float64)
+    unstable = stability.growth(speed, *coefficients(speed)) > GROWTH_TOLERANCE
+    if unstable[0]:
+        raise FitError(f"the rotor is unstable already at {speed[0] * 30 / np.pi:.0f} rpm", hint="start the search at a lower speed")
+    if not np.any(unstable):
+        return None
+    first = int(np.argmax(unstable))
+
+    def excess(one: float) -> float:
+        place = np.array([one])
+        return float(stability.growth(place, *coefficients(place))[0]) - GROWTH_TOLERANCE
+
+    return float(optimize.brentq(excess, speed[first - 1], speed[first], xtol=tolerance))
+
+
+def refuse_unstable(stability: Stability, coefficients: CoefficientsAtSpeed, speed: Array) -> None:
+    """FitError naming the first of the speeds (n_speed,) [rad/s] at which there is no steady state, and so no amplitude."""
+    speed = np.asarray(speed, np.float64)
+    growth = stability.growth(speed, *coefficients(speed))
+    if np.any(growth > GROWTH_TOLERANCE):
+        first = int(np.argmax(growth > GROWTH_TOLERANCE))
+        raise FitError(
+            f"at {speed[first] * 30 / np.pi:.0f} rpm the rotor is unstable (growth rate {growth[first]:.3g} 1/s): there is no steady amplitude",
+            hint="keep to speeds below the threshold of instability",
+        )
+
+
+def resonance_speed(stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float]) -> float | None:
+    """The first speed [rad/s] that equals the imaginary part of a damped mode which moves the journal; None when there is none.
+
+    The critical speed by eigenvalues: lightly damped modes only (damping ratio below one half), forward or backward.
+    """
+    speed = np.asarray(list(speeds), np.float64)
+    roots = [_ringing(stability, coefficients, one) for one in speed]
+    for n in range(1, speed.size):
+        before, after = (np.sum(found < one) for found, one in ((roots[n - 1], speed[n - 1]), (roots[n], speed[n])))
+        if after > before:
+            return float(optimize.brentq(lambda one: _nearest(stability, coefficients, one), speed[n - 1], speed[n], xtol=1e-4))
+    return None
+
+
+def _ringing(stability: Stability, coefficients: CoefficientsAtSpeed, speed: float) -> Array:
+    place = np.array([speed])
+    roots, vectors = np.linalg.eig(stability.system(place, *coefficients(place))[0])
+    kept = stability.moving(vectors) & (roots.imag > 0) & (-roots.real < 0.5 * np.abs(roots))
+    return np.sort(roots[kept].imag)
+
+
+def _nearest(stability: Stability, coefficients: CoefficientsAtSpeed, speed: float) -> float:
+    """Speed less the imaginary part of the mode nearest to it."""
+    found = _ringing(stability, coefficients, speed)
+    return float(speed - found[np.argmin(np.abs(found - speed))])
