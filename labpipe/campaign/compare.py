@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
+from labpipe.campaign.bandwise import bandwise, two_tests
 from labpipe.campaign.components import repeatability
 from labpipe.campaign.difference import difference
-from labpipe.campaign.observations import Campaign, observed
+from labpipe.campaign.loop_view import View, checked_view
+from labpipe.campaign.observations import Campaign, condition_of, group_of, observed
+from labpipe.campaign.prediction import MagneticTheory, prediction
 from labpipe.campaign.ratio import rayleigh, stiffness_ratio
 from labpipe.campaign.reciprocal import reciprocal
+from labpipe.campaign.sensitivity import loop_sensitivity
 from labpipe.campaign.settings import CompareSettings, TheorySettings
 from labpipe.campaign.theory import Matched, Rig, TheoryAt, match, overlay
 from labpipe.campaign.trend import trend
@@ -19,6 +24,7 @@ from labpipe.records.comparison import Comparison, Overlay
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import Uncertain
+from labpipe.registry import nearest
 
 # The theory at a condition (value, SI unit) of one comparison.
 Theory = Callable[[float, str], TheoryAt]
@@ -58,7 +64,7 @@ class Evidence:
         return next(settings for settings in self.fit_settings if settings.name == fit)
 
 
-def compare(settings: CompareSettings, evidence: Evidence, theory: Theory | None = None) -> Comparison:
+def compare(settings: CompareSettings, evidence: Evidence, theory: Theory | MagneticTheory | None = None) -> Comparison:
     """The comparison that the settings ask for; *theory* where they name one. LabpipeError where the tests cannot answer."""
     return COMPARISONS[settings.kind](settings, evidence, theory)
 
@@ -133,11 +139,51 @@ def _reciprocity(settings: CompareSettings, evidence: Evidence, _: Theory | None
     return reciprocal(settings, evidence.responses)
 
 
-COMPARISONS: Mapping[str, Callable[[CompareSettings, Evidence, Theory | None], Comparison]] = {
+def _prediction(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory | None) -> Comparison:
+    if theory is None:
+        raise ConfigError("a prediction needs a theory", hint="theory: {bearing: FILE}")
+    return prediction(settings, [checked_view(view) for view in _views(settings, evidence, theory)])
+
+
+def _views(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory) -> list[View]:
+    """Every test of the fit with its bearing file, set to the test's condition where one is asked for."""
+    named = [fit for fit in evidence.fits if fit.name == settings.fit]
+    if not named:
+        raise ConfigError(f"no fit '{settings.fit}' to compare", hint=nearest(settings.fit, {fit.name for fit in evidence.fits}))
+    found = []
+    for test in dict.fromkeys(fit.test for fit in named):
+        response = evidence.response(test)
+        at = condition_of(settings, test, response.conditions) if settings.over else (None, "")
+        fits = tuple(fit for fit in named if fit.test == test)
+        found.append(View(test, response, evidence.settings_of(settings.fit), fits, theory(*at)))
+    return found
+
+
+def _bands(settings: CompareSettings, evidence: Evidence, _: Theory | None) -> Comparison:
+    named = [fit for fit in evidence.fits if fit.name == settings.fit]
+    if not named:
+        raise ConfigError(f"no fit '{settings.fit}' to compare", hint=nearest(settings.fit, {fit.name for fit in evidence.fits}))
+    tests = dict.fromkeys(fit.test for fit in named)
+    groups = [(test, group_of(settings, test, evidence.response(test).conditions)) for test in tests]
+    return bandwise(settings, two_tests(settings, named, groups, evidence.settings_of(settings.fit)))
+
+
+def _sensitivity(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory | None) -> Comparison:
+    if len(evidence.responses) != 1:
+        hint = "one pipeline per setting of the loop"
+        raise ConfigError(f"a sensitivity is that of one test, not of {len(evidence.responses)}", hint=hint)
+    return loop_sensitivity(settings, evidence.responses[0], None if theory is None else theory(None, ""))
+
+
+# The theory is a rolling bearing's or, for the kinds of a control loop, a magnetic bearing's.
+COMPARISONS: Mapping[str, Callable[[CompareSettings, Evidence, Any], Comparison]] = {
     "trend": _trend,
     "difference": _difference,
     "repeatability": _repeatability,
     "ratio": _ratio,
     "rayleigh": _rayleigh,
     "reciprocity": _reciprocity,
+    "prediction": _prediction,
+    "bands": _bands,
+    "sensitivity": _sensitivity,
 }

@@ -100,9 +100,9 @@ def observed(settings: CompareSettings, fits: Sequence[Fit], conditions: Mapping
     found, units = [], set()
     for fit in chosen:
         own = conditions.get(fit.test, {})
-        value, unit = _condition(settings, fit.test, own) if settings.over else (float("nan"), "")
+        value, unit = condition_of(settings, fit.test, own) if settings.over else (float("nan"), "")
         units.add(unit)
-        found.append(Observation(fit, _parameter(settings, fit), value, _group(settings, fit.test, own)))
+        found.append(Observation(fit, _parameter(settings, fit), value, group_of(settings, fit.test, own)))
     if len(units) > 1:
         raise ConfigError(f"the condition '{settings.over}' has the units {', '.join(sorted(units))}", hint="write it in one dimension")
     if len(found) < 2:
@@ -140,11 +140,11 @@ def _given(name: str, test: str, conditions: Mapping[str, Any]) -> str:
     return str(conditions[name])
 
 
-def _group(settings: CompareSettings, test: str, conditions: Mapping[str, Any]) -> str:
+def group_of(settings: CompareSettings, test: str, conditions: Mapping[str, Any]) -> str:
     return _given(settings.group, test, conditions) if settings.group else ""
 
 
-def _condition(settings: CompareSettings, test: str, conditions: Mapping[str, Any]) -> tuple[float, str]:
+def condition_of(settings: CompareSettings, test: str, conditions: Mapping[str, Any]) -> tuple[float, str]:
     """A condition as a number in SI with its unit: "427 N" -> (427.0, "N"); ConfigError for what is no amount."""
     text = _given(settings.over, test, conditions)
     match = _NUMBER.match(text)

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from labpipe.errors import ConfigError
 from labpipe.records.settings import Uncertain, setting
 
-KINDS = ("trend", "difference", "repeatability", "ratio", "rayleigh", "reciprocity")
+KINDS = ("trend", "difference", "repeatability", "ratio", "rayleigh", "reciprocity", "prediction", "bands", "sensitivity")
+# Kinds whose theory is a magnetic-bearing file; it stands as it is unless a condition sets one of its entries.
+MAGNETIC_KINDS = ("prediction", "sensitivity")
+TWO_GROUPS = ("difference", "bands")
 LAWS = ("line", "power")
 
 
@@ -36,11 +39,14 @@ class CompareSettings:
     term: str = setting("text", "diagonal term of a fit of peaks", default="")
     parameter: str = setting("text", "parameter that is compared", default="k")
     over: str = setting("text", "condition over which tests are ordered or paired", default="")
-    group: str = setting("text", "condition that makes the groups (difference, repeatability)", default="")
-    groups: tuple[str, ...] = setting("names", "difference: the two groups, the second against the first", default=())
+    group: str = setting("text", "condition that makes the groups (difference, repeatability, bands)", default="")
+    groups: tuple[str, ...] = setting("names", "difference, bands: the two groups, the second against the first", default=())
     law: str = setting("choice", "trend: straight line, or power law", choices=LAWS, default="line")
     setting_error: float = setting("value", "relative standard error of setting the condition", unit="1", default=0.0)
     theory: TheorySettings | None = setting("section", "theory to compare with", section=TheorySettings, default=None)
+    estimate: tuple[str, ...] = setting("names", "prediction: unknowns of the bearing file to be fitted: gap, delay, gain, ...", default=())
+    before: str = setting("text", "sensitivity: response ahead of the sum at which the excitation comes in", default="before")
+    after: str = setting("text", "sensitivity: response behind that sum", default="after")
     level: float = setting("value", "level of significance of tests", unit="1", default=0.05)
     name: str = ""
 
@@ -48,13 +54,15 @@ class CompareSettings:
         for needed in NEEDED[self.kind]:
             if not getattr(self, needed):
                 raise ConfigError(f"'{needed}' is missing", hint=f"a comparison of kind {self.kind} needs it")
-        if self.kind == "difference" and len(self.groups) != 2:
+        if self.kind in TWO_GROUPS and len(self.groups) != 2:
             raise ConfigError(f"two groups are compared, not {len(self.groups)}", hint="for example groups: [up, down]")
         if not 0 < self.level < 1:
             raise ConfigError("'level' must lie between 0 and 100 %")
         if self.setting_error < 0:
             raise ConfigError("'setting_error' must not be negative")
-        if self.theory is not None and not self.over:
+        if self.estimate and self.kind != "prediction":
+            raise ConfigError(f"'estimate' is for the kind prediction, not {self.kind}", hint="leave it out")
+        if self.theory is not None and not self.over and self.kind not in MAGNETIC_KINDS:
             raise ConfigError("'over' is missing", hint="the condition at which the theory is evaluated")
 
 
@@ -65,4 +73,7 @@ NEEDED: dict[str, tuple[str, ...]] = {
     "ratio": ("fit", "over", "theory"),
     "rayleigh": ("fit", "over"),
     "reciprocity": (),
+    "prediction": ("fit", "theory"),
+    "bands": ("fit", "group"),
+    "sensitivity": (),
 }

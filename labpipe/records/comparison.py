@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from labpipe.records.finding import Finding
 from labpipe.records.parameter import Parameter
 
 
@@ -28,6 +29,53 @@ class ComparedPoint:
 
 
 @dataclass(frozen=True)
+class ComparedBand:
+    """One parameter of one band of a sliding fit beside *other*: the prediction for it, or the same band of another test; SI units.
+
+    *ratio* value / other with its 95 % interval; *p_value* of the difference, corrected for the number of bands.
+    """
+
+    test: str
+    parameter: str
+    unit: str
+    band_hz: tuple[float, float]
+    value: float
+    ci95: tuple[float, float]
+    other: float
+    other_ci95: tuple[float, float] | None = None
+    ratio: float | None = None
+    ratio_ci95: tuple[float, float] | None = None
+    p_value: float | None = None
+
+    @property
+    def centre_hz(self) -> float:
+        return (self.band_hz[0] + self.band_hz[1]) / 2
+
+    @property
+    def holds(self) -> bool:
+        """Whether the 95 % interval holds the other value."""
+        return self.ci95[0] <= self.other <= self.ci95[1]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A quantity over frequency [Hz], (n_frequency,) each, SI; what is not there is empty.
+
+    *measured* with *low* and *high* of its 95 % intervals; the *theory*; the theory *matched* to the measurement.
+    """
+
+    test: str
+    quantity: str
+    unit: str
+    frequency: tuple[float, ...]
+    theory: tuple[float, ...] = ()
+    matched: tuple[float, ...] = ()
+    measured: tuple[float, ...] = ()
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
 class Overlay:
     """|H| of one test measured, of the theory, and of the theory changed until it fits; (n_frequency,) each, *form* in SI."""
 
@@ -44,7 +92,8 @@ class Comparison:
     """Tests held against each other: *kind*, what was compared over which *condition*, and what came out.
 
     *verdict* is one word or two for rules ("no difference"), *statement* the same as a sentence for people. *line*: condition and value
-    of the fitted trend, for drawing; *overlays*: measured curves and the theory's, at the first and the last condition.
+    of the fitted trend, for drawing; *overlays*: measured curves and the theory's, at the first and the last condition. *bands* and
+    *curves*: where something is compared over frequency; *correlations* of estimated amounts, (name, name, value); *findings*: warnings.
     """
 
     name: str
@@ -59,6 +108,10 @@ class Comparison:
     condition_unit: str = ""
     line: tuple[tuple[float, float], ...] = ()
     overlays: tuple[Overlay, ...] = ()
+    bands: tuple[ComparedBand, ...] = ()
+    curves: tuple[Curve, ...] = ()
+    correlations: tuple[tuple[str, str, float], ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     def amount(self, name: str) -> Parameter:
         """The amount of that name; KeyError with the known names otherwise."""

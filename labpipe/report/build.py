@@ -112,6 +112,9 @@ def _all_findings(identification: Identification, level: str) -> dict[str, list[
     for fit in identification.fits:
         for finding in of_level(level, fit.findings):
             found.setdefault(finding.code, []).append((fit_title(fit), finding))
+    for comparison in identification.comparisons:
+        for finding in of_level(level, comparison.findings):
+            found.setdefault(finding.code, []).append((comparison.name, finding))
     return found
 
 

@@ -11,9 +11,11 @@ from labpipe.records.parameter import Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.report.comparison_figures import comparison_figures
 from labpipe.report.document import Block, Paragraph, Table
-from labpipe.report.wording import rounded, unit_text
+from labpipe.report.loop_blocks import loop_blocks
+from labpipe.report.wording import LEGIBLE, rounded, unit_text
 
 AMOUNT_HEADER = ("amount", "value", "unit", "std. error", "95 % interval")
+SHORT = 1e-3
 EXPLAINED = {
     "trend": "Weights: the fits' standard errors and the error of setting the condition.",
     "difference": "Tests at the same condition are paired; the logarithm of their ratio is averaged with weights.",
@@ -24,6 +26,20 @@ EXPLAINED = {
         "the fits, the error of setting the condition and that of the shaft's stiffness."
     ),
     "rayleigh": "Rayleigh damping has one beta = c / k for all tests; the chi-square of the tests' beta about their mean judges it.",
+    "prediction": (
+        "The bearing's loop as its file states it, on the rig's mass and support, gives a response; the same fits of it, on the same lines "
+        "with the same weights, are the prediction for each band. Unknowns are fitted to all lines of the response at once, weighted by "
+        "their noise, with the support free within its stated uncertainty. Neighbouring bands share lines, so they miss together."
+    ),
+    "bands": (
+        "Every coefficient of every band of the second test is held against the first one's by Welch's t-test; the p-values are corrected "
+        "after Holm for the number of tests, whatever neighbouring bands share. What both tests have in common, such as the uncertainty "
+        "of the support, is no part of their difference."
+    ),
+    "sensitivity": (
+        "An excitation is added between two points of the loop; S = H_after / (H_after - H_before), both against the excitation. The peak is "
+        "that of a parabola around the highest line, since the line itself would be too high by its noise."
+    ),
     "reciprocity": "H of a response to a force against H of the reverse; pairs with a difference near 140 % are noise, so not coupled.",
 }
 
@@ -35,16 +51,17 @@ def comparison_blocks(comparison: Comparison, responses: Sequence[FrequencyRespo
         Paragraph(EXPLAINED[comparison.kind]),
         Table(AMOUNT_HEADER, tuple(_amount_row(amount) for amount in comparison.amounts), f"Amounts of {comparison.name}", (1, 3, 4)),
         *comparison_figures(comparison, responses),
-        _point_table(comparison),
+        *([_point_table(comparison)] if comparison.points else []),
+        *loop_blocks(comparison),
     )
 
 
 def _amount_row(amount: Parameter) -> tuple[str, ...]:
-    unit = display_unit(amount.unit)
+    unit = "us" if amount.unit == "s" and abs(amount.value) < SHORT else display_unit(amount.unit)
     error = None if amount.std_error is None else to_display(amount.std_error, unit)
     ends = "" if amount.ci95 is None else " to ".join(_shown(to_display(end, unit), error) for end in amount.ci95)
     value = "not tested" if math.isnan(amount.value) else _shown(to_display(amount.value, unit), error)
-    return (amount.name, value, unit_text(amount.unit), "" if error is None else f"{error:.2g}", ends)
+    return (amount.name, value, LEGIBLE.get(unit, unit), "" if error is None else f"{error:.2g}", ends)
 
 
 def _shown(value: float, error: float | None) -> str:

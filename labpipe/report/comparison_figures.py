@@ -16,6 +16,7 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.report.document import Figure
 from labpipe.report.drawing import COLOURS, STYLE
 from labpipe.report.figures import logarithmic, stacked_axes
+from labpipe.report.loop_figures import band_figures, prediction_figures, sensitivity_figures
 from labpipe.report.wording import unit_text
 
 SHOWN_PAIRS = 3
@@ -25,6 +26,8 @@ def comparison_figures(comparison: Comparison, responses: Sequence[FrequencyResp
     """The figures of its kind, in their order."""
     if comparison.kind == "reciprocity":
         return _reciprocity(comparison, responses)
+    if comparison.kind in OVER_FREQUENCY:
+        return OVER_FREQUENCY[comparison.kind](comparison)
     return [FIGURES[comparison.kind](comparison), *([_overlays(comparison)] if comparison.overlays else [])]
 
 
@@ -215,4 +218,9 @@ FIGURES: dict[str, Callable[[Comparison], Figure]] = {
     "repeatability": _repeatability,
     "ratio": _ratio,
     "rayleigh": _rayleigh,
+}
+OVER_FREQUENCY: dict[str, Callable[[Comparison], list[Figure]]] = {
+    "prediction": prediction_figures,
+    "bands": band_figures,
+    "sensitivity": sensitivity_figures,
 }

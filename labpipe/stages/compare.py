@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from labpipe.bearings.magnetic_kind import MAGNETIC, MagneticFile
 from labpipe.bearings.rolling import DOFS
 from labpipe.campaign.compare import Evidence, Theory, compare
-from labpipe.campaign.settings import CompareSettings, TheorySettings
+from labpipe.campaign.prediction import MagneticTheory
+from labpipe.campaign.settings import MAGNETIC_KINDS, CompareSettings, TheorySettings
 from labpipe.campaign.theory import TheoryAt
 from labpipe.config.pipeline import Pipeline
 from labpipe.errors import ConfigError, LabpipeError
@@ -41,8 +43,12 @@ def compare_tests(
 
 
 def _compared(path: Path, settings: CompareSettings, evidence: Evidence) -> Comparison:
+    named = settings.theory
     try:
-        return compare(settings, evidence, None if settings.theory is None else theory_of(path.parent, settings.theory))
+        if named is None:
+            return compare(settings, evidence)
+        made = magnetic_theory if settings.kind in MAGNETIC_KINDS else theory_of
+        return compare(settings, evidence, made(path.parent, named))
     except LabpipeError as error:
         error.where = error.where or f"{path}: compare.{settings.name}"
         raise
@@ -60,6 +66,19 @@ def theory_of(folder: Path, settings: TheorySettings) -> Theory:
             hint = "a ball or roller bearing with shaft: {mass, inertia_x} is needed"
             raise ConfigError("the bearing file has no shaft on a bearing of five dofs", where=str(file.path), hint=hint)
         return TheoryAt(here.stiffness, near.stiffness, STEP, shaft.body)
+
+    return at
+
+
+def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
+    """The magnetic-bearing file as a function of the condition that sets one of its entries; ConfigError for another kind of bearing."""
+    file = open_bearing(folder / settings.bearing)
+    if file.kind_name != MAGNETIC:
+        raise ConfigError(f"is of the kind {file.kind_name}", where=str(file.path), hint=f"a loop is predicted for the kind {MAGNETIC}")
+
+    def at(condition: float | None, unit: str) -> MagneticFile:
+        found: MagneticFile = file.settings() if condition is None else _settings_at(file, settings.entry, condition, unit)
+        return found
 
     return at
 

@@ -1,0 +1,146 @@
+"""Two tests band by band: in which bands do their coefficients differ, corrected for the number of bands looked at (Holm 1979)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from labpipe.campaign.amounts import chance
+from labpipe.campaign.settings import CompareSettings
+from labpipe.errors import ConfigError, FitError
+from labpipe.identify.settings import FitSettings
+from labpipe.records.comparison import ComparedBand, Comparison
+from labpipe.records.identification import Fit, Parameter
+from labpipe.registry import nearest
+
+ANY = "k"
+MOST_NAMED = 8
+COEFFICIENTS = ("N/m", "N.s/m")
+
+
+@dataclass(frozen=True)
+class TwoTests:
+    """The fits of two tests, of the groups *names* in their order, and the settings of the fit."""
+
+    names: tuple[str, str]
+    fits: tuple[tuple[Fit, ...], tuple[Fit, ...]]
+    settings: FitSettings
+
+
+def holm(p_values: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Corrected p-values (n,): the i-th smallest times n - i + 1, not below those before it; valid whatever depends on what."""
+    order = np.argsort(p_values)
+    steps = np.maximum.accumulate(p_values[order] * np.arange(p_values.size, 0, -1))
+    corrected = np.empty_like(p_values)
+    corrected[order] = np.minimum(steps, 1.0)
+    return corrected
+
+
+def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
+    """Every coefficient of every band that both tests have, the second group against the first.
+
+    t = (b - a) / sqrt(s_a^2 + s_b^2) by Welch and Satterthwaite; the support's uncertainty is one and the same in both tests, so it is
+    no part of it. ConfigError for a parameter that is not there, FitError without a band in common.
+    """
+    names = _parameters(settings, tests)
+    pairs = [(a, b, name) for name in names for a in tests.fits[0] for b in tests.fits[1] if a.band_hz == b.band_hz]
+    usable = [(a, b, name) for a, b, name in pairs if a.parameter(name).std_error and b.parameter(name).std_error]
+    if not usable:
+        raise FitError("the two tests have no band in common with standard errors", hint="fit both in the same bands")
+    raw = [_tested(a, b, name, tests.settings) for a, b, name in usable]
+    corrected = holm(np.array([p for p, _ in raw]))
+    first, second = tests.names
+    bands = tuple(
+        _band(f"{second} against {first}", *pair, reach, float(p)) for pair, (_, reach), p in zip(usable, raw, corrected, strict=True)
+    )
+    differing = [band for band in bands if band.p_value is not None and band.p_value < settings.level]
+    verdict = "different" if differing else "no difference"
+    return Comparison(
+        name=settings.name,
+        kind="bands",
+        subject=f"{', '.join(names)}, fit {settings.fit}",
+        unit="N/m",
+        points=(),
+        amounts=(
+            Parameter("different", float(len(differing)), "1", derived=True),
+            Parameter("tested", float(len(bands)), "1", derived=True),
+            chance("p_value", float(np.min(corrected))),
+        ),
+        verdict=verdict,
+        statement=_statement(tests, bands, differing, verdict, settings.level, len(pairs) - len(usable)),
+        condition=settings.group,
+        bands=bands,
+    )
+
+
+def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:
+    """The one that is asked for, or all coefficients."""
+    known = [p.name for p in tests.fits[0][0].parameters if p.unit in COEFFICIENTS and not p.derived]
+    if settings.parameter == ANY and ANY not in known:
+        return known
+    if settings.parameter == ANY:
+        return [name for name in known if name in ("k", "c")]
+    if settings.parameter not in known:
+        raise ConfigError(f"fit '{settings.fit}' has no '{settings.parameter}'", hint=nearest(settings.parameter, known))
+    return [settings.parameter]
+
+
+def _own_error(parameter: Parameter, settings: FitSettings) -> float:
+    """Standard error without the support's part; enlarged where the residual exceeds the noise, since then the lines' weights matter."""
+    error = parameter.std_error_inflated or parameter.std_error
+    assert error is not None and parameter.std_error is not None
+    support = settings.subtract
+    if support is None:
+        return error
+    shared = support.stiffness if parameter.unit == "N/m" else support.damping
+    direct = parameter.name in ("k", "c") or parameter.name[-1] == parameter.name[-2]
+    left = parameter.std_error**2 - (shared.std_error / settings.share) ** 2 * direct
+    own = float(np.sqrt(left)) if left > 0 else parameter.std_error
+    return own * error / parameter.std_error
+
+
+def _tested(a: Fit, b: Fit, name: str, settings: FitSettings) -> tuple[float, float]:
+    """Two-sided p-value of a difference, and half the width of its 95 % interval."""
+    errors = np.array([_own_error(fit.parameter(name), settings) for fit in (a, b)])
+    total = float(np.hypot(*errors))
+    dof = total**4 / float(np.sum(errors**4 / np.array([a.dof, b.dof])))
+    t = (b.parameter(name).value - a.parameter(name).value) / total
+    return float(2 * stats.t.sf(abs(t), dof)), float(stats.t.ppf(0.975, dof)) * total
+
+
+def _band(test: str, a: Fit, b: Fit, name: str, reach: float, p_value: float) -> ComparedBand:
+    """The second group's value beside the first's; the ratio's interval holds the doubt of the difference."""
+    old, new = a.parameter(name), b.parameter(name)
+    assert new.ci95 is not None
+    ends = sorted((1 + (new.value - old.value + sign * reach) / old.value) for sign in (-1, 1))
+    ratio = new.value / old.value
+    return ComparedBand(test, name, new.unit, a.band_hz, new.value, new.ci95, old.value, old.ci95, ratio, (ends[0], ends[1]), p_value)
+
+
+def _statement(
+    tests: TwoTests, bands: Sequence[ComparedBand], differing: Sequence[ComparedBand], verdict: str, level: float, left_out: int
+) -> str:
+    first, second = tests.names
+    said = f"{second} against {first}: {len(differing)} of {len(bands)} coefficients of bands differ: {verdict}"
+    corrected = f" (Holm's correction, together at most {100 * level:g} % false alarms)."
+    listed = [f"{band.parameter} {band.band_hz[0]:g}-{band.band_hz[1]:g} Hz (p = {band.p_value:.2g})" for band in differing[:MOST_NAMED]]
+    more = f" and {len(differing) - MOST_NAMED} more" if len(differing) > MOST_NAMED else ""
+    named = f" They are {', '.join(listed)}{more}." if listed else ""
+    missing = f" {left_out} have no standard error and are left out." if left_out else ""
+    return said + corrected + named + missing
+
+
+def two_tests(settings: CompareSettings, fits: Sequence[Fit], groups: Sequence[tuple[str, str]], fit_settings: FitSettings) -> TwoTests:
+    """The fits of the two groups; *groups*: (test, its group). ConfigError for a group without a test or with several."""
+    chosen = []
+    for name in settings.groups:
+        own = [test for test, group in groups if group == name]
+        if len(own) != 1:
+            known = ", ".join(sorted({group for _, group in groups}))
+            raise ConfigError(f"{len(own)} tests have {settings.group}: {name}; one is compared with one", hint=f"known: {known}")
+        chosen.append(tuple(fit for fit in fits if fit.test == own[0]))
+    return TwoTests((settings.groups[0], settings.groups[1]), (chosen[0], chosen[1]), fit_settings)

@@ -1,0 +1,69 @@
+"""Unknowns of a magnetic-bearing file by their names: what they are now, and the file with other values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from labpipe.bearings.magnetic_circuit import Magnet
+from labpipe.bearings.magnetic_kind import MagneticFile
+from labpipe.bearings.magnetic_loop import ControlLoop
+from labpipe.errors import ConfigError
+from labpipe.records.settings import settings_of
+from labpipe.registry import nearest
+
+ALIASES = {"gain": "amplifier"}
+FACTORS = ("force_per_current", "negative_stiffness")
+_LOOP = {name: entry.unit for name, (entry, _) in settings_of(ControlLoop).items() if entry.kind == "value"}
+_MAGNET = {name: entry.unit for name, (entry, _) in settings_of(Magnet).items() if entry.kind == "value"}
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """An entry of the file that is to be fitted: its *name* as written, *value* in the file and *unit* [SI]."""
+
+    name: str
+    value: float
+    unit: str
+
+
+def unknown(file: MagneticFile, name: str) -> Unknown:
+    """The unknown of that name; ConfigError where the file has no such entry, or none above or below zero to start from."""
+    field = ALIASES.get(name, name)
+    if field == "static_stiffness":
+        found = None if file.static_stiffness is None else (file.static_stiffness, "N/m")
+    elif field in FACTORS:
+        plant = file.levitated()
+        found = (plant.loop.force_per_current, "N/A") if field == "force_per_current" else (plant.negative_stiffness, "N/m")
+    elif field in _LOOP:
+        found = (getattr(file.loop, field), _LOOP[field])
+    elif field in _MAGNET:
+        found = None if file.magnet is None else (getattr(file.magnet, field), _MAGNET[field])
+    else:
+        known = [*ALIASES, *FACTORS, *_LOOP, *_MAGNET]
+        raise ConfigError(f"estimate: '{name}' is no unknown of a magnetic bearing", hint=nearest(name, known))
+    if found is None or found[0] is None:
+        where = "static_stiffness" if field == "static_stiffness" else f"magnet: {{{field}: ...}}" if field in _MAGNET else f"loop.{field}"
+        raise ConfigError(f"estimate: the bearing file has no '{name}'", hint=f"give it as {where}")
+    if found[0] == 0:
+        raise ConfigError(f"estimate: '{name}' is zero in the bearing file", hint="a value near the expected one is needed to start from")
+    return Unknown(name, float(found[0]), found[1])
+
+
+def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFile:
+    """The file with other values of its unknowns; ConfigError for values that cannot be (a gap below zero)."""
+    loop: dict[str, float] = {}
+    magnet: dict[str, float] = {}
+    own: dict[str, float] = {}
+    for name, value in values.items():
+        field = ALIASES.get(name, name)
+        if field in (*FACTORS, "static_stiffness"):
+            own[field] = value
+        elif field in _LOOP:
+            loop[field] = value
+        else:
+            magnet[field] = value
+    # A stated pull of the bias field takes the place of the one inferred from the static stiffness.
+    freed = {"static_stiffness": None} if "negative_stiffness" in own else {}
+    changed = replace(file, loop=replace(file.loop, **loop), **freed, **own)  # type: ignore[arg-type]
+    return replace(changed, magnet=replace(file.magnet, **magnet)) if magnet and file.magnet is not None else changed  # type: ignore[arg-type]

@@ -1,0 +1,173 @@
+"""The unknowns of a control loop fitted to measured responses, and whether the loop as it is stated explains them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.campaign.amounts import with_error
+from labpipe.campaign.loop_file import Unknown, unknown, with_unknowns
+from labpipe.campaign.loop_view import View, receptance
+from labpipe.errors import ConfigError, FitError
+from labpipe.identify.levenberg import Minimum, minimise
+from labpipe.identify.measured import Measured
+from labpipe.identify.statistics import student_limit
+from labpipe.identify.weights import has_noise, weight_doubt, whitened, whitener
+from labpipe.records.identification import Parameter
+
+STEP = 1e-5
+# Beyond this condition number of the scaled slopes, rounding decides what two unknowns are.
+UNDETERMINED = 1e6
+
+
+@dataclass(frozen=True)
+class LoopFit:
+    """Unknowns with their doubt, how well the loop explains the lines, and whether the lines tell the unknowns apart.
+
+    *parameters*: unknowns, without doubt where *determined* is false; *correlations* (name, name, value); *chi2_reduced* with *chi2_p*
+    of the whole residual on *lines*; *condition_number* of the unknowns' scaled slopes; *alike*: the unknowns that cannot be told apart.
+    """
+
+    parameters: tuple[Parameter, ...]
+    correlations: tuple[tuple[str, str, float], ...]
+    chi2_reduced: float
+    chi2_p: float
+    lines: int
+    condition_number: float
+    alike: tuple[str, ...]
+    converged: bool
+
+    @property
+    def determined(self) -> bool:
+        return self.condition_number < UNDETERMINED
+
+    @property
+    def known(self) -> bool:
+        """Whether there are unknowns, and values of them that can be used."""
+        return bool(self.parameters) and self.determined and self.converged
+
+    def values(self) -> dict[str, float]:
+        return {parameter.name: parameter.value for parameter in self.parameters}
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Whitened residual of all views over u: unknowns as shares of their start, then deviations of the support in standard errors."""
+
+    views: tuple[View, ...]
+    unknowns: tuple[Unknown, ...]
+    support: tuple[tuple[int, float], ...]  # (0 for stiffness or 1 for damping, standard error)
+
+    @cached_property
+    def parts(self) -> list[tuple[View, Measured, NDArray[np.complexfloating]]]:
+        return [(view, view.measured, whitener(view.measured)) for view in self.views]
+
+    @property
+    def size(self) -> float:
+        return float(np.linalg.norm(np.concatenate([whitened(weight, measured.matrix) for _, measured, weight in self.parts])))
+
+    def file_values(self, u: NDArray[np.floating]) -> dict[str, float]:
+        return {each.name: each.value * (1 + float(share)) for each, share in zip(self.unknowns, u, strict=False)}
+
+    def residual(self, u: NDArray[np.floating]) -> NDArray[np.floating]:
+        """(n_equation,): measured less predicted, then how far the support is from what was stated."""
+        away = u[len(self.unknowns) :]
+        found = []
+        for view, measured, weight in self.parts:
+            stated = view.support
+            support = [stated.stiffness.value, stated.damping.value]
+            for (which, error), deviation in zip(self.support, away, strict=True):
+                support[which] += error * float(deviation)
+            file = with_unknowns(view.file, self.file_values(u))
+            predicted = receptance(view, file, measured.omega, (support[0], support[1]))
+            found.append(whitened(weight, measured.matrix - predicted))
+        return np.concatenate([*found, away])
+
+    def jacobian(self, u: NDArray[np.floating]) -> NDArray[np.floating]:
+        """(n_equation, n_parameter) by centred differences."""
+        return np.column_stack([(self.residual(u + STEP * each) - self.residual(u - STEP * each)) / (2 * STEP) for each in np.eye(u.size)])
+
+    def chi2(self, u: NDArray[np.floating]) -> float:
+        """Infinite for values that no bearing can have."""
+        try:
+            residual = self.residual(u)
+        except ConfigError:
+            return float("inf")
+        return float(residual @ residual)
+
+
+def loop_fit(views: Sequence[View], names: Sequence[str]) -> LoopFit:
+    """Output error of all views weighted by their noise; the support's uncertainty is fitted along within what was stated.
+
+    With no *names* it only judges the loop as it is stated. ConfigError for unknown names, FitError where the noise is not known or
+    the descent does not end.
+    """
+    views = tuple(views)
+    if not all(has_noise(view.measured) for view in views):
+        hint = "average several periods or blocks"
+        raise FitError("the noise of the response is not known, so a loop cannot be held against it", hint=hint)
+    unknowns = tuple(unknown(views[0].file, name) for name in names)
+    stated = views[0].support
+    errors = ((0, stated.stiffness.std_error), (1, stated.damping.std_error))
+    problem = _Problem(views, unknowns, tuple((which, error) for which, error in errors if error > 0))
+    start = np.zeros(len(unknowns) + len(problem.support))
+    # An unknown that acts on nothing has no slope to descend on.
+    idle = not start.size or bool(_silent(problem, problem.jacobian(start)))
+    return _judged(problem, Minimum(start, True, 0) if idle else minimise(problem, start))
+
+
+def _silent(problem: _Problem, jacobian: NDArray[np.floating]) -> tuple[str, ...]:
+    """The unknowns that change nothing."""
+    lengths = np.linalg.norm(jacobian, axis=0)
+    return tuple(each.name for each, length in zip(problem.unknowns, lengths, strict=False) if not length > 0)
+
+
+def _judged(problem: _Problem, minimum: Minimum) -> LoopFit:
+    equations = sum(measured.n_equation for _, measured, _ in problem.parts)
+    dof = equations - len(problem.unknowns)
+    doubt = weight_doubt(problem.parts[0][1], dof)
+    reduced = problem.chi2(minimum.values) / dof / doubt.excess
+    lines = sum(measured.omega.size for _, measured, _ in problem.parts)
+    fitted = _parameters(problem, minimum, doubt.inflation, dof) if problem.unknowns else ((), (), 1.0, ())
+    return LoopFit(*fitted[:2], reduced, doubt.p_value(reduced, dof), lines, *fitted[2:], minimum.converged)
+
+
+def _parameters(
+    problem: _Problem, minimum: Minimum, inflation: float, dof: int
+) -> tuple[tuple[Parameter, ...], tuple[tuple[str, str, float], ...], float, tuple[str, ...]]:
+    """Unknowns with errors from (J^T J)^-1, their correlations, the condition number and the names behind it."""
+    jacobian = problem.jacobian(minimum.values)
+    n = len(problem.unknowns)
+    silent = _silent(problem, jacobian)
+    if silent:
+        return _undoubted(problem, minimum), (), float("inf"), silent
+    length = np.linalg.norm(jacobian, axis=0)
+    _, singular, turn = np.linalg.svd(jacobian / length, full_matrices=False)
+    condition = float(singular[0] / max(singular[-1], 1e-300))
+    alike = tuple(each.name for each, part in zip(problem.unknowns, turn[-1], strict=False) if abs(part) > 0.3)
+    if condition >= UNDETERMINED or not minimum.converged:
+        return _undoubted(problem, minimum), (), condition, alike
+    covariance = inflation * (turn.T / singular**2) @ turn / np.outer(length, length)
+    errors = np.sqrt(np.diag(covariance))
+    limit = student_limit(dof)
+    found = [
+        with_error(each.name, each.unit, float(each.value * (1 + share)), float(abs(each.value) * error), limit)
+        for each, share, error in zip(problem.unknowns, minimum.values, errors, strict=False)
+    ]
+    names = [each.name for each in problem.unknowns]
+    signs = np.sign([each.value for each in problem.unknowns])
+    pairs = tuple(
+        (names[i], names[j], float(signs[i] * signs[j] * covariance[i, j] / (errors[i] * errors[j]))) for i in range(n) for j in range(i)
+    )
+    return tuple(found), pairs, condition, alike
+
+
+def _undoubted(problem: _Problem, minimum: Minimum) -> tuple[Parameter, ...]:
+    """Where no doubt can be given: the values of the last step, without anything that looks like a result."""
+    return tuple(
+        Parameter(each.name, float(each.value * (1 + minimum.values[number])), each.unit) for number, each in enumerate(problem.unknowns)
+    )

@@ -1,0 +1,97 @@
+"""How a rig sees a magnetic bearing: the response of mass, support and bearings that a fit was made of, from the bearing's prediction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.bearings.magnetic_kind import MagneticFile
+from labpipe.bearings.magnetic_loop import Complex, dynamic_stiffness
+from labpipe.errors import ConfigError
+from labpipe.identify.fitting import identify
+from labpipe.identify.measured import Measured, measured_part, select_ports
+from labpipe.identify.settings import FitSettings, Support
+from labpipe.records.identification import Fit
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.spectra.bands import lines_in
+from labpipe.spectra.convert import receptance_factor
+
+# Damping that belongs to a stiffness of a model with one value per direction.
+MODELS = ("sdof", "rotor-2dof-direct")
+
+
+@dataclass(frozen=True)
+class View:
+    """One test as its sliding fits saw it: the measured *response*, the fits, and their settings with mass, support and share."""
+
+    test: str
+    response: FrequencyResponse
+    settings: FitSettings
+    fits: tuple[Fit, ...]
+    file: MagneticFile
+
+    @property
+    def support(self) -> Support:
+        return self.settings.subtract or Support()
+
+    @property
+    def ports(self) -> tuple[list[int], list[int]]:
+        return select_ports(self.response, self.settings.input, self.settings.output)
+
+    @property
+    def measured(self) -> Measured:
+        """The lines of all bands, each once."""
+        lines = np.any([lines_in(self.response.frequency, fit.band_hz) for fit in self.fits], axis=0)
+        return measured_part(self.response, *self.ports, lines)
+
+
+def checked_view(view: View) -> View:
+    """ConfigError for fits whose coefficients are not those of one bearing in one direction, or whose mass is not known."""
+    name = view.settings.name
+    if view.settings.model not in MODELS:
+        raise ConfigError(f"fit '{name}' is of the model {view.settings.model}", hint=f"a loop is predicted for {' and '.join(MODELS)}")
+    if not isinstance(view.settings.mass, float):
+        raise ConfigError(f"fit '{name}' has no known mass", hint="mass: 0.92 kg, as in the rig file")
+    _directions(view)
+    return view
+
+
+def _directions(view: View) -> NDArray[np.floating]:
+    """cos of the angle between response and force, (n_output, n_input): all directions are alike and free of coupling."""
+    rows, columns = view.ports
+    outputs, inputs = [view.response.outputs[row] for row in rows], [view.response.inputs[column] for column in columns]
+    return np.array([[_cosine(output, each) for each in inputs] for output in outputs])
+
+
+def _cosine(output: Port, force: Port) -> float:
+    if output.dof == force.dof:
+        return 1.0
+    if output.angle is None or force.angle is None:
+        hint = "give dof: 45 deg (or x, y) in the rig file"
+        raise ConfigError(f"the direction of {output.label} to {force.label} is not known", hint=hint)
+    return float(np.cos(output.angle - force.angle))
+
+
+def receptance(view: View, file: MagneticFile, omega: NDArray[np.floating], support: tuple[float, float] | None = None) -> Complex:
+    """cos / (k_s + j w c_s + n (K G(jw) - k_n) - m w^2), (n_line, n_output, n_input) [m/N]; *support* (k_s, c_s), default: as stated."""
+    stiffness, damping = support or (view.support.stiffness.value, view.support.damping.value)
+    plant = file.levitated()
+    bearings: Complex = view.settings.share * dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
+    assert isinstance(view.settings.mass, float)
+    total: Complex = stiffness + 1j * omega * damping + bearings - view.settings.mass * omega**2
+    found: Complex = _directions(view) / total[:, None, None]
+    return found
+
+
+def predicted_fits(view: View, file: MagneticFile) -> Sequence[Fit]:
+    """The same fits of the predicted response, on the same lines with the same weights: fit is compared with fit."""
+    frequency = view.response.frequency
+    rows, columns = view.ports
+    matrix = view.response.matrix.copy()
+    form = receptance_factor(view.response.form, frequency)[:, None, None]
+    matrix[:, np.array(rows)[:, None], np.array(columns)] = form * receptance(view, file, 2 * np.pi * frequency)
+    plain = replace(view.settings, bootstrap=0, compare=False, eliminate=False)
+    return identify(replace(view.response, matrix=matrix), plain)

@@ -1,0 +1,172 @@
+"""A control loop's predicted stiffness and damping over frequency beside what sliding bands found, and its unknowns fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from labpipe.bearings.magnetic_kind import MagneticFile, stability_findings, verdict
+from labpipe.bearings.magnetic_loop import dynamic_stiffness
+from labpipe.campaign.amounts import chance
+from labpipe.campaign.loop_file import with_unknowns
+from labpipe.campaign.loop_fit import LoopFit, loop_fit
+from labpipe.campaign.loop_view import View, predicted_fits
+from labpipe.campaign.settings import CompareSettings
+from labpipe.errors import ConfigError
+from labpipe.identify.diagnostics import COLLINEAR_CONDITION
+from labpipe.records.comparison import ComparedBand, Comparison, Curve
+from labpipe.records.finding import Finding
+from labpipe.records.identification import Fit, Parameter
+from labpipe.registry import nearest
+
+# Share of bands that must hold the prediction: 95 % are expected, and neighbouring bands share lines.
+ENOUGH = 0.9
+LETTERS = ("k", "c")
+
+# The bearing file at a condition (value, SI unit), or as it stands.
+MagneticTheory = Callable[[float | None, str], MagneticFile]
+
+
+def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
+    """Every band's k and c with the prediction as the same fit sees it, the share of bands whose interval holds it, and unknowns.
+
+    Raises ConfigError for parameters or unknowns that are not there, FitError where the noise of the response is not known.
+    """
+    names = _names(settings, views[0].fits[0])
+    bands = [band for view in views for band in _bands(view, view.file, names)]
+    fitted = loop_fit(views, settings.estimate)
+    changed = [with_unknowns(view.file, fitted.values()) for view in views] if fitted.known else None
+    after = [] if changed is None else [band for view, file in zip(views, changed, strict=True) for band in _bands(view, file, names)]
+    findings = (*_unstable(views), *_apart(fitted))
+    unstable = any(verdict(view.file.levitated()).unstable for view in views)
+    shares = [_share(bands, name) for name in names]
+    word = "unstable" if unstable else "as predicted" if min(shares) >= ENOUGH else "not as predicted"
+    return Comparison(
+        name=settings.name,
+        kind="prediction",
+        subject=f"{names[0]} and {names[1]}, fit {settings.fit}",
+        unit="N/m",
+        points=(),
+        amounts=(*_amounts(bands, after, names), *_stability(views), *_goodness(fitted), *fitted.parameters),
+        verdict=word,
+        statement=_statement(bands, after, names, fitted, word, views),
+        condition=settings.over,
+        bands=tuple(bands),
+        curves=tuple(_curve(view, letter, None if changed is None else changed[n]) for n, view in enumerate(views) for letter in LETTERS),
+        correlations=fitted.correlations,
+        findings=findings,
+    )
+
+
+def _names(settings: CompareSettings, fit: Fit) -> tuple[str, str]:
+    """The stiffness that is asked for and the damping that goes with it."""
+    known = [parameter.name for parameter in fit.parameters if parameter.unit in ("N/m", "N.s/m")]
+    asked = settings.parameter
+    if asked == "k" and "k" not in known:
+        asked = next((name for name in known if name.startswith("k")), asked)
+    pair = (asked, "c" + asked[1:])
+    missing = next((name for name in pair if name not in known), None)
+    if missing is not None or not asked.startswith("k"):
+        raise ConfigError(f"fit '{fit.name}' has no '{missing or asked}' as stiffness and damping", hint=nearest(asked, known))
+    return pair
+
+
+def _bands(view: View, file: MagneticFile, names: tuple[str, str]) -> list[ComparedBand]:
+    predicted = predicted_fits(view, file)
+    return [_band(view.test, fit, theory, name) for fit, theory in zip(view.fits, predicted, strict=True) for name in names]
+
+
+def _band(test: str, fit: Fit, theory: Fit, name: str) -> ComparedBand:
+    measured, wanted = fit.parameter(name), theory.parameter(name).value
+    # A fit that did not converge gives no interval: it holds nothing.
+    low, high = measured.ci95 or (float("nan"), float("nan"))
+    ends = sorted((low / wanted, high / wanted))
+    band = ComparedBand(test, name, measured.unit, fit.band_hz, measured.value, (low, high), wanted)
+    return replace(band, ratio=measured.value / wanted, ratio_ci95=(ends[0], ends[1]))
+
+
+def _share(bands: Sequence[ComparedBand], name: str) -> float:
+    return float(np.mean([band.holds for band in bands if band.parameter == name]))
+
+
+def _amounts(bands: Sequence[ComparedBand], after: Sequence[ComparedBand], names: tuple[str, str]) -> list[Parameter]:
+    """Shares of bands, of the loop as stated and with its fitted unknowns, and the number of bands."""
+    found = [Parameter(f"share_{letter}", _share(bands, name), "1", derived=True) for letter, name in zip(LETTERS, names, strict=True)]
+    if after:
+        pairs = zip(LETTERS, names, strict=True)
+        found += [Parameter(f"share_{letter}_fitted", _share(after, name), "1", derived=True) for letter, name in pairs]
+    return [*found, Parameter("bands", float(len(bands) // 2), "1", derived=True)]
+
+
+def _goodness(fitted: LoopFit) -> list[Parameter]:
+    found = [Parameter("chi2_reduced", fitted.chi2_reduced, "1", derived=True), chance("chi2_p", fitted.chi2_p)]
+    return [*found, Parameter("condition_number", fitted.condition_number, "1", derived=True)] if fitted.parameters else found
+
+
+def _stability(views: Sequence[View]) -> list[Parameter]:
+    """Poles that grow, and the largest sensitivity of the stable settings."""
+    found = [verdict(view.file.levitated()) for view in views]
+    peaks = [each.peak.value for each in found if not each.unstable]
+    unstable = Parameter("unstable_poles", float(max(each.unstable for each in found)), "1", derived=True)
+    return [unstable, *([Parameter("sensitivity_peak", max(peaks), "1", derived=True)] if peaks else [])]
+
+
+def _unstable(views: Sequence[View]) -> list[Finding]:
+    """What the prediction says of the rotor alone: a loop that is unstable, or beyond zone B."""
+    found = []
+    for view in views:
+        plant = view.file.levitated()
+        told = f"{f'test {view.test}: ' if view.test else ''}prediction for the {plant.mass:g} kg of the bearing file: "
+        found += [replace(each, message=told + each.message) for each in stability_findings(verdict(plant))]
+    return found
+
+
+def _apart(fitted: LoopFit) -> list[Finding]:
+    """Unknowns that the lines do not tell apart, or hardly."""
+    if not fitted.parameters:
+        return []
+    together = " and ".join(fitted.alike)
+    if not fitted.determined:
+        what = f"{together} cannot be told apart by this response (condition number {fitted.condition_number:.2g}): no value is given doubt"
+        return [Finding("collinear", f"{what}. Fit one of them, and state the other.")]
+    if not fitted.converged:
+        return [Finding("no-convergence", "the fit of the loop's unknowns did not end; its values are those of the last step")]
+    if fitted.condition_number > COLLINEAR_CONDITION:
+        what = f"{together} are hardly told apart (condition number {fitted.condition_number:.3g}, limit {COLLINEAR_CONDITION:g})"
+        return [Finding("collinear", f"{what}: their errors are large and go together")]
+    return []
+
+
+def _statement(
+    bands: Sequence[ComparedBand], after: Sequence[ComparedBand], names: tuple[str, str], fitted: LoopFit, word: str, views: Sequence[View]
+) -> str:
+    counts = [(sum(b.holds for b in bands if b.parameter == name), sum(b.parameter == name for b in bands)) for name in names]
+    shares = " and ".join(f"{name} in {held} of {whole}" for name, (held, whole) in zip(names, counts, strict=True))
+    said = [f"The 95 % interval of the bands holds the predicted {shares} bands: {word}."]
+    if word == "unstable":
+        tests = ", ".join(view.test or "the test" for view in views if verdict(view.file.levitated()).unstable)
+        said.append(f"The loop as stated is unstable on the mass of the bearing file ({tests}), whatever the bands show.")
+    chance_of = f"chi² per degree of freedom {fitted.chi2_reduced:.3f}, p = {fitted.chi2_p:.2g}"
+    said.append(f"All {fitted.lines} lines against the loop{' with its fitted unknowns' if fitted.parameters else ''}: {chance_of}.")
+    if fitted.parameters and not fitted.determined:
+        said.append(f"{' and '.join(fitted.alike)} cannot be told apart, so none is given.")
+    if after:
+        held = " and ".join(f"{name} in {100 * _share(after, name):.0f} %" for name in names)
+        said.append(f"With the fitted values the bands hold {held}.")
+    return " ".join(said)
+
+
+def _curve(view: View, letter: str, changed: MagneticFile | None) -> Curve:
+    """K_eq or C_eq of one bearing on the lines between the first band and the last."""
+    frequency = view.measured.omega / (2 * np.pi)
+    unit = "N/m" if letter == "k" else "N.s/m"
+    found = [_values(view.file, letter, frequency), () if changed is None else _values(changed, letter, frequency)]
+    return Curve(view.test, letter, unit, tuple(frequency.tolist()), *found)
+
+
+def _values(file: MagneticFile, letter: str, frequency: np.ndarray[tuple[int], np.dtype[np.floating]]) -> tuple[float, ...]:
+    plant, omega = file.levitated(), 2 * np.pi * frequency
+    total = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
+    return tuple((total.real if letter == "k" else total.imag / omega).tolist())

@@ -1,0 +1,182 @@
+"""The sensitivity of a control loop as measured with an excitation added in the loop: its peak, the zone of ISO 14839-3, the prediction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from labpipe.bearings.magnetic_kind import MagneticFile, stability_findings, verdict
+from labpipe.bearings.magnetic_stability import ZONES, Levitated, sensitivity, zone_of
+from labpipe.campaign.amounts import with_error
+from labpipe.campaign.settings import CompareSettings
+from labpipe.errors import ConfigError, FitError
+from labpipe.identify.measured import select_ports
+from labpipe.records.comparison import Comparison, Curve
+from labpipe.records.finding import Finding
+from labpipe.records.identification import Parameter
+from labpipe.records.response import FrequencyResponse
+
+# The peak is a parabola through the lines that reach this share of the highest one.
+CREST = 0.93
+FEWEST = 5
+COMPLEX_PARTS = 2
+
+Values = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class MeasuredSensitivity:
+    """S over *frequency* [Hz], complex (n_line,), with the standard error of |S|; *quantile*: errors to either side of 95 %."""
+
+    frequency: Values
+    values: NDArray[np.complexfloating]
+    error: Values
+    quantile: float
+
+    @property
+    def size(self) -> Values:
+        return np.abs(self.values)
+
+
+@dataclass(frozen=True)
+class Peak:
+    """The largest |S| with its standard error, where [Hz], and whether it stands at the edge of the measured band."""
+
+    value: float
+    error: float
+    frequency: float
+    at_edge: bool
+
+
+def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -> MeasuredSensitivity:
+    """S = H_after / (H_after - H_before), both against the excitation that is added between them.
+
+    after = before + e and before = -L after give S = 1 / (1 + L) = after / e; the quotient needs neither gain nor delay of the recorded
+    excitation. To first order dS = (H_after dH_before - H_before dH_after) / (H_after - H_before)^2; half of E|dS|^2 lies along |S|.
+    ConfigError for points that are not there, FitError without a covariance or where both points are one.
+    """
+    rows, columns = select_ports(response, (), (before, after))
+    if len(rows) != 2 or len(columns) != 1:
+        raise ConfigError(f"'{before}' and '{after}' under one excitation are needed", hint="role: input for the excitation alone")
+    if response.covariance is None:
+        hint = "average several periods or blocks"
+        raise FitError("the noise of the response is not known, so the peak would have no interval", hint=hint)
+    index = [row * len(response.inputs) + columns[0] for row in rows]
+    ahead, behind = response.matrix[:, rows, columns[0]].T
+    added = behind - ahead
+    if np.any(np.abs(added) < 1e-9 * np.abs(behind)):
+        raise FitError(f"'{before}' and '{after}' are the same signal", hint="record one ahead of the sum and one behind it")
+    slopes = np.stack([behind, -ahead], axis=1) / added[:, None] ** 2
+    covariance = response.covariance[:, index][:, :, index]
+    variance = np.einsum("fi,fij,fj->f", slopes, covariance, slopes.conj()).real
+    dof = COMPLEX_PARTS * response.covariance_dof
+    quantile = float(stats.t.ppf(0.975, dof) if np.isfinite(dof) else stats.norm.ppf(0.975))
+    return MeasuredSensitivity(response.frequency, behind / added, np.sqrt(np.maximum(variance, 0.0) / 2), quantile)
+
+
+def peak_of(measured: MeasuredSensitivity) -> Peak:
+    """The top of a parabola fitted around the highest line, weighted; at an edge of the band the line itself.
+
+    The highest line alone would be too high by its noise. Errors are enlarged where the parabola leaves more than the noise.
+    """
+    frequency, size, error = measured.frequency, measured.size, measured.error
+    top = int(np.argmax(size))
+    low, high = top, top
+    while low > 0 and (size[low - 1] >= CREST * size[top] or high - low + 1 < FEWEST):
+        low -= 1
+    while high < size.size - 1 and (size[high + 1] >= CREST * size[top] or high - low + 1 < FEWEST):
+        high += 1
+    edge = Peak(float(size[top]), float(error[top]), float(frequency[top]), True)
+    if top in (0, size.size - 1) or high - low + 1 < FEWEST:
+        return edge
+    width = float(frequency[high] - frequency[low])
+    x = (frequency[low : high + 1] - frequency[top]) / width
+    columns = np.column_stack([np.ones_like(x), x, x**2]) / error[low : high + 1, None]
+    covariance = np.linalg.inv(columns.T @ columns)
+    a, b, c = covariance @ columns.T @ (size[low : high + 1] / error[low : high + 1])
+    place = -b / (2 * c)
+    if c >= 0 or not x[0] <= place <= x[-1]:
+        return edge
+    left = np.sum((size[low : high + 1] / error[low : high + 1] - columns @ np.array([a, b, c])) ** 2) / max(x.size - 3, 1)
+    slope = np.array([1.0, place, place**2])
+    spread = np.sqrt(slope @ covariance @ slope * max(left, 1.0))
+    return Peak(float(a - b**2 / (4 * c)), float(spread), float(frequency[top] + place * width), False)
+
+
+def loop_sensitivity(settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None) -> Comparison:
+    """Peak of the measured |S| with its zone, beside the prediction of the bearing file."""
+    measured = measured_sensitivity(response, settings.before, settings.after)
+    peak = peak_of(measured)
+    top = with_error("peak", "1", peak.value, peak.error, measured.quantile)
+    zone = zone_of(peak.value)
+    predicted = None if file is None else np.abs(sensitivity(file.levitated(), 2 * np.pi * measured.frequency))
+    reach = measured.quantile * measured.error
+    curve = Curve(
+        response.name,
+        "sensitivity",
+        "1",
+        tuple(measured.frequency.tolist()),
+        () if predicted is None else tuple(predicted.tolist()),
+        measured=tuple(measured.size.tolist()),
+        low=tuple((measured.size - reach).tolist()),
+        high=tuple((measured.size + reach).tolist()),
+    )
+    foretold = () if predicted is None else _foretold(measured, predicted, peak)
+    return Comparison(
+        name=settings.name,
+        kind="sensitivity",
+        subject=f"|S| from {settings.before} and {settings.after}",
+        unit="1",
+        points=(),
+        amounts=(top, Parameter("peak_frequency", peak.frequency, "Hz", derived=True), *foretold),
+        verdict=f"zone {zone}",
+        statement=_statement(peak, top, zone, predicted, None if file is None else file.levitated()),
+        curves=(curve,),
+        findings=_findings(peak, zone, file),
+    )
+
+
+def _foretold(measured: MeasuredSensitivity, predicted: Values, peak: Peak) -> tuple[Parameter, ...]:
+    """The predicted peak within the measured band, measured / predicted, and the share of lines whose interval holds the prediction."""
+    highest = float(np.max(predicted))
+    holds = np.abs(measured.size - predicted) <= measured.quantile * measured.error
+    return (
+        Parameter("predicted_peak", highest, "1", derived=True),
+        with_error("ratio", "1", peak.value / highest, peak.error / highest, measured.quantile),
+        Parameter("share", float(np.mean(holds)), "1", derived=True),
+    )
+
+
+def _statement(peak: Peak, top: Parameter, zone: str, predicted: Values | None, plant: Levitated | None) -> str:
+    assert top.ci95 is not None
+    low, high = top.ci95
+    said = f"|S| reaches {peak.value:.3f} (95 %: {low:.3f} to {high:.3f}) at {peak.frequency:.4g} Hz: zone {zone} of ISO 14839-3"
+    ends = [zone_of(low), zone_of(high)]
+    sure = "." if ends[0] == ends[1] else f"; its interval reaches from zone {ends[0]} to zone {ends[1]}."
+    whole = f" Limits: {', '.join(f'{name} below {end:g}' for name, end in ZONES)}."
+    if plant is None or predicted is None:
+        return said + sure + whole
+    stability = verdict(plant)
+    if stability.unstable:
+        return f"{said}{sure}{whole} The loop of the bearing file is unstable, so this recording is not of it."
+    told = f" Predicted in this band: {float(np.max(predicted)):.3f}."
+    if stability.peak.value > 1.01 * float(np.max(predicted)):
+        where = f"{stability.peak.value:.3g} at {stability.peak.frequency:.3g} Hz, zone {stability.peak.zone}"
+        told += f" Outside it the prediction reaches {where}, which this recording does not show."
+    return said + sure + whole + told
+
+
+def _findings(peak: Peak, zone: str, file: MagneticFile | None) -> tuple[Finding, ...]:
+    found = []
+    if zone in ("C", "D"):
+        found.append(Finding("sensitivity", f"the measured sensitivity lies in zone {zone} of ISO 14839-3, not fit for long operation"))
+    if peak.at_edge:
+        what = f"the largest sensitivity stands at the edge of the band, {peak.frequency:.4g} Hz; beyond it may lie more"
+        found.append(Finding("sensitivity-edge", what))
+    if file is not None:
+        told = stability_findings(verdict(file.levitated()))
+        found += [replace(each, message=f"prediction: {each.message}") for each in told]
+    return tuple(found)

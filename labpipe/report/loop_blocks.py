@@ -1,0 +1,47 @@
+"""Tables of what is compared band by band, and of what fitted unknowns have to do with each other."""
+
+from __future__ import annotations
+
+from labpipe.quantities import display_unit, to_display
+from labpipe.records.comparison import ComparedBand, Comparison
+from labpipe.report.document import Block, Paragraph, Table
+from labpipe.report.wording import rounded, unit_text
+
+
+def loop_blocks(comparison: Comparison) -> list[Block]:
+    """Correlations of fitted unknowns, and the bands."""
+    blocks: list[Block] = [Paragraph(f"{finding.code}: {finding.message}.", "warning") for finding in comparison.findings]
+    if comparison.correlations:
+        rows = tuple((one, other, f"{value:+.3f}") for one, other, value in comparison.correlations)
+        blocks.append(Table(("unknown", "and", "correlation"), rows, f"Correlation of the unknowns of {comparison.name}", (2,)))
+    # Fitted unknowns are judged by their errors; the bands of the loop as stated belong to a comparison without them.
+    if comparison.bands and not comparison.correlations:
+        blocks.extend(_band_table(comparison, name) for name in dict.fromkeys(band.parameter for band in comparison.bands))
+    return blocks
+
+
+def _band_table(comparison: Comparison, name: str) -> Table:
+    """A row for every band and test: value, interval, what it is held against, ratio; * where they differ."""
+    bands = [band for band in comparison.bands if band.parameter == name]
+    several = not bands[0].p_value and len({band.test for band in bands}) > 1
+    tested = bands[0].p_value is not None
+    other, last = ("the other test", ("p-value, corrected",)) if tested else ("predicted", ())
+    header = (f"{name} [{unit_text(bands[0].unit)}]", "95 % interval", other, "ratio", "95 % interval of the ratio", *last)
+    first = ("test", "band [Hz]") if several else ("band [Hz]",)
+    rows = tuple(_row(band, several) for band in bands)
+    meaning = f"{bands[0].test}" if tested else "* where the 95 % interval does not hold the prediction"
+    caption = f"{name} in the bands of {comparison.name}; {meaning}"
+    return Table((*first, *header), rows, caption, tuple(range(len(first), len(first) + len(header))))
+
+
+def _row(band: ComparedBand, several: bool) -> tuple[str, ...]:
+    unit = display_unit(band.unit)
+    value, low, high, other = (to_display(each, unit) for each in (band.value, *band.ci95, band.other))
+    error = abs(high - low) / 4
+    mark = "" if band.holds or band.p_value is not None else " *"
+    last = () if band.p_value is None else (f"{band.p_value:.2g}",)
+    ends = "" if band.ratio_ci95 is None else f"{band.ratio_ci95[0]:.3f} to {band.ratio_ci95[1]:.3f}"
+    ratio = "" if band.ratio is None else f"{band.ratio:.3f}"
+    first = (*([band.test] if several else []), f"{band.band_hz[0]:g}-{band.band_hz[1]:g}")
+    interval = f"{rounded(low, error)} to {rounded(high, error)}"
+    return (*first, rounded(value, error) + mark, interval, rounded(other, error), ratio, ends, *last)
