@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import functools
 from collections.abc import Iterable, Mapping
 from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from labpipe.errors import ConfigError
@@ -16,6 +17,12 @@ def nearest(name: str, known: Iterable[str]) -> str:
     names = [str(k) for k in known]
     near = difflib.get_close_matches(name, names, 1, 0.6) or [k for k in names if k.lower() == name.lower()]
     return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(names) or 'none'}"
+
+
+@functools.cache
+def _added(kind: str) -> tuple[EntryPoint, ...]:
+    """What other packages add to a table; looked up once, since it reads the metadata of every installed package."""
+    return tuple(entry_points(group=f"labpipe.{kind}"))
 
 
 class Registry:
@@ -30,7 +37,7 @@ class Registry:
 
     def names(self) -> tuple[str, ...]:
         """All known names, the built-in ones first."""
-        added = [entry.name for entry in entry_points(group=f"labpipe.{self.kind}") if entry.name not in self._table]
+        added = [entry.name for entry in _added(self.kind) if entry.name not in self._table]
         return (*self._table, *added)
 
     def load(self, name: str) -> Any:
@@ -38,6 +45,7 @@ class Registry:
         if name in self._table:
             module, _, attribute = self._table[name].partition(":")
             return getattr(import_module(module), attribute)
-        for entry in entry_points(group=f"labpipe.{self.kind}", name=name):
-            return entry.load()
+        for entry in _added(self.kind):
+            if entry.name == name:
+                return entry.load()
         raise ConfigError(f"unknown {self.kind} '{name}'", hint=nearest(name, self.names()))

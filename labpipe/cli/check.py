@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 import tempfile
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import click
@@ -17,20 +22,14 @@ from labpipe.records.identification import RuleOutcome
 
 @click.command()
 @click.argument("pipelines", nargs=-1, required=True, metavar="PIPELINE...", type=options.PATH)
+@click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Pipelines at the same time; 0: one per processor.")
 @options.overrides
 @options.quiet
 @options.verbose
-def check(pipelines: tuple[Path, ...], overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
+def check(pipelines: tuple[Path, ...], jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
     """Run each PIPELINE from scratch and compare with its expect: and accept: rules; exit code 1 when one fails."""
-    tell = options.teller(quiet, verbose)
     failed = 0
-    for path in pipelines:
-        pipeline = load_pipeline(path, overrides)
-        with tempfile.TemporaryDirectory() as scratch, output_folder(Path(scratch) / "out") as folder:
-            identification = run(pipeline, folder, Manner(tell))
-        for one in identification.failed:
-            raise DataError(one.message)
-        outcomes = identification.outcomes
+    for path, outcomes in zip(pipelines, _checked(pipelines, overrides, jobs, quiet, verbose), strict=True):
         wrong = [outcome for outcome in outcomes if not outcome.passed]
         failed += len(wrong)
         if not quiet:
@@ -38,6 +37,34 @@ def check(pipelines: tuple[Path, ...], overrides: tuple[str, ...], quiet: bool, 
         for outcome in wrong:
             click.echo(_failure(path, outcome))
     return 1 if failed else 0
+
+
+def _checked(
+    pipelines: Sequence[Path], overrides: tuple[str, ...], jobs: int, quiet: bool, verbose: bool
+) -> Iterator[tuple[RuleOutcome, ...]]:
+    """The outcomes of each pipeline, in their order."""
+    processes = min(jobs or os.cpu_count() or 1, len(pipelines))
+    if processes == 1:
+        yield from map(partial(outcomes_of, overrides=overrides, quiet=quiet, verbose=verbose, processes=0), pipelines)
+        return
+    work = partial(outcomes_of, overrides=overrides, quiet=quiet, verbose=verbose, processes=1)
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+        try:
+            yield from pool.map(work, pipelines)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def outcomes_of(path: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool, processes: int) -> tuple[RuleOutcome, ...]:
+    """The outcomes of a pipeline's rules; DataError when one of its tests fails. *processes*: of a study, 0 for one per processor."""
+    pipeline = load_pipeline(path, overrides)
+    manner = Manner(options.teller(quiet, verbose), processes=processes)
+    with tempfile.TemporaryDirectory() as scratch, output_folder(Path(scratch) / "out") as folder:
+        identification = run(pipeline, folder, manner)
+    for one in identification.failed:
+        raise DataError(one.message)
+    return identification.outcomes
 
 
 def _failure(path: Path, outcome: RuleOutcome) -> str:

@@ -12,6 +12,8 @@ from labpipe.formats.packed import PACKED, damaged, open_unpacked
 from labpipe.quantities import UnitError, parse_unit
 
 HEAD_BYTES = 1 << 18
+# Lines looked at from either end of the head; no header is longer.
+SAMPLE_LINES = 200
 DELIMITERS = ("\t", ";", ",", "|")
 MISSING = frozenset(("", "nan", "NaN", "NAN", "NA", "N/A", "#N/A", "null", "-", "--", "---"))
 _COMMENT = re.compile(r"^\s*(?:#|%|//|!)+\s?")
@@ -50,8 +52,9 @@ def is_number_or_missing(field: str, decimal: str) -> bool:
 def find_layout(path: Path) -> Layout:
     """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers."""
     encoding, lines = _head(path)
+    sample = _sample(len(lines))
     candidates = [
-        (delimiter, decimal, *_numeric_rows(lines, delimiter, decimal))
+        (delimiter, decimal, *_numeric_rows(lines, sample, delimiter, decimal))
         for delimiter in DELIMITERS
         for decimal in (".", ",")
         if delimiter != decimal
@@ -59,7 +62,7 @@ def find_layout(path: Path) -> Layout:
     delimiter, decimal, rows, n_field = max(candidates, key=lambda c: (_rank(c[2]), _header_fits(lines, c), c[3]))
     if not rows:
         raise DataError("no row of numbers in it", where=str(path), hint="a table of numbers below one header line is needed")
-    first = rows[0]
+    first = next(n for n, line in enumerate(lines) if len(line.split(delimiter)) == n_field and _is_numeric(line, delimiter, decimal))
     names, units = _header(lines[:first], delimiter, n_field)
     return Layout(encoding, delimiter, decimal, names, units, first)
 
@@ -91,13 +94,25 @@ def _utf8_or_latin(head: bytes) -> str:
     return "utf-8"
 
 
-def _numeric_rows(lines: list[str], delimiter: str, decimal: str) -> tuple[list[int], int]:
-    """The lines that are rows of numbers, and their number of fields (the most frequent one)."""
+def _sample(n_line: int) -> list[int]:
+    """The lines that are looked at in every layout: all of a few, of many the first and the last ones."""
+    if n_line <= 2 * SAMPLE_LINES:
+        return list(range(n_line))
+    return [*range(SAMPLE_LINES), *range(n_line - SAMPLE_LINES, n_line)]
+
+
+def _is_numeric(line: str, delimiter: str, decimal: str) -> bool:
+    """Whether a line is a row of numbers, some of which may be missing."""
+    fields = line.split(delimiter)
+    return any(is_number(field, decimal) for field in fields) and all(is_number_or_missing(field, decimal) for field in fields)
+
+
+def _numeric_rows(lines: list[str], sample: list[int], delimiter: str, decimal: str) -> tuple[list[int], int]:
+    """The lines of the sample that are rows of numbers, and their number of fields (the most frequent one)."""
     counts: dict[int, list[int]] = {}
-    for number, line in enumerate(lines):
-        fields = line.split(delimiter)
-        if any(is_number(f, decimal) for f in fields) and all(is_number_or_missing(f, decimal) for f in fields):
-            counts.setdefault(len(fields), []).append(number)
+    for number in sample:
+        if _is_numeric(lines[number], delimiter, decimal):
+            counts.setdefault(len(lines[number].split(delimiter)), []).append(number)
     n_field = max(counts, key=lambda n: (len(counts[n]), n), default=0)
     return counts.get(n_field, []), n_field
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -50,21 +49,28 @@ def in_processes(count: int) -> Execute:
 
 def _pooled(work: Work, jobs: Sequence[Job], count: int) -> Iterator[Done]:
     """The jobs that come to an end before a process is ended from outside."""
+    others = multiprocessing.active_children()
     # Fresh interpreters: forking a process that has threads is not safe.
     if not jobs:
         return
-    pool = ProcessPoolExecutor(min(count, len(jobs)), mp_context=multiprocessing.get_context("spawn"), initializer=_end_quietly)
+    pool = ProcessPoolExecutor(min(count, len(jobs)), mp_context=multiprocessing.get_context("spawn"), initializer=_deaf)
     try:
         for future in as_completed([pool.submit(work, job) for job in jobs]):
             if not isinstance(future.exception(), BrokenProcessPool):
                 yield future.result()
+    except BaseException:
+        # What they were making stands in the run's scratch folder, which goes with the run.
+        for process in multiprocessing.active_children():
+            if process not in others:
+                process.terminate()
+        raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _end_quietly() -> None:
-    """Ctrl-C reaches all processes of a terminal: they clean up and end without a word, the first one speaks."""
-    signal.signal(signal.SIGINT, lambda *_: sys.exit(1))
+def _deaf() -> None:
+    """Ctrl-C reaches all processes of a terminal: only the first one hears it, and ends the others."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def on_cluster(address: str) -> Execute:

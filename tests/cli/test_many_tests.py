@@ -299,3 +299,15 @@ def test_a_cluster_that_is_not_there_is_named(project: Path, labpipe) -> None:
     assert ended.code == 2 and "nonsense://x: no scheduler answers" in ended.err
     ended = labpipe("run", project / "pipeline.yaml", "-o", project / "out", "--cluster", "tcp://127.0.0.1:1", "-j", "2")
     assert ended.code == 2 and "exclude each other" in ended.err
+
+
+def test_several_pipelines_are_checked_at_the_same_time(project: Path, labpipe) -> None:
+    strict = project / "strict.yaml"
+    strict.write_text(PIPELINE.replace('">= 0.9"', '">= 0.99999999"'))
+    ended = labpipe("check", "-j", 2, project / "pipeline.yaml", strict)
+    assert ended.code == 1
+    lines = [line for line in ended.out.splitlines() if line.startswith(str(project))]
+    assert lines[0] == f"{project / 'pipeline.yaml'}: 1 of 1 rules hold"
+    assert lines[1] == f"{strict}: 0 of 1 rules hold" and "direct.gof >= 0.99999999 fails" in lines[2]
+    ended = labpipe("check", "-j", 2, project / "missing.yaml", strict)
+    assert ended.code == 2 and "missing.yaml: no such file" in ended.err
