@@ -213,6 +213,21 @@ def parse_value(text: str | float, si_unit: str) -> float:
     return _finite((number * unit.factor + unit.offset) / target.factor * _angle_per_period(unit, target), text)
 
 
+_SI_UNITS = ("1", "N", "m", "Hz", "K", "Pa", "N.m", "s", "V", "A", "kg", "rad", "m/s", "Pa.s", "N/m")
+
+
+def si_amount(text: str | float) -> tuple[float, str]:
+    """An amount of any usual dimension in SI with its unit: "427 N" -> (427.0, "N"), "3000 rpm" -> (50.0, "Hz"); UnitError for none."""
+    match = _VALUE.match(str(text))
+    if match is None:
+        raise UnitError(f"'{text}' is no amount", "for example 427 N")
+    unit = parse_unit(match[2] or "1")
+    name = next((name for name in _SI_UNITS if parse_unit(name).dimension == unit.dimension), None)
+    if name is None:
+        raise UnitError(f"'{match[2]}' has an unusual dimension", f"known: {', '.join(_SI_UNITS)}")
+    return _finite(float(match[1]) * unit.factor + unit.offset, text), name
+
+
 def _finite(value: float, text: str | float) -> float:
     if not math.isfinite(value):
         raise UnitError(f"'{text}' is not a finite value")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,13 +11,10 @@ from numpy.typing import NDArray
 
 from labpipe.campaign.settings import CompareSettings
 from labpipe.errors import ConfigError, FitError
-from labpipe.quantities import UnitError, parse_unit
+from labpipe.quantities import UnitError, si_amount
 from labpipe.records.comparison import ComparedPoint
 from labpipe.records.identification import Fit, Parameter
 from labpipe.registry import nearest
-
-_NUMBER = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
-_SI_UNITS = ("1", "N", "m", "Hz", "K", "Pa", "N.m", "s", "V", "A", "kg", "rad", "m/s", "Pa.s", "N/m")
 
 
 @dataclass(frozen=True)
@@ -146,15 +142,7 @@ def group_of(settings: CompareSettings, test: str, conditions: Mapping[str, Any]
 
 def condition_of(settings: CompareSettings, test: str, conditions: Mapping[str, Any]) -> tuple[float, str]:
     """A condition as a number in SI with its unit: "427 N" -> (427.0, "N"); ConfigError for what is no amount."""
-    text = _given(settings.over, test, conditions)
-    match = _NUMBER.match(text)
-    if match is None:
-        raise ConfigError(f"condition {settings.over}: '{text}' of test '{test}' is no amount", hint="for example 427 N")
     try:
-        unit = parse_unit(match[2] or "1")
+        return si_amount(_given(settings.over, test, conditions))
     except UnitError as error:
-        raise ConfigError(f"condition {settings.over}: {error.what}", hint=error.hint) from None
-    name = next((name for name in _SI_UNITS if parse_unit(name).dimension == unit.dimension), None)
-    if name is None:
-        raise ConfigError(f"condition {settings.over}: '{match[2]}' has an unusual dimension", hint=f"known: {', '.join(_SI_UNITS)}")
-    return float(match[1]) * unit.factor + unit.offset, name
+        raise ConfigError(f"condition {settings.over} of test '{test}': {error.what}", hint=error.hint) from None
