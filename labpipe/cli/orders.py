@@ -5,15 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-import numpy as np
 
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
 from labpipe.config.rig import load_rig
 from labpipe.errors import ConfigError
-from labpipe.quantities import UnitError, parse_value
+from labpipe.quantities import QUANTITIES, UnitError, parse_value, to_display
 from labpipe.spectra.settings import ShaftLines
-from labpipe.stages.orders import track_run, write_tracked
+from labpipe.stages.orders import Clearance, told, track_run, write_tracked
 
 
 @click.command()
@@ -26,6 +25,8 @@ from labpipe.stages.orders import track_run, write_tracked
 @click.option("--order", type=float, default=1.0, show_default=True, help="Multiple of the speed.")
 @click.option("--harmonics", type=click.IntRange(min=1), default=2, show_default=True, help="Multiples fitted along.")
 @click.option("--revolutions", type=click.IntRange(min=2), default=20, show_default=True, help="Revolutions of one stretch.")
+@click.option("--gap", help="Radial gap of the bearings, e.g. '0.45 mm'; orbits are held against it.")
+@click.option("--limit", default="20 %", show_default=True, help="Share of the gap beyond which an orbit is told.")
 @options.quiet
 def orders(
     recording: Path,
@@ -37,33 +38,49 @@ def orders(
     order: float,
     harmonics: int,
     revolutions: int,
+    gap: str | None,
+    limit: str,
     quiet: bool,
 ) -> None:
-    """Track an order of the shaft speed: amplitude and phase over the run, orbits, forward and backward."""
+    """Track an order of the shaft speed: amplitude and phase over the run, whole motion, orbits, forward and backward.
+
+    Responses with dofs such as front.x and front.y make a plane each.
+
+    \b
+    labpipe orders run-up.parquet -r rig.yaml --tacho n --gap '0.45 mm' -o out/run-up
+    """
     if order <= 0:
         raise ConfigError("--order must be positive")
-    lines = ShaftLines(_speed(speed), tacho, pulses, harmonics)
+    lines = ShaftLines(_value("--speed", speed, "Hz"), tacho, pulses, harmonics)
     rig = None if rig_path is None else load_rig(rig_path)
     with output_folder(output) as folder:
-        run = track_run(recording, rig, lines, order, revolutions, folder)
+        run = track_run(recording, rig, lines, order, revolutions, folder, _clearance(gap, limit))
         names = write_tracked(run, folder)
     if quiet:
         return
-    speeds = 60 * run.track.speed
-    between = f"{speeds.min():.4g}-{speeds.max():.4g} rpm"
-    click.echo(f"{run.name}: order {order:g}, {speeds.size} stretches of {revolutions} revolutions, {between}")
-    for track in (run.track, run.circles):
-        for number, port in enumerate(track.ports if track is not None else ()):
-            size = np.abs(track.amplitude[:, number]) if track is not None else np.empty(0)
-            peak = int(np.argmax(size))
-            click.echo(f"  {port.label:<6} largest {size[peak]:.4g} (SI, 0-to-peak) at {speeds[peak]:.4g} rpm")
+    between = f"{run.speeds.min():.4g}-{run.speeds.max():.4g} rpm"
+    click.echo(f"{run.name}: order {order:g}, {run.speeds.size} stretches of {revolutions} revolutions, {between}")
+    known = QUANTITIES.get(run.quantity)
+    unit = known.display_unit if known else "SI"
+    for row in told(run, unit, lambda value: to_display(value, unit) if known else value):
+        click.echo(f"  {row}")
     click.echo(f"written to {output}: {', '.join(names)}")
 
 
-def _speed(text: str | None) -> float | None:
+def _clearance(gap: str | None, limit: str) -> Clearance | None:
+    """The gap with its limit; ConfigError for what is no length or no share."""
+    share, length = _value("--limit", limit, "1"), _value("--gap", gap, "m")
+    if length is None or share is None:
+        return None
+    if length <= 0 or share <= 0:
+        raise ConfigError("--gap and --limit must be positive")
+    return Clearance(length, share)
+
+
+def _value(option: str, text: str | None, unit: str) -> float | None:
     if text is None:
         return None
     try:
-        return parse_value(text, "Hz")
+        return parse_value(text, unit)
     except UnitError as error:
-        raise ConfigError(f"--speed: {error.what}", hint=error.hint) from None
+        raise ConfigError(f"{option}: {error.what}", hint=error.hint) from None

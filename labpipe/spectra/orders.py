@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import Port
-from labpipe.spectra.directional import FROM_DIRECTIONAL, directions
+from labpipe.spectra.directional import FORWARD_BACKWARD, FROM_DIRECTIONAL, directions
+from labpipe.spectra.planes import Plane, planes_of
 from labpipe.spectra.reading import checked_blocks
 from labpipe.spectra.settings import ShaftLines
 from labpipe.spectra.shaft import ShaftMotion, shaft_motion
@@ -23,7 +24,8 @@ class OrderTrack:
     """One order of the responses: x = Re X exp(j order theta), theta the shaft's angle from the tacho's pulse.
 
     time (n,) [s], speed (n,) [Hz] of the stretches; amplitude (n, n_channel) complex, 0-to-peak [SI]; variance (n, n_channel)
-    E|dX|^2 as the rest of the stretch shows it; ports: what the columns are.
+    E|dX|^2 as the rest of the stretch shows it; ports: what the columns are. overall (n, n_channel): half of the whole motion's
+    peak-to-peak value in the stretch [SI]; orbit (n, n_plane): its largest distance from its middle in every plane of `planes`.
     """
 
     order: float
@@ -32,6 +34,9 @@ class OrderTrack:
     amplitude: NDArray[np.complexfloating]
     variance: NDArray[np.floating]
     ports: tuple[Port, ...]
+    overall: NDArray[np.floating]
+    orbit: NDArray[np.floating]
+    planes: tuple[Plane, ...] = ()
 
 
 def track_order(source: SampleSource, lines: ShaftLines, *, order: float = 1.0, revolutions: int = 20) -> OrderTrack:
@@ -43,12 +48,16 @@ def track_order(source: SampleSource, lines: ShaftLines, *, order: float = 1.0, 
     motion = shaft_motion(source, lines)
     orders = np.unique(np.append(np.arange(1.0, lines.harmonics + 1), order))
     outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
-    found = [_fitted(*stretch, outputs, orders, order) for stretch in _stretches(source, motion, revolutions)]
+    ports = tuple(Port(c.name, c.name, c.dof, c.angle) for c in (source.channels[number] for number in outputs))
+    planes = planes_of(ports)
+    found = []
+    for time, angle, samples in _stretches(source, motion, revolutions):
+        fitted = _fitted(time, angle, samples, outputs, orders, order)
+        found.append((*fitted, *_whole(samples[:, outputs], planes)))
     if not found:
         raise DataError(f"recording '{source.name}' holds no {revolutions} revolutions", hint="shorten the stretch")
-    time, speed, amplitude, variance = (np.array(column) for column in zip(*found, strict=True))
-    ports = tuple(Port(c.name, c.name, c.dof, c.angle) for c in (source.channels[number] for number in outputs))
-    return OrderTrack(order, time, speed, amplitude, variance, ports)
+    times, speed, amplitude, variance, overall, orbit = (np.array(column) for column in zip(*found, strict=True))
+    return OrderTrack(order, times, speed, amplitude, variance, ports, overall, orbit, planes)
 
 
 def directional_track(track: OrderTrack) -> OrderTrack:
@@ -56,11 +65,19 @@ def directional_track(track: OrderTrack) -> OrderTrack:
 
     The orbit is an ellipse with the half axes |f| + |b| and ||f| - |b||. DataError unless two responses stand in known directions.
     """
-    turn = np.linalg.inv(FROM_DIRECTIONAL) @ np.linalg.inv(directions(track.ports, "responses"))
-    amplitude = track.amplitude @ turn.T
-    variance = track.variance @ (np.abs(turn) ** 2).T
-    ports = (Port("f", "f", "f"), Port("b", "b", "b"))
-    return OrderTrack(track.order, track.time, track.speed, amplitude, variance, ports)
+    directions(track.ports, "responses")
+    return plane_track(track, track.planes[0])
+
+
+def plane_track(track: OrderTrack, plane: Plane) -> OrderTrack:
+    """The track of one plane in forward and backward circles, columns f and b with the plane's name."""
+    turn = np.linalg.inv(FROM_DIRECTIONAL) @ np.linalg.inv(plane.directions)
+    columns = list(plane.columns)
+    amplitude = track.amplitude[:, columns] @ turn.T
+    variance = track.variance[:, columns] @ (np.abs(turn) ** 2).T
+    ports = tuple(Port(plane.labelled(circle), circle, circle) for circle in FORWARD_BACKWARD)
+    orbit = track.orbit[:, [track.planes.index(plane)]]
+    return OrderTrack(track.order, track.time, track.speed, amplitude, variance, ports, np.abs(amplitude), orbit, (plane,))
 
 
 Stretch = tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]
@@ -82,6 +99,14 @@ def _stretches(source: SampleSource, motion: ShaftMotion, revolutions: int) -> I
         # One sample before the last end is kept, so that the end is seen again.
         kept = max(int(ends[-1]) - 1, 0) if ends.size else 0
         rest, start = samples[kept:], start + kept
+
+
+def _whole(samples: NDArray[np.floating], planes: tuple[Plane, ...]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Half of peak-to-peak of every response (n_output,), and the largest distance from the middle of every plane's orbit (n_plane,)."""
+    low, high = samples.min(axis=0), samples.max(axis=0)
+    centred = samples - (low + high) / 2
+    radii = [np.hypot(*(np.linalg.inv(plane.directions) @ centred[:, list(plane.columns)].T)) for plane in planes]
+    return (high - low) / 2, np.array([radius.max() for radius in radii])
 
 
 def _fitted(

@@ -3,73 +3,147 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.errors import ConfigError, DataError
+from labpipe.errors import ConfigError
 from labpipe.records.rig import Rig
-from labpipe.spectra.orders import OrderTrack, directional_track, track_order
+from labpipe.spectra.orders import OrderTrack, plane_track, track_order
 from labpipe.spectra.settings import ShaftLines
 from labpipe.stages.ingest import ingest, is_recording
+
+Column = tuple[str, NDArray[np.floating]]
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """The radial *gap* of the bearings [m], and the share of it beyond which a motion is told."""
+
+    gap: float
+    limit: float
 
 
 @dataclass(frozen=True)
 class TrackedRun:
-    """An order over a run, and in forward and backward circles where two responses stand in known directions.
+    """An order over a run, and in forward and backward circles for every plane with two responses in known directions.
 
-    *quantity*: what the responses are, empty where they differ.
+    *quantity*: what the responses are, empty where they differ; *clearance*: what orbits are held against, if anything.
     """
 
     name: str
     track: OrderTrack
-    circles: OrderTrack | None
+    circles: tuple[OrderTrack, ...]
     quantity: str
+    clearance: Clearance | None = None
+
+    @property
+    def speeds(self) -> NDArray[np.floating]:
+        """Speed of every stretch [rpm]."""
+        return 60 * self.track.speed
 
 
-def track_run(source: Path, rig: Rig | None, lines: ShaftLines, order: float, revolutions: int, output: OutputFolder) -> TrackedRun:
-    """The order of a raw file (with its rig) or of a calibrated recording."""
+def track_run(
+    source: Path,
+    rig: Rig | None,
+    lines: ShaftLines,
+    order: float,
+    revolutions: int,
+    output: OutputFolder,
+    clearance: Clearance | None = None,
+) -> TrackedRun:
+    """The order of a raw file (with its rig) or of a calibrated recording; ConfigError for a gap where no plane moves in it."""
     if rig is None and not is_recording(source):
         raise ConfigError("a raw file needs its rig file", where=str(source), hint="add -r RIG")
     # A calibrated recording is opened as it is, whatever the rig.
     recording = ingest(source, rig or Rig("", ()), output, source.stem, Path.cwd())
     track = track_order(recording, lines, order=order, revolutions=revolutions)
-    try:
-        circles = directional_track(track)
-    except DataError:
-        circles = None
+    circles = tuple(plane_track(track, plane) for plane in track.planes)
     quantities = {channel.quantity for channel in recording.channels if channel.role == "output"}
-    return TrackedRun(recording.name, track, circles, quantities.pop() if len(quantities) == 1 else "")
+    quantity = quantities.pop() if len(quantities) == 1 else ""
+    if clearance is not None and (quantity != "displacement" or not circles):
+        hint = "two displacements in known directions (dof: x and y, or front.x and front.y) are needed"
+        raise ConfigError("--gap: no orbit to hold against the gap", where=str(source), hint=hint)
+    return TrackedRun(recording.name, track, circles, quantity, clearance)
 
 
 def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
     """orders.csv and the figures; their names."""
     from labpipe.report.drawing import svg_text
-    from labpipe.report.order_figures import orbit_series_figure, order_figure
+    from labpipe.report.order_figures import gap_figure, orbit_series_figure, order_figure
 
-    names = ["orders.csv", "orders.svg"]
-    _write_table(run, output.write_path(names[0]))
-    output.write_path(names[1]).write_text(svg_text(order_figure(run.name, run.track, run.circles, run.quantity).drawing), encoding="utf-8")
-    if run.circles is not None:
-        names.append("orbits.svg")
-        output.write_path(names[2]).write_text(svg_text(orbit_series_figure(run.name, run.circles, run.quantity).drawing), encoding="utf-8")
-    return names
+    _write_table(run, output.write_path("orders.csv"))
+    figures = {"orders.svg": order_figure(run.name, run.track, run.circles, run.quantity)}
+    for circles in run.circles:
+        (plane,) = circles.planes
+        figures[f"orbits{f'-{plane.name}' if plane.name else ''}.svg"] = orbit_series_figure(run.name, circles, run.quantity)
+    if run.clearance is not None:
+        figures["gap.svg"] = gap_figure(run.name, run.track, run.circles, run.clearance.gap, run.clearance.limit)
+    for name, figure in figures.items():
+        output.write_path(name).write_text(svg_text(figure.drawing), encoding="utf-8")
+    return ["orders.csv", *figures]
+
+
+def told(run: TrackedRun, unit: str, shown: Callable[[float], float]) -> list[str]:
+    """What a person is told of every response, every circle and every plane; *shown*: an SI value in the *unit* people read."""
+    rows = []
+    for track in (run.track, *run.circles):
+        for number, port in enumerate(track.ports):
+            size = np.abs(track.amplitude[:, number])
+            peak = int(np.argmax(size))
+            whole = "" if track is not run.track else f"; whole motion {shown(float(np.max(track.overall[:, number]))):.4g}"
+            rows.append(f"{port.label:<8} largest {shown(float(size[peak])):.4g} {unit} 0-to-peak at {run.speeds[peak]:.4g} rpm{whole}")
+    return [*rows, *_against_gap(run, unit, shown)]
+
+
+def _against_gap(run: TrackedRun, unit: str, shown: Callable[[float], float]) -> list[str]:
+    """The largest orbit of every plane as share of the gap, and from which speed it lies beyond the limit."""
+    if run.clearance is None:
+        return []
+    rows = []
+    for number, plane in enumerate(run.track.planes):
+        orbit = run.track.orbit[:, number]
+        peak, beyond = int(np.argmax(orbit)), np.flatnonzero(orbit > run.clearance.limit * run.clearance.gap)
+        share = 100 * orbit[peak] / run.clearance.gap
+        limit = f"{100 * run.clearance.limit:g} %"
+        verdict = f"beyond {limit} from {run.speeds[beyond[0]]:.4g} rpm on" if beyond.size else f"within {limit} at all speeds"
+        size = f"{shown(float(orbit[peak])):.4g} {unit} = {share:.3g} % of the gap"
+        rows.append(f"{plane.name:<8} largest orbit {size} at {run.speeds[peak]:.4g} rpm: {verdict}")
+    return rows
 
 
 def _write_table(run: TrackedRun, path: Path) -> None:
-    """A row for every stretch: amplitudes 0-to-peak [SI], phases [deg] against the tacho's pulse, standard deviations."""
-    tracks = [run.track] if run.circles is None else [run.track, run.circles]
-    titles = [f"{port.label}:{part}" for track in tracks for port in track.ports for part in ("amplitude", "phase_deg", "std")]
+    """A row for every stretch: amplitudes 0-to-peak [SI], phases [deg] against the tacho's pulse, standard deviations, whole motion."""
+    columns = [("time_s", run.track.time), ("speed_hz", run.track.speed)]
+    for track in (run.track, *run.circles):
+        columns += _order_columns(track)
+    columns += [(f"{port.label}:overall", run.track.overall[:, number]) for number, port in enumerate(run.track.ports)]
+    for circles in run.circles:
+        columns += _orbit_columns(circles, run.clearance)
     with path.open("w", encoding="utf-8", newline="") as stream:
         table = csv.writer(stream, lineterminator="\n")
-        table.writerow(["time_s", "speed_hz", *titles])
-        for row in range(run.track.time.size):
-            cells = [
-                f"{value:.9g}"
-                for track in tracks
-                for x, variance in zip(track.amplitude[row], track.variance[row], strict=True)
-                for value in (abs(x), np.degrees(np.angle(x)), np.sqrt(variance))
-            ]
-            table.writerow([f"{run.track.time[row]:.9g}", f"{run.track.speed[row]:.9g}", *cells])
+        table.writerow([title for title, _ in columns])
+        for row in zip(*(values for _, values in columns), strict=True):
+            table.writerow([f"{value:.9g}" for value in row])
+
+
+def _order_columns(track: OrderTrack) -> list[Column]:
+    columns: list[Column] = []
+    for number, port in enumerate(track.ports):
+        x = track.amplitude[:, number]
+        columns.append((f"{port.label}:amplitude", np.abs(x)))
+        columns.append((f"{port.label}:phase_deg", np.degrees(np.angle(x))))
+        columns.append((f"{port.label}:std", np.sqrt(track.variance[:, number])))
+    return columns
+
+
+def _orbit_columns(circles: OrderTrack, clearance: Clearance | None) -> list[Column]:
+    """Larger half axis of the order's ellipse |f| + |b|; largest distance of the whole motion from its middle, also per gap."""
+    (plane,) = circles.planes
+    whole = circles.orbit[:, 0]
+    columns = [(plane.labelled("half_axis"), np.abs(circles.amplitude).sum(axis=1)), (plane.labelled("orbit"), whole)]
+    return columns if clearance is None else [*columns, (plane.labelled("orbit_per_gap"), whole / clearance.gap)]
