@@ -40,7 +40,7 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
     elif field in _MAGNET:
         found = None if file.magnet is None else (getattr(file.magnet, field), _MAGNET[field])
     else:
-        known = [*ALIASES, *FACTORS, *_LOOP, *_MAGNET]
+        known = list(dict.fromkeys([*ALIASES, *FACTORS, *_LOOP, *_MAGNET]))
         raise ConfigError(f"estimate: '{name}' is no unknown of a magnetic bearing", hint=nearest(name, known))
     if found is None or found[0] is None:
         where = "static_stiffness" if field == "static_stiffness" else f"magnet: {{{field}: ...}}" if field in _MAGNET else f"loop.{field}"

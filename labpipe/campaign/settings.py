@@ -11,6 +11,7 @@ KINDS = ("trend", "difference", "repeatability", "ratio", "rayleigh", "reciproci
 # Kinds whose theory is a magnetic-bearing file; it stands as it is unless a condition sets one of its entries.
 MAGNETIC_KINDS = ("prediction", "sensitivity")
 TWO_GROUPS = ("difference", "bands")
+LOAD = "loads.z"
 LAWS = ("line", "power")
 
 
@@ -19,7 +20,7 @@ class TheorySettings:
     """The bearing file that speaks for the theory, and how the rig saw the bearing."""
 
     bearing: str = setting("text", "bearing file with the shaft on it, relative to this file")
-    entry: str = setting("text", "entry of the bearing file that the condition sets", default="loads.z")
+    entry: str = setting("text", "entry of the bearing file that the condition sets", default=LOAD)
     shaft: Uncertain | None = setting("uncertain", "radial stiffness of the bending shaft; default: rigid", unit="N/m", default=None)
     arm: float | None = setting("value", "tilts are measured as displacements at this distance", unit="m", default=None)
 
@@ -62,6 +63,18 @@ class CompareSettings:
             raise ConfigError("'setting_error' must not be negative")
         if self.estimate and self.kind != "prediction":
             raise ConfigError(f"'estimate' is for the kind prediction, not {self.kind}", hint="leave it out")
+        if len(set(self.estimate)) < len(self.estimate):
+            raise ConfigError("'estimate' names an unknown twice", hint=", ".join(dict.fromkeys(self.estimate)))
+        self._check_theory()
+
+    def _check_theory(self) -> None:
+        """ConfigError for a theory that does not know what the condition sets, or that has to be estimated although it is set."""
+        if self.kind in MAGNETIC_KINDS and self.over and self.theory is not None:
+            if self.theory.entry == LOAD:
+                hint = "for example theory: {bearing: FILE, entry: loop.proportional}"
+                raise ConfigError(f"'theory.entry' is missing, the entry that '{self.over}' sets", hint=hint)
+            if self.theory.entry.rpartition(".")[2] in self.estimate:
+                raise ConfigError(f"'{self.theory.entry}' is set by '{self.over}', so it is not estimated", hint="leave one of them out")
         if self.theory is not None and not self.over and self.kind not in MAGNETIC_KINDS:
             raise ConfigError("'over' is missing", hint="the condition at which the theory is evaluated")
 

@@ -28,8 +28,9 @@ EXPLAINED = {
     "rayleigh": "Rayleigh damping has one beta = c / k for all tests; the chi-square of the tests' beta about their mean judges it.",
     "prediction": (
         "The bearing's loop as its file states it, on the rig's mass and support, gives a response; the same fits of it, on the same lines "
-        "with the same weights, are the prediction for each band. Unknowns are fitted to all lines of the response at once, weighted by "
-        "their noise, with the support free within its stated uncertainty. Neighbouring bands share lines, so they miss together."
+        "with the same weights, are the prediction for each band; share_k and share_c are the bands whose 95 % interval holds it. Unknowns "
+        "are fitted to all lines of the response at once, weighted by their noise, with the support free within its stated uncertainty. "
+        "Neighbouring bands share lines, so they miss together. unstable_poles and sensitivity_peak are those of the bearing file's mass."
     ),
     "bands": (
         "Every coefficient of every band of the second test is held against the first one's by Welch's t-test; the p-values are corrected "
@@ -37,8 +38,8 @@ EXPLAINED = {
         "of the support, is no part of their difference."
     ),
     "sensitivity": (
-        "An excitation is added between two points of the loop; S = H_after / (H_after - H_before), both against the excitation. The peak is "
-        "that of a parabola around the highest line, since the line itself would be too high by its noise."
+        "An excitation is added between two points of the loop; S = H_after / (H_after - H_before), both against the excitation. The peak "
+        "is that of a parabola around the highest line, since the line itself would be too high by its noise."
     ),
     "reciprocity": "H of a response to a force against H of the reverse; pairs with a difference near 140 % are noise, so not coupled.",
 }

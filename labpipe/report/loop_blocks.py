@@ -10,7 +10,9 @@ from labpipe.report.wording import rounded, unit_text
 
 def loop_blocks(comparison: Comparison) -> list[Block]:
     """Correlations of fitted unknowns, and the bands."""
-    blocks: list[Block] = [Paragraph(f"{finding.code}: {finding.message}.", "warning") for finding in comparison.findings]
+    blocks: list[Block] = []
+    if comparison.findings:
+        blocks.append(Paragraph(f"{'; '.join(f'{finding.code}: {finding.message}' for finding in comparison.findings)}.", "warning"))
     if comparison.correlations:
         rows = tuple((one, other, f"{value:+.3f}") for one, other, value in comparison.correlations)
         blocks.append(Table(("unknown", "and", "correlation"), rows, f"Correlation of the unknowns of {comparison.name}", (2,)))

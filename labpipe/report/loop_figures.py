@@ -30,11 +30,12 @@ def prediction_figures(comparison: Comparison) -> list[Figure]:
         canvas, (above, middle, below) = stacked_axes(3, 7.4, sharex=True, height_ratios=(3, 3, 2))
         for axes, name in zip((above, middle), names, strict=True):
             for number, test in enumerate(tests):
-                _coefficient(axes, comparison, name, test, COLOURS[number % len(COLOURS)], len(tests) > 1)
+                _coefficient(axes, comparison, name, test, COLOURS[number % len(COLOURS)], _aside(comparison, number, len(tests)))
             unit = next(band.unit for band in comparison.bands if band.parameter == name)
             axes.set_ylabel(f"{name} [{unit_text(unit)}]")
         for number, test in enumerate(tests):
-            _ratios(below, _of(comparison.bands, names[0], test), COLOURS[number % len(COLOURS)])
+            aside = _aside(comparison, number, len(tests)) or 0.0
+            _ratios(below, _of(comparison.bands, names[0], test), COLOURS[number % len(COLOURS)], aside)
         _ratio_axis(below, [band for band in comparison.bands if band.parameter == names[0]])
         below.set_ylabel(f"{names[0]}: measured / predicted")
         below.set_xlabel("frequency [Hz]")
@@ -47,17 +48,26 @@ def prediction_figures(comparison: Comparison) -> list[Figure]:
     return [Figure(canvas, caption, f"Measured and predicted {comparison.subject} over frequency")]
 
 
+def _aside(comparison: Comparison, number: int, tests: int) -> float | None:
+    """How far the dots of a test stand beside the centre of their band [Hz], so that tests do not hide each other; None for one test."""
+    if tests == 1:
+        return None
+    centres = np.unique([band.centre_hz for band in comparison.bands])
+    apart = float(np.min(np.diff(centres))) if centres.size > 1 else 1.0
+    return 0.5 * apart * (number - (tests - 1) / 2) / tests
+
+
 def _of(bands: Sequence[ComparedBand], name: str, test: str) -> list[ComparedBand]:
     return [band for band in bands if band.parameter == name and band.test == test]
 
 
-def _coefficient(axes: Axes, comparison: Comparison, name: str, test: str, colour: str, several: bool) -> None:
-    bands = _of(comparison.bands, name, test)
+def _coefficient(axes: Axes, comparison: Comparison, name: str, test: str, colour: str, aside: float | None) -> None:
+    bands, several = _of(comparison.bands, name, test), aside is not None
     factor = to_display(1.0, display_unit(bands[0].unit))
     centres = np.array([band.centre_hz for band in bands])
     values, ends = factor * np.array([band.value for band in bands]), factor * np.array([band.ci95 for band in bands])
     label = f"{test} " if several else ""
-    _bars(axes, centres, values, ends, colour, f"{label}measured")
+    _bars(axes, centres + (aside or 0.0), values, ends, colour, f"{label}measured")
     line = colour if several else COLOURS[1]
     axes.plot(centres, factor * np.array([band.other for band in bands]), "-", color=line, linewidth=1.2, label=f"{label}predicted")
     for curve in comparison.curves:
@@ -87,9 +97,9 @@ def _bars(axes: Axes, x: NDArray[np.floating], values: NDArray[np.floating], end
     axes.errorbar(x, values, reach, fmt="o", color=colour, markersize=2.5, elinewidth=0.7, capsize=0, alpha=0.8, label=label)
 
 
-def _ratios(axes: Axes, bands: Sequence[ComparedBand], colour: str) -> None:
+def _ratios(axes: Axes, bands: Sequence[ComparedBand], colour: str, aside: float = 0.0) -> None:
     values, ends = np.array([band.ratio for band in bands], float), np.array([band.ratio_ci95 for band in bands], float)
-    _bars(axes, np.array([band.centre_hz for band in bands]), values, ends, colour, "")
+    _bars(axes, np.array([band.centre_hz for band in bands]) + aside, values, ends, colour, "")
 
 
 def _ratio_axis(axes: Axes, bands: Sequence[ComparedBand]) -> None:

@@ -10,6 +10,7 @@ import yaml
 
 BEARINGS = "../configs/bearings"
 SLIDING = {"kind": "prediction", "fit": "sliding"}
+GEOMETRY = {"bearing": f"{BEARINGS}/hmb-geometry.yaml"}
 
 
 @pytest.mark.parametrize("name", ["magnetic-loop", "magnetic-gains", "magnetic-sensitivity"])
@@ -49,6 +50,13 @@ def test_an_unstable_setting_is_said_beside_the_verdict(root: Path, tmp_path: Pa
         ("magnetic-loop", SLIDING, "'theory' is missing"),
         ("magnetic-loop", {**SLIDING, "kind": "trend", "over": "speed", "estimate": ["gap"]}, "'estimate' is for the kind prediction"),
         ("magnetic-loop", {**SLIDING, "estimate": ["gap"], "theory": {"bearing": f"{BEARINGS}/hmb-magnetic.yaml"}}, "no 'gap'"),
+        ("magnetic-loop", {**SLIDING, "estimate": ["gap", "gap"], "theory": GEOMETRY}, "names an unknown twice"),
+        ("magnetic-gains", {**SLIDING, "over": "gain", "theory": GEOMETRY}, "'theory.entry' is missing"),
+        (
+            "magnetic-gains",
+            {**SLIDING, "over": "gain", "theory": {**GEOMETRY, "entry": "loop.delay"}, "estimate": ["delay"]},
+            "'loop.delay' is set by 'gain'",
+        ),
         ("magnetic-loop", {"kind": "bands", "fit": "sliding", "group": "speed", "groups": ["0 rpm"]}, "two groups are compared"),
         ("magnetic-sensitivity", {"kind": "sensitivity", "before": "volts"}, "no response 'volts'"),
     ],
