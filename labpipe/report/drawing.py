@@ -19,7 +19,8 @@ STYLE = {
     "grid.alpha": 0.35,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "axes.prop_cycle": mpl.cycler(color=COLOURS),
+    # More curves than colours: the next round is dashed, so that none looks like another.
+    "axes.prop_cycle": mpl.cycler(linestyle=("-", "--", ":")) * mpl.cycler(color=COLOURS),
     "legend.frameon": False,
 }
 PRINT_DPI = 200

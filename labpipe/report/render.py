@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from html import escape
-from importlib.resources import files
-
 from labpipe.records.identification import Identification
 from labpipe.registry import Registry
 from labpipe.report.build import build
-from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Table
-from labpipe.report.drawing import svg_text
+from labpipe.report.document import Block, Code, Document, Figure, Paragraph
+from labpipe.report.html_page import render_html
 
 RENDERERS = Registry(
     "report format",
@@ -29,42 +26,6 @@ def html_report(identification: Identification) -> bytes:
 def markdown_report(identification: Identification) -> bytes:
     """The same report as Markdown; drawings are named by their captions."""
     return render_markdown(build(identification)).encode()
-
-
-def render_html(document: Document) -> str:
-    """The document as HTML."""
-    style = files("labpipe.report").joinpath("report.css").read_text(encoding="utf-8")
-    sections = "\n".join(
-        f"<section><h2>{escape(section.heading)}</h2>\n" + "\n".join(_html(block) for block in section.blocks) + "</section>"
-        for section in document.sections
-    )
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(document.title)}</title>\n<style>\n{style}</style></head>\n<body><main>\n"
-        f"<header><h1>{escape(document.title)}</h1><p>{escape(document.subtitle)}</p></header>\n{sections}\n</main></body></html>\n"
-    )
-
-
-def _html(block: Block) -> str:
-    if isinstance(block, Paragraph):
-        return f'<p class="{escape(block.kind)}">{escape(block.text)}</p>' if block.kind else f"<p>{escape(block.text)}</p>"
-    if isinstance(block, Code):
-        return f"<pre>{escape(block.text)}</pre>"
-    if isinstance(block, Figure):
-        drawing = svg_text(block.drawing).replace("<svg", f'<svg role="img" aria-label="{escape(block.alternative)}"', 1)
-        return f"<figure>{drawing}<figcaption>{escape(block.caption)}</figcaption></figure>"
-    return _html_table(block)
-
-
-def _html_table(table: Table) -> str:
-    def row(cells: tuple[str, ...], tag: str) -> str:
-        marked = ((' class="number"' if n in table.numeric else "", cell) for n, cell in enumerate(cells))
-        return "<tr>" + "".join(f"<{tag}{mark}>{escape(cell)}</{tag}>" for mark, cell in marked) + "</tr>"
-
-    body = "\n".join(row(cells, "td") for cells in table.rows)
-    caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
-    return f'<div class="wide"><table>{caption}<thead>{row(table.header, "th")}</thead>\n<tbody>{body}</tbody></table></div>'
 
 
 def render_markdown(document: Document) -> str:

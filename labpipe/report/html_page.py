@@ -1,0 +1,124 @@
+"""A document as one HTML page that opens without a network: style, script, drawings and their numbers inside, nothing fetched."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from functools import cache
+from html import escape
+from importlib.resources import files
+
+from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
+from labpipe.report.drawing import svg_text
+from labpipe.report.figure_numbers import figure_json
+from labpipe.report.plotted import plotted
+
+SCRIPTS = ("scale.js", "panel.js", "reading.js", "zoom.js", "figure.js")
+# Many sections need a way to them; few do not.
+LEAST_LISTED = 4
+
+
+@cache
+def page_part(name: str) -> str:
+    """A file of the page: its style or a part of its script."""
+    return files("labpipe.report").joinpath("page", name).read_text(encoding="utf-8")
+
+
+@cache
+def script_text() -> str:
+    """The page's script: its parts in one function, so that nothing of it is seen from outside."""
+    return '(() => {\n"use strict";\n' + "\n".join(page_part(name) for name in SCRIPTS) + "})();\n"
+
+
+def policy() -> str:
+    """What the page may do: run this script, style itself, show embedded pictures; no request to anywhere."""
+    digest = base64.b64encode(hashlib.sha256(script_text().encode()).digest()).decode()
+    parts = ("default-src 'none'", f"script-src 'sha256-{digest}'", "style-src 'unsafe-inline'", "img-src data:")
+    return "; ".join((*parts, "base-uri 'none'", "form-action 'none'"))
+
+
+def render_html(document: Document) -> str:
+    """The document as HTML."""
+    counter = _Figures()
+    sections = "\n".join(_section(number, section, counter) for number, section in enumerate(document.sections, 1))
+    script = f"<script>{script_text()}</script>\n" if counter.alive else ""
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{escape(policy())}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(document.title)}</title>\n<style>\n{page_part('report.css')}</style></head>\n<body>\n"
+        '<a class="skip" href="#content">Skip to the content</a>\n<main id="content">\n'
+        f"<header><h1>{escape(document.title)}</h1><p>{escape(document.subtitle)}</p></header>\n"
+        f"{_contents(document)}{sections}\n</main>\n{script}</body></html>\n"
+    )
+
+
+class _Figures:
+    """Counts the figures of a page, and whether any of them needs the script."""
+
+    def __init__(self) -> None:
+        self.count, self.alive = 0, False
+
+    def html(self, figure: Figure) -> str:
+        self.count += 1
+        drawn = plotted(figure.drawing)
+        numbers = ""
+        if drawn.complete:
+            self.alive = True
+            numbers = f'<script type="application/json">{figure_json(drawn)}</script>'
+        kind = ' class="numbers"' if drawn.complete else ""
+        return (
+            f'<figure id="figure-{self.count}" role="group" aria-label="{escape(figure.alternative)}"{kind}>'
+            f'<div class="static">{inline_svg(figure, self.count)}</div>{numbers}'
+            f"<figcaption><b>Figure {self.count}.</b> {escape(figure.caption)}</figcaption></figure>"
+        )
+
+
+def inline_svg(figure: Figure, number: int) -> str:
+    """The drawing as SVG inside a page: named for those who cannot see it, its ids its own, its style not the page's."""
+    text = svg_text(figure.drawing)
+    text = re.sub(r"<metadata>.*?</metadata>|<style[^>]*>.*?</style>", "", text, flags=re.DOTALL)
+    text = re.sub(r'(\bid="|xlink:href="#|url\(#)', rf"\g<1>f{number}-", text)
+    return text.replace("<svg", f'<svg role="img" aria-label="{escape(figure.alternative)}"', 1)
+
+
+def _contents(document: Document) -> str:
+    if len(document.sections) < LEAST_LISTED:
+        return ""
+    entries = "".join(f'<li><a href="#section-{n}">{escape(section.heading)}</a></li>' for n, section in enumerate(document.sections, 1))
+    return f'<nav aria-label="Contents"><ul>{entries}</ul></nav>\n'
+
+
+def _section(number: int, section: Section, counter: _Figures) -> str:
+    blocks = "\n".join(_block(block, counter) for block in section.blocks)
+    return f'<section aria-labelledby="section-{number}"><h2 id="section-{number}">{escape(section.heading)}</h2>\n{blocks}</section>'
+
+
+def _block(block: Block, counter: _Figures) -> str:
+    if isinstance(block, Paragraph):
+        return f'<p class="{escape(block.kind)}">{escape(block.text)}</p>' if block.kind else f"<p>{escape(block.text)}</p>"
+    if isinstance(block, Code):
+        return f'<pre tabindex="0">{escape(block.text)}</pre>'
+    return counter.html(block) if isinstance(block, Figure) else _table(block)
+
+
+def _table(table: Table) -> str:
+    """Rows under a header; the first cell names its row where it says something."""
+    caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
+    heads = "".join(f'<th scope="col"{_mark(table, n)}>{escape(cell)}</th>' for n, cell in enumerate(table.header))
+    body = "\n".join("<tr>" + "".join(_cell(table, n, cell) for n, cell in enumerate(cells)) + "</tr>" for cells in table.rows)
+    name = escape(table.caption or ", ".join(table.header))
+    blank = ' class="signature"' if table.rows and not any(cell.strip() for row in table.rows for cell in row) else ""
+    head = f"<thead><tr>{heads}</tr></thead>"
+    return f'<div class="wide" tabindex="0" role="region" aria-label="{name}"><table{blank}>{caption}{head}\n<tbody>{body}</tbody></table></div>'
+
+
+def _cell(table: Table, column: int, text: str) -> str:
+    if column == 0 and text.strip():
+        return f'<th scope="row"{_mark(table, 0)}>{escape(text)}</th>'
+    return f"<td{_mark(table, column)}>{escape(text)}</td>"
+
+
+def _mark(table: Table, column: int) -> str:
+    return ' class="number"' if column in table.numeric else ""

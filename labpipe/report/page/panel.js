@@ -1,0 +1,156 @@
+// One panel: frame, ticks, and the series inside their limits.
+const DASHES = { "-": "", "--": "6 3", ":": "1.5 3", "-.": "7 3 1.5 3" };
+const TEXT_HEIGHT = 16;
+
+function inkOf(colour) {
+  return typeof colour === "number" ? `var(--c${colour})` : colour;
+}
+
+function marginsOf(figure, panel, lowest) {
+  const most = Math.max(3, Math.floor(panel.height / 42));
+  const labels = ticksOf(panel.spec.y, panel.limits.y, most).map(([, text]) => text.length);
+  return { left: 26 + 6.6 * Math.max(1, ...labels), right: 14, top: panel.spec.title ? 22 : 8, bottom: lowest ? 38 : 12, most };
+}
+
+function drawPanel(panel, width, left, lowest) {
+  const { svg, spec, height } = panel;
+  const margins = { ...panel.margins, left };
+  panel.box = { left, right: width - margins.right, top: margins.top, bottom: height - margins.bottom };
+  if (spec.equal) keepEqual(panel);
+  panel.scale = {
+    x: scaleOf(panel.limits.x, spec.x.log, panel.box.left, panel.box.right),
+    y: scaleOf(panel.limits.y, spec.y.log, panel.box.bottom, panel.box.top),
+  };
+  svg.replaceChildren();
+  svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
+  svg.setAttribute("height", height);
+  drawFrame(panel, margins, lowest);
+  const clip = element("clipPath", { id: `${panel.id}-clip` }, svg);
+  const { box } = panel;
+  element("rect", { x: box.left, y: box.top, width: box.right - box.left, height: box.bottom - box.top }, clip);
+  const inside = element("g", { "clip-path": `url(#${panel.id}-clip)`, class: "series" }, svg);
+  for (const one of panel.shown()) drawSeries(panel, one, inside);
+  panel.cursor = element("g", { class: "cursor" }, svg);
+}
+
+function keepEqual(panel) {
+  const { box, limits } = panel;
+  const perPixel = Math.max((limits.x[1] - limits.x[0]) / (box.right - box.left), (limits.y[1] - limits.y[0]) / (box.bottom - box.top));
+  for (const [which, pixels] of [["x", box.right - box.left], ["y", box.bottom - box.top]]) {
+    const middle = (limits[which][0] + limits[which][1]) / 2;
+    limits[which] = [middle - (perPixel * pixels) / 2, middle + (perPixel * pixels) / 2];
+  }
+}
+
+function drawFrame(panel, margins, lowest) {
+  const { svg, spec, box, scale, limits } = panel;
+  const across = ticksOf(spec.x, limits.x, Math.max(2, Math.floor((box.right - box.left) / 75)));
+  const grid = element("g", { class: "grid" }, svg);
+  const texts = element("g", { class: "ticks" }, svg);
+  across.forEach(([value, label], number) => {
+    const x = scale.x.pixel(value);
+    element("path", { d: `M${x} ${box.top}V${box.bottom}` }, grid);
+    if (!lowest) return;
+    const room = (box.right - box.left) / Math.max(across.length, 1);
+    const step = Math.ceil((6.6 * label.length + 6) / room);
+    if (number % step === 0) element("text", { x, y: box.bottom + 14, "text-anchor": "middle" }, texts).textContent = label;
+  });
+  for (const [value, label] of ticksOf(spec.y, limits.y, margins.most)) {
+    const y = scale.y.pixel(value);
+    element("path", { d: `M${box.left} ${y}H${box.right}` }, grid);
+    element("text", { x: box.left - 5, y: y + 4, "text-anchor": "end" }, texts).textContent = label;
+  }
+  element("path", { class: "frame", d: `M${box.left} ${box.top}V${box.bottom}H${box.right}` }, svg);
+  const centre = (box.top + box.bottom) / 2;
+  if (spec.title) element("text", { class: "title", x: (box.left + box.right) / 2, y: 14, "text-anchor": "middle" }, svg).textContent = spec.title;
+  if (lowest) element("text", { x: (box.left + box.right) / 2, y: box.bottom + 31, "text-anchor": "middle" }, svg).textContent = spec.x.label;
+  const upright = element("text", { x: 12, y: centre, "text-anchor": "middle", transform: `rotate(-90 12 ${centre})` }, svg);
+  upright.textContent = spec.y.label;
+  const room = (panel.height - 6) / (6.4 * spec.y.label.length);
+  if (room < 1) upright.setAttribute("textLength", panel.height - 8);
+  if (room < 1) upright.setAttribute("lengthAdjust", "spacingAndGlyphs");
+}
+
+function drawSeries(panel, one, inside) {
+  const group = element("g", { style: `--own: ${inkOf(one.colour)}` }, inside);
+  if (one.kind === "cells") drawCells(panel, one, group);
+  else if (one.kind === "area") drawArea(panel, one, group);
+  else if (one.kind !== "line") drawAcross(panel, one, group);
+  else drawCurve(panel, one, group);
+}
+
+function drawCurve(panel, one, group) {
+  const points = panel.pixels(one, one.y);
+  if (one.interval === "shaded") {
+    const ends = [panel.pixels(one, one.low), panel.pixels(one, one.high)];
+    for (const run of runsOf(ends[0], ends[1])) {
+      const path = [...run.map((n) => ends[0][n]), ...run.reverse().map((n) => ends[1][n])];
+      element("path", { class: "shade", d: `M${path.map((point) => point.join(" ")).join("L")}Z` }, group);
+    }
+  }
+  if (one.interval === "bar") drawBars(panel, one, group);
+  if (one.line) {
+    const runs = runsOf(points, points).map((run) => `M${run.map((n) => points[n].join(" ")).join("L")}`);
+    element("path", { class: "curve", d: runs.join(""), "stroke-dasharray": DASHES[one.line] || "", "stroke-width": Math.max(one.width, 1) * 1.2 }, group);
+  }
+  if (one.marker) drawDots(one, points, group);
+}
+
+function drawDots(one, points, group) {
+  const there = points.filter((point) => point);
+  if (one.hollow) {
+    for (const [x, y] of there) element("circle", { class: "hollow", cx: x, cy: y, r: Math.max(one.size, 3) / 1.6 }, group);
+    return;
+  }
+  const cap = one.marker === "s" ? "square" : "round";
+  element("path", { class: "dots", d: there.map((point) => `M${point.join(" ")}h0`).join(""), "stroke-linecap": cap, "stroke-width": Math.max(one.size * 1.3, 3.4) }, group);
+}
+
+function drawBars(panel, one, group) {
+  const [low, high] = [panel.pixels(one, one.low), panel.pixels(one, one.high)];
+  const bars = low.map((point, n) => (point && high[n] ? `M${point[0]} ${point[1]}V${high[n][1]}M${point[0] - 4} ${point[1]}h8M${point[0] - 4} ${high[n][1]}h8` : ""));
+  element("path", { class: "curve", d: bars.join(""), "stroke-width": 1.3 }, group);
+}
+
+function drawArea(panel, one, group) {
+  const points = panel.pixels(one, one.y).filter((point) => point);
+  element("path", { class: "shade", d: `M${points.map((point) => point.join(" ")).join("L")}Z` }, group);
+}
+
+function drawAcross(panel, one, group) {
+  const { box, scale } = panel;
+  const flat = one.kind.startsWith("h");
+  const places = (flat ? one.y : one.x).map((value) => (flat ? scale.y : scale.x).pixel(value));
+  if (one.kind.endsWith("span")) {
+    const [near, far] = [Math.min(...places), Math.max(...places)];
+    const area = flat ? [box.left, near, box.right - box.left, far - near] : [near, box.top, far - near, box.bottom - box.top];
+    element("rect", { class: "shade", x: area[0], y: area[1], width: area[2], height: area[3] }, group);
+    return;
+  }
+  const path = flat ? `M${box.left} ${places[0]}H${box.right}` : `M${places[0]} ${box.top}V${box.bottom}`;
+  element("path", { class: "curve", d: path, "stroke-dasharray": DASHES[one.line] || "", "stroke-width": one.width * 1.2 }, group);
+}
+
+function drawCells(panel, one, group) {
+  const { x, y } = panel.scale;
+  one.fills.forEach((row, r) => row.forEach((fill, c) => {
+    const [left, right] = [x.pixel(c - 0.5), x.pixel(c + 0.5)].sort((a, b) => a - b);
+    const [top, bottom] = [y.pixel(r - 0.5), y.pixel(r + 0.5)].sort((a, b) => a - b);
+    element("rect", { x: left, y: top, width: right - left, height: bottom - top, style: `fill: ${fill}` }, group);
+    if (right - left < 26) return;
+    const dark = parseInt(fill.slice(1, 3), 16) * 0.3 + parseInt(fill.slice(3, 5), 16) * 0.59 + parseInt(fill.slice(5), 16) * 0.11 < 128;
+    const text = element("text", { x: (left + right) / 2, y: (top + bottom) / 2 + 4, "text-anchor": "middle", style: `fill: ${dark ? "#fff" : "#000"}` }, group);
+    text.textContent = one.texts[r][c].split("\n")[0];
+  }));
+}
+
+function runsOf(first, second) {
+  const runs = [];
+  let run = [];
+  first.forEach((point, n) => {
+    if (point && second[n]) run.push(n);
+    else if (run.length) { runs.push(run); run = []; }
+  });
+  if (run.length) runs.push(run);
+  return runs;
+}

@@ -1,0 +1,67 @@
+// Axes: from numbers to pixels and back, ticks, and numbers as text.
+function scaleOf(limits, logarithmic, from, to) {
+  const forward = logarithmic ? Math.log10 : (value) => value;
+  const backward = logarithmic ? (value) => 10 ** value : (value) => value;
+  const low = forward(limits[0]);
+  const span = forward(limits[1]) - low || 1;
+  return {
+    pixel: (value) => from + ((forward(value) - low) / span) * (to - from),
+    value: (pixel) => backward(low + ((pixel - from) / (to - from)) * span),
+  };
+}
+
+function linearTicks(low, high, most) {
+  const rough = (high - low) / Math.max(most, 2);
+  const decade = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 2.5, 5, 10].map((part) => part * decade).find((one) => one >= rough * 0.999);
+  const ticks = [];
+  for (let n = Math.ceil(low / step - 1e-9); n * step <= high + 1e-9 * step; n += 1) {
+    ticks.push([n * step, plain(Number((n * step).toPrecision(10)))]);
+  }
+  return ticks;
+}
+
+function logTicks(low, high, most) {
+  const decades = Math.log10(high / low);
+  if (decades < 0.7) return linearTicks(low, high, most);
+  const parts = decades < 2.2 ? [1, 2, 5] : [1];
+  const every = Math.max(1, Math.ceil(decades / Math.max(most, 2)));
+  const ticks = [];
+  for (let n = Math.floor(Math.log10(low)); n <= Math.ceil(Math.log10(high)); n += 1) {
+    for (const part of parts) {
+      const value = part * 10 ** n;
+      if (n % every === 0 && value >= low * 0.9999 && value <= high * 1.0001) ticks.push([value, plain(Number(value.toPrecision(6)))]);
+    }
+  }
+  return ticks;
+}
+
+function ticksOf(axis, limits, most) {
+  if (axis.ticks.length) return axis.ticks.filter(([value]) => value >= Math.min(...limits) && value <= Math.max(...limits));
+  const [low, high] = [Math.min(...limits), Math.max(...limits)];
+  return axis.log ? logTicks(low, high, most) : linearTicks(low, high, most);
+}
+
+function plain(value) {
+  const size = Math.abs(value);
+  if (value !== 0 && (size >= 1e6 || size < 1e-4)) return value.toExponential(4).replace(/\.?0+e/, "e").replace("e+", "e").replace("-", "−");
+  return String(Number(value.toPrecision(10))).replace("-", "−");
+}
+
+function reading(value, unit) {
+  if (value === null) return "none";
+  return plain(Number(value.toPrecision(5))) + (unit ? ` ${unit}` : "");
+}
+
+function element(name, attributes, parent) {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (parent) parent.appendChild(made);
+  return made;
+}
+
+function node(name, properties, parent) {
+  const made = Object.assign(document.createElement(name), properties);
+  if (parent) parent.appendChild(made);
+  return made;
+}
