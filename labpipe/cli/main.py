@@ -26,6 +26,8 @@ COMMANDS = {
     "report": "Identification -> a report that opens offline.",
     "run": "All stages of a pipeline; what is up to date is not computed again.",
     "check": "Run pipelines and hold them against their expect: and accept: rules.",
+    "list": "The results below a folder, or what they found, by rig, condition, date, fit.",
+    "compare": "Two results held against each other, parameter by parameter.",
     "orders": "Amplitude and phase of 1x over a run, orbits, forward and backward.",
     "bearing": "Stiffness and damping of a bearing model at its load and speed.",
     "study": "Monte Carlo of a pipeline on a virtual rig: bias, coverage, success per estimator.",
@@ -35,7 +37,8 @@ COMMANDS = {
     "export": "Write an artefact as CSV or Parquet.",
     "schema": "The JSON schema of rig or pipeline files, for editors.",
 }
-TABLE = Registry("command", {name: f"labpipe.cli.{name}:{name}" for name in COMMANDS})
+# A function named `list` would hide Python's own.
+TABLE = Registry("command", {name: f"labpipe.cli.{name}:{'list_results' if name == 'list' else name}" for name in COMMANDS})
 
 
 class LazyGroup(click.Group):

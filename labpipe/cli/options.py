@@ -25,6 +25,22 @@ pipeline_file = click.option("-c", "--config", "pipeline_path", type=PATH, requi
 jobs = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Processes for several tests; 0: one per processor.")
 cluster = click.option("--cluster", metavar="ADDRESS", help="Do the tests on the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786.")
 
+_FILTERS = (
+    click.option("--rig", default="", help="Only rigs whose name holds this."),
+    click.option("--fit", default="", help="Only this fit; '*' stands for any letters."),
+    click.option("--test", default="", help="Only this test; '*' stands for any letters."),
+    click.option("--since", default="", metavar="DATE", help="Only from this day on, e.g. 2026-11-03."),
+    click.option("--until", default="", metavar="DATE", help="Only up to this day."),
+    click.option("--where", multiple=True, metavar="CONDITION", help="Only tests at this condition, e.g. 'preload >= 400 N' (repeatable)."),
+)
+
+
+def catalogue_filters(command: Callable[..., object]) -> Callable[..., object]:
+    """The options by which results are chosen."""
+    for option in reversed(_FILTERS):
+        command = option(command)
+    return command
+
 
 def teller(quiet: bool, verbose: bool) -> Callable[[str], None]:
     """Where progress goes: to a terminal, or anywhere with -v; nowhere with -q."""

@@ -1,0 +1,75 @@
+"""Two results held against each other, parameter by parameter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+
+from labpipe.campaign.bandwise import holm
+from labpipe.errors import DataError
+from labpipe.records.identification import Fit, Identification, Parameter
+
+LEVEL = 0.05
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One parameter in two results, in SI units.
+
+    p_value: chance of so large a difference by the stated errors alone, corrected for the number of parameters compared (Holm); None
+    where an error is not known.
+    """
+
+    fit: str
+    test: str
+    parameter: str
+    unit: str
+    first: float
+    second: float
+    std_error: float | None
+    p_value: float | None
+
+    @property
+    def differs(self) -> bool:
+        return self.p_value is not None and self.p_value < LEVEL
+
+
+def differences(first: Identification, second: Identification) -> list[Difference]:
+    """The parameters that both results have, in the order of the first one; DataError when there is none.
+
+    z = (b - a) / sqrt(s_a^2 + s_b^2), two-sided against the normal distribution, Holm's correction over all of them. Fits are the
+    same by name, term, band and test; the test's name does not matter where each result has one test only.
+    """
+    one_test = all(len({fit.test for fit in side.fits}) == 1 for side in (first, second))
+    theirs = {_key(fit, one_test): fit for fit in second.fits}
+    pairs = [(fit, theirs[_key(fit, one_test)]) for fit in first.fits if _key(fit, one_test) in theirs]
+    found = [
+        _difference(fit, mine, other)
+        for fit, partner in pairs
+        for mine in fit.parameters
+        for other in partner.parameters
+        if mine.name == other.name and mine.unit == other.unit
+    ]
+    if not found:
+        names = [", ".join(dict.fromkeys(fit.name for fit in side.fits)) or "none" for side in (first, second)]
+        raise DataError(f"the two have no fit in common (fits: {names[0]}; {names[1]})", hint="name, term, band and test must be the same")
+    tested = [number for number, one in enumerate(found) if one.p_value is not None]
+    corrected = holm(np.array([found[number].p_value for number in tested], np.float64))
+    for number, p_value in zip(tested, corrected, strict=True):
+        found[number] = replace(found[number], p_value=float(p_value))
+    return found
+
+
+def _key(fit: Fit, one_test: bool) -> tuple[str, str, str, str]:
+    return fit.name, fit.term, f"{fit.band_hz[0]:g}-{fit.band_hz[1]:g}", "" if one_test else fit.test
+
+
+def _difference(fit: Fit, mine: Parameter, other: Parameter) -> Difference:
+    """The difference with its own, not yet corrected p-value."""
+    mine_error, other_error = (one.std_error_inflated or one.std_error for one in (mine, other))
+    error = float(np.hypot(mine_error, other_error)) if mine_error and other_error else None
+    p_value = None if error is None else 2 * float(special.ndtr(-abs(other.value - mine.value) / error))
+    term = f" of {fit.term}" if fit.term else ""
+    return Difference(f"{fit.name}{term}", fit.test, mine.name, mine.unit, mine.value, other.value, error, p_value)

@@ -1,0 +1,190 @@
+"""The index of a results folder: an SQLite file that follows the identification.json files below it, and can always be deleted."""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+from labpipe import __version__
+from labpipe.artefacts.identification_file import NAME, read_identification
+from labpipe.errors import DataError
+from labpipe.quantities import UnitError, si_amount
+from labpipe.records.finding import WARNING, of_level
+from labpipe.records.identification import Fit, Identification, Parameter
+
+INDEX = ".labpipe-catalogue.sqlite"
+# A result whose tests state this condition is of that day; otherwise the day of its file counts.
+DATE = "date"
+
+_TABLES = """
+CREATE TABLE result (
+    id INTEGER PRIMARY KEY, path TEXT UNIQUE, stamp TEXT, title TEXT, rig TEXT, pipeline TEXT, version TEXT, date TEXT,
+    tests INTEGER, verdict TEXT, warnings TEXT, fault TEXT
+);
+CREATE TABLE value (
+    id INTEGER PRIMARY KEY, result INTEGER REFERENCES result ON DELETE CASCADE,
+    fit TEXT, term TEXT, test TEXT, model TEXT, estimator TEXT, low_hz REAL, high_hz REAL,
+    parameter TEXT, value REAL, unit TEXT, std_error REAL, ci_low REAL, ci_high REAL, significant INTEGER, warnings TEXT, date TEXT
+);
+CREATE TABLE condition (
+    result INTEGER REFERENCES result ON DELETE CASCADE, test TEXT, name TEXT, text TEXT, amount REAL, unit TEXT
+);
+CREATE INDEX value_parameter ON value (parameter, fit);
+CREATE INDEX condition_name ON condition (result, test, name);
+"""
+
+
+@contextmanager
+def open_index(folder: Path) -> Iterator[sqlite3.Connection]:
+    """The index of a folder, brought up to date; in memory where the folder may not be written.
+
+    DataError when there is no such folder or no result in it.
+    """
+    if not folder.is_dir():
+        raise DataError("no such folder", where=str(folder), hint="name the folder that holds the results of your runs")
+    with closing(_connected(folder)) as connection:
+        _bring_up_to_date(connection, folder)
+        if not connection.execute("SELECT count(*) FROM result").fetchone()[0]:
+            raise DataError(f"holds no {NAME}", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER/NAME`")
+        yield connection
+
+
+def _connected(folder: Path) -> sqlite3.Connection:
+    """A connection to an index of this version; an older or damaged one is made again."""
+    path = folder / INDEX
+    try:
+        connection = sqlite3.connect(path)
+        if _version(connection) == __version__:
+            return connection
+        connection.close()
+        path.unlink()
+        connection = sqlite3.connect(path)
+        _create(connection)
+    except sqlite3.OperationalError:
+        connection = sqlite3.connect(":memory:")
+        _create(connection)
+    except sqlite3.DatabaseError:
+        path.unlink()
+        connection = sqlite3.connect(path)
+        _create(connection)
+    return connection
+
+
+def _version(connection: sqlite3.Connection) -> str | None:
+    found = connection.execute("SELECT name FROM sqlite_master WHERE name = 'made_by'").fetchone()
+    return None if found is None else str(connection.execute("SELECT version FROM made_by").fetchone()[0])
+
+
+def _create(connection: sqlite3.Connection) -> None:
+    with connection:
+        connection.executescript(_TABLES)
+        connection.execute("CREATE TABLE made_by (version TEXT)")
+        connection.execute("INSERT INTO made_by VALUES (?)", (__version__,))
+
+
+def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> None:
+    """Read what is new or changed, forget what is gone."""
+    connection.execute("PRAGMA foreign_keys = ON")
+    known = dict(connection.execute("SELECT path, stamp FROM result"))
+    here = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob(NAME))}
+    with connection:
+        for name in known.keys() - here.keys():
+            connection.execute("DELETE FROM result WHERE path = ?", (name,))
+        for name, path in here.items():
+            status = path.stat()
+            stamp = f"{status.st_mtime_ns}:{status.st_size}"
+            if known.get(name) != stamp:
+                connection.execute("DELETE FROM result WHERE path = ?", (name,))
+                _add(connection, name, path, stamp, time.strftime("%Y-%m-%d", time.localtime(status.st_mtime)))
+
+
+def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file_date: str) -> None:
+    try:
+        identification = read_identification(path)
+    except DataError as error:
+        _insert(connection, "result", {"path": name, "stamp": stamp, "date": file_date, "verdict": "unreadable", "fault": error.what})
+        return
+    conditions = test_conditions(identification)
+    dates = sorted(own[DATE] for own in conditions.values() if DATE in own)
+    entry = {
+        "path": name,
+        "stamp": stamp,
+        "title": identification.title,
+        "rig": identification.rig.get("name", ""),
+        "pipeline": identification.pipeline,
+        "version": identification.version,
+        "date": dates[-1] if dates else file_date,
+        "tests": len(conditions),
+        "verdict": verdict(identification),
+        "warnings": ", ".join(sorted({code for fit in identification.fits for code in warning_codes(fit)})),
+    }
+    number = _insert(connection, "result", entry)
+    for fit in identification.fits:
+        _add_values(connection, number, fit, conditions.get(fit.test, {}).get(DATE, str(entry["date"])))
+    for test, own in conditions.items():
+        for condition, text in own.items():
+            amount, unit = _amount(text)
+            row = {"result": number, "test": test, "name": condition, "text": text, "amount": amount, "unit": unit}
+            _insert(connection, "condition", row)
+
+
+def _add_values(connection: sqlite3.Connection, number: int, fit: Fit, date: str) -> None:
+    common = {
+        **{name: getattr(fit, name) for name in ("term", "test", "model", "estimator")},
+        **{"result": number, "fit": fit.name, "low_hz": fit.band_hz[0], "high_hz": fit.band_hz[1]},
+        **{"warnings": ", ".join(warning_codes(fit)), "date": date},
+    }
+    for parameter in fit.parameters:
+        error = parameter.std_error_inflated or parameter.std_error
+        low, high = interval(parameter)
+        own = {
+            **{"parameter": parameter.name, "value": parameter.value, "unit": parameter.unit},
+            **{"std_error": error, "ci_low": low, "ci_high": high, "significant": parameter.significant},
+        }
+        _insert(connection, "value", {**common, **own})
+
+
+def interval(parameter: Parameter) -> tuple[float | None, float | None]:
+    """The 95 % interval, widened where the residual exceeds the noise."""
+    if parameter.ci95 is None:
+        return None, None
+    factor = (parameter.std_error_inflated or 1.0) / (parameter.std_error or 1.0) if parameter.std_error_inflated else 1.0
+    return tuple(parameter.value + factor * (end - parameter.value) for end in parameter.ci95)  # type: ignore[return-value]
+
+
+def _insert(connection: sqlite3.Connection, table: str, row: dict[str, Any]) -> int:
+    """Add a row; its number. Table and column names are this module's own."""
+    marks = ", ".join("?" for _ in row)
+    cursor = connection.execute(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", tuple(row.values()))
+    return int(cursor.lastrowid or 0)
+
+
+def _amount(text: str) -> tuple[float | None, str]:
+    """A condition as a number in SI, or none for words such as "up"."""
+    try:
+        return si_amount(text)
+    except UnitError:
+        return None, ""
+
+
+def test_conditions(identification: Identification) -> dict[str, dict[str, str]]:
+    """The conditions of every test by its name, as people wrote them."""
+    listed = {test["name"]: dict(test["conditions"]) for test in identification.settings.get("tests", [])}
+    return {**listed, **{response.name: dict(response.conditions) for response in identification.responses}}
+
+
+def verdict(identification: Identification) -> str:
+    """What became of the rules, in a word."""
+    if identification.failed:
+        return "incomplete"
+    if not identification.outcomes:
+        return "no rules"
+    return "accepted" if identification.accepted else "not accepted"
+
+
+def warning_codes(fit: Fit) -> list[str]:
+    return list(dict.fromkeys(finding.code for finding in of_level(WARNING, fit.findings)))

@@ -1,0 +1,76 @@
+"""labpipe list [FOLDER]"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from labpipe.catalogue.index import open_index
+from labpipe.catalogue.query import Filter, ResultRow, ValueRow, results, values
+from labpipe.cli import options
+from labpipe.cli.columns import echo_table, value_cells
+from labpipe.formats.rows_csv import write_rows
+
+
+@click.command(name="list")
+@click.argument("folder", type=options.PATH, default=Path("."))
+@click.option("-p", "--parameter", default="", help="Show the values of a parameter; '*' stands for any letters.")
+@options.catalogue_filters
+@click.option("--csv", "table", type=options.PATH, help="Write all columns, in SI units, to this file.")
+def list_results(folder: Path, parameter: str, table: Path | None, **filters: object) -> None:
+    """List the results below FOLDER, or the values that they found.
+
+    Every identification.json counts. A condition is written as `--where "preload >= 400 N"`; several must all hold. The date is the
+    test's condition `date`, or else the day of the file.
+    """
+    asked = Filter(parameter=parameter, **filters)  # type: ignore[arg-type]
+    with open_index(folder) as index:
+        rows: Sequence[ValueRow | ResultRow] = values(index, asked) if _asks_for_values(asked) else results(index, asked)
+    if table is not None:
+        write_rows(table, [row_entry(row) for row in rows])
+    if not rows:
+        click.echo("nothing found")
+    elif isinstance(rows[0], ValueRow):
+        echo_values([row for row in rows if isinstance(row, ValueRow)])
+    else:
+        echo_results([row for row in rows if isinstance(row, ResultRow)])
+
+
+def _asks_for_values(asked: Filter) -> bool:
+    return bool(asked.parameter or asked.fit or asked.test)
+
+
+def row_entry(row: ValueRow | ResultRow) -> dict[str, object]:
+    """A row with every condition in a column of its own, as it was written."""
+    entry = {field.name: getattr(row, field.name) for field in dataclasses.fields(row)}
+    conditions = entry.pop("conditions", {})
+    entry.pop("amounts", None)
+    return {**entry, **{f"condition:{name}": text for name, text in conditions.items()}}
+
+
+def echo_results(rows: Sequence[ResultRow]) -> None:
+    """One line for each result."""
+    header = ("date", "result", "rig", "tests", "verdict", "warnings")
+    lines = [(row.date, row.path.removesuffix("/identification.json"), row.rig, str(row.tests), row.verdict, _remark(row)) for row in rows]
+    echo_table(header, lines, right=(3,))
+
+
+def _remark(row: ResultRow) -> str:
+    return row.fault or row.warnings
+
+
+def echo_values(rows: Sequence[ValueRow]) -> None:
+    """One line for each value, with the conditions of its test."""
+    names = list(dict.fromkeys(name for row in rows for name in row.conditions))
+    header = ("result", "test", "fit", "band", "parameter", "value", "std. error", "unit", *names, "warnings")
+    lines = []
+    for row in rows:
+        fit = f"{row.fit} of {row.term}" if row.term else row.fit
+        band = f"{row.low_hz:g}-{row.high_hz:g} Hz" if row.high_hz > row.low_hz else ""
+        found = value_cells(row.value, row.std_error, row.unit)
+        conditions = [row.conditions.get(name, "") for name in names]
+        lines.append((row.path.removesuffix("/identification.json"), row.test, fit, band, row.parameter, *found, *conditions, row.warnings))
+    echo_table(header, lines, right=(5, 6))
