@@ -14,7 +14,8 @@ from labpipe.bearings.magnetic_loop import Complex, ControlLoop, dynamic_stiffne
 from labpipe.bearings.magnetic_stability import PADE_ORDER, Levitated, SensitivityPeak, closed_loop_poles, sensitivity_peak, unstable_poles
 from labpipe.errors import ConfigError
 from labpipe.records.finding import Finding
-from labpipe.records.settings import setting
+from labpipe.records.settings import setting, settings_of
+from labpipe.registry import nearest
 
 MAGNETIC = "magnetic-bearing"
 DOFS = ("x", "y")
@@ -39,6 +40,7 @@ class MagneticFile:
     )
     negative_stiffness: float | None = setting("value", "pull of the bias field per displacement, k_n", unit="N/m", default=None)
     static_stiffness: float | None = setting("value", "stiffness of the closed loop at rest; k_n is inferred", unit="N/m", default=None)
+    inferred: tuple[str, ...] = setting("names", "entries neither published nor measured; told with the result", default=())
 
     def __post_init__(self) -> None:
         if not self.mass > 0:
@@ -47,10 +49,18 @@ class MagneticFile:
             raise ConfigError("frequency: is missing, and there is no speed", hint="for example frequency: 50 Hz")
         if not self.asked > 0:
             raise ConfigError(f"frequency: must be above zero, not {self.asked:g} Hz")
+        self._check_inferred()
         if self.negative_stiffness is not None and self.static_stiffness is not None:
             raise ConfigError("static_stiffness: negative_stiffness says it already", hint="leave one of them out")
         if self.negative_stiffness is None and self.static_stiffness is None and self.magnet is None:
             raise ConfigError("negative_stiffness: is missing", hint="or give static_stiffness, or the geometry as magnet")
+
+    def _check_inferred(self) -> None:
+        """ConfigError for an inferred entry that no magnetic bearing has."""
+        known = [name for owner in (MagneticFile, ControlLoop, Magnet) for name in settings_of(owner)]
+        for name in self.inferred:
+            if name not in known:
+                raise ConfigError(f"inferred: '{name}' is no entry of a magnetic bearing", hint=nearest(name, known))
 
     @property
     def asked(self) -> float:
@@ -74,6 +84,8 @@ class MagneticFile:
         said = ["both directions alike, without coupling", f"poles: delay by Pade approximation of order {PADE_ORDER}"]
         if self.static_stiffness is not None:
             said.append("negative stiffness inferred from the static stiffness")
+        if self.inferred:
+            said.append(f"inferred, neither published nor measured: {', '.join(self.inferred)}")
         if self.magnet is not None:
             said.extend(ASSUMPTIONS)
         return "; ".join(said)

@@ -12,6 +12,7 @@ from scipy import stats
 from labpipe.campaign.amounts import chance
 from labpipe.campaign.settings import CompareSettings
 from labpipe.errors import ConfigError, FitError
+from labpipe.identify.corrections import is_direct
 from labpipe.identify.settings import FitSettings
 from labpipe.records.comparison import ComparedBand, Comparison
 from labpipe.records.identification import Fit, Parameter
@@ -97,8 +98,7 @@ def _own_error(parameter: Parameter, settings: FitSettings) -> float:
     if support is None:
         return error
     shared = support.stiffness if parameter.unit == "N/m" else support.damping
-    direct = parameter.name in ("k", "c") or parameter.name[-1] == parameter.name[-2]
-    left = parameter.std_error**2 - (shared.std_error / settings.share) ** 2 * direct
+    left = parameter.std_error**2 - (shared.std_error / settings.share) ** 2 * is_direct(parameter.name)
     own = float(np.sqrt(left)) if left > 0 else parameter.std_error
     return own * error / parameter.std_error
 

@@ -17,7 +17,7 @@ from labpipe.campaign.settings import CompareSettings
 from labpipe.errors import ConfigError
 from labpipe.identify.diagnostics import COLLINEAR_CONDITION
 from labpipe.records.comparison import ComparedBand, Comparison, Curve
-from labpipe.records.finding import Finding
+from labpipe.records.finding import Finding, note
 from labpipe.records.identification import Fit, Parameter
 from labpipe.registry import nearest
 
@@ -39,7 +39,7 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
     fitted = loop_fit(views, settings.estimate)
     changed = [with_unknowns(view.file, fitted.values()) for view in views] if fitted.known else None
     after = [] if changed is None else [band for view, file in zip(views, changed, strict=True) for band in _bands(view, file, names)]
-    findings = (*_unstable(views), *_apart(fitted))
+    findings = (*_unstable(views), *_apart(fitted), note("assumptions", views[0].file.assumptions()))
     unstable = any(verdict(view.file.levitated()).unstable for view in views)
     shares = [_share(bands, name) for name in names]
     word = "unstable" if unstable else "as predicted" if min(shares) >= ENOUGH else "not as predicted"

@@ -15,7 +15,7 @@ from labpipe.campaign.settings import CompareSettings
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.measured import select_ports
 from labpipe.records.comparison import Comparison, Curve
-from labpipe.records.finding import Finding
+from labpipe.records.finding import Finding, note
 from labpipe.records.identification import Parameter
 from labpipe.records.response import FrequencyResponse
 
@@ -179,4 +179,5 @@ def _findings(peak: Peak, zone: str, file: MagneticFile | None) -> tuple[Finding
     if file is not None:
         told = stability_findings(verdict(file.levitated()))
         found += [replace(each, message=f"prediction: {each.message}") for each in told]
+        found.append(note("assumptions", file.assumptions()))
     return tuple(found)

@@ -11,6 +11,7 @@ from labpipe.records.identification import Fit, Identification, RuleOutcome
 from labpipe.report import figures
 from labpipe.report.candidates import candidate_blocks
 from labpipe.report.comparison import comparison_blocks
+from labpipe.report.cover import cover_facts
 from labpipe.report.document import Block, Code, Document, Paragraph, Section, Table
 from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figure
 from labpipe.report.rotor_drawing import rotor_figures
@@ -40,9 +41,9 @@ def build(identification: Identification) -> Document:
         *([Section("Rotor", tuple(rotors))] if (rotors := rotor_figures(identification.settings)) else []),
         Section("Rig and conditions", _rig(identification)),
         Section("Provenance", _provenance(identification)),
-        Section("Signature", (Table(("tested by", "date", "signature"), (("\n\n", "\n\n", "\n\n"),)),)),
     )
-    return Document(identification.title, f"Identification report, labpipe {identification.version}", sections)
+    subtitle = f"Identification report, labpipe {identification.version}"
+    return Document(identification.title, subtitle, sections, cover_facts([identification]))
 
 
 def _series(fits: Sequence[Fit]) -> list[list[Fit]]:
@@ -87,12 +88,13 @@ def _judged(identification: Identification) -> tuple[Block, ...]:
     return (lead, *_not_to_be_signed(identification), Table(("section", "rule", "found (SI)", "outcome"), rows, "Rules of the pipeline"))
 
 
-SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch")
+SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch", "unstable-loop")
 
 
 def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
-    """Fits whose coefficients must not be used as they stand, named beside the verdict: a rule can hold for the wrong reason."""
+    """Fits and comparisons that must not be used as they stand, named beside the verdict: a rule can hold for the wrong reason."""
     named = {fit_title(fit): [f.code for f in fit.findings if f.code in SERIOUS] for fit in identification.fits}
+    named |= {each.name: [f.code for f in each.findings if f.code in SERIOUS] for each in identification.comparisons}
     counted = [f"{title} ({', '.join(dict.fromkeys(codes))})" for title, codes in named.items() if codes]
     if not counted:
         return ()

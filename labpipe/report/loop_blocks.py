@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from labpipe.quantities import display_unit, to_display
 from labpipe.records.comparison import ComparedBand, Comparison
+from labpipe.records.finding import WARNING, of_level
 from labpipe.report.document import Block, Paragraph, Table
 from labpipe.report.wording import rounded, unit_text
 
@@ -11,8 +12,9 @@ from labpipe.report.wording import rounded, unit_text
 def loop_blocks(comparison: Comparison) -> list[Block]:
     """Correlations of fitted unknowns, and the bands."""
     blocks: list[Block] = []
-    if comparison.findings:
-        blocks.append(Paragraph(f"{'; '.join(f'{finding.code}: {finding.message}' for finding in comparison.findings)}.", "warning"))
+    warnings = of_level(WARNING, comparison.findings)
+    if warnings:
+        blocks.append(Paragraph(f"{'; '.join(f'{finding.code}: {finding.message}' for finding in warnings)}.", "warning"))
     if comparison.correlations:
         rows = tuple((one, other, f"{value:+.3f}") for one, other, value in comparison.correlations)
         blocks.append(Table(("unknown", "and", "correlation"), rows, f"Correlation of the unknowns of {comparison.name}", (2,)))

@@ -10,7 +10,7 @@ import pytest
 
 from labpipe.bearings.magnetic_circuit import MU_0, Magnet, magnet_factors
 from labpipe.bearings.magnetic_kind import MAGNETIC_KIND, MagneticFile, verdict
-from labpipe.bearings.magnetic_loop import ControlLoop
+from labpipe.bearings.magnetic_loop import ControlLoop, dynamic_stiffness
 from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.errors import ConfigError
 from labpipe.simulate import mechanics
@@ -91,3 +91,21 @@ def test_verdict_is_kept_over_a_sweep() -> None:
 def test_what_is_missing_or_said_twice_is_refused(change: dict[str, float | None], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         replace(FILE, **change)
+
+
+def test_inferred_entries_are_told_and_must_be_entries() -> None:
+    assert "neither published nor measured: lag, gap" in replace(FILE, inferred=("lag", "gap")).assumptions()
+    assert "neither published" not in FILE.assumptions()
+    with pytest.raises(ConfigError, match="'lagg' is no entry"):
+        replace(FILE, inferred=("lagg",))
+
+
+def test_the_shipped_magnet_has_the_published_static_stiffness(root: Path) -> None:
+    """1694 N/m (Lim et al. 2009) from turns, gap, bias current and coercivity as printed; pole area and magnet length are inferred."""
+    file = open_bearing(root / "configs/bearings/hmb-geometry.yaml").settings()
+    plant = file.levitated()
+    assert dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real == pytest.approx(1694, abs=1)
+    assert "pole_area, magnet_length" in file.assumptions()
+    assert (file.magnet.turns, file.magnet.gap, file.magnet.bias_current) == pytest.approx((180, 0.45e-3, 0.2))
+    # 9.465 kOe, 1 Oe = 1000 / (4 pi) A/m.
+    assert file.magnet.coercivity == pytest.approx(9465 * 1000 / (4 * np.pi), rel=1e-4)

@@ -86,7 +86,7 @@ def test_zone_prediction_and_what_lies_outside_the_band(rng: np.random.Generator
     assert found.amount("share").value >= 0.9
     # k_n / k_0 = 33106 / 1694 at rest.
     assert "19.5 at 0 Hz, zone D" in found.statement
-    assert [finding.code for finding in found.findings] == ["sensitivity", "sensitivity"]
+    assert [finding.code for finding in found.findings] == ["sensitivity", "sensitivity", "assumptions"]
 
 
 def test_an_interval_over_a_limit_is_said(rng: np.random.Generator) -> None:
