@@ -52,10 +52,19 @@ class Section:
     blocks: tuple[Block, ...]
 
 
+SIGNATURE = Table(("tested by", "date", "signature"), (("\n\n", "\n\n", "\n\n"),))
+
+
 @dataclass(frozen=True)
 class Document:
-    """The whole report."""
+    """The whole report; *cover*: what a first page says, (what, which) in its order. It ends with a place to sign."""
 
     title: str
     subtitle: str
     sections: tuple[Section, ...]
+    cover: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def signed(self) -> tuple[Section, ...]:
+        """The sections with the place to sign last, for formats without a cover."""
+        return (*self.sections, Section("Signature", (SIGNATURE,)))

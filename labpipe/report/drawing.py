@@ -26,10 +26,10 @@ STYLE = {
 PRINT_DPI = 200
 
 
-def svg_text(drawing: Canvas) -> str:
-    """The drawing as SVG without its XML prologue, so that it can stand inside HTML; no clock in it."""
+def svg_text(drawing: Canvas, outlined: bool = False) -> str:
+    """The drawing as SVG without its XML prologue, so that it can stand inside HTML; no clock in it. *outlined*: letters as outlines."""
     stream = io.StringIO()
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context({**STYLE, "svg.fonttype": "path" if outlined else "none"}):
         drawing.savefig(stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = stream.getvalue()
     return text[text.index("<svg") :]

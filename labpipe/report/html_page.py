@@ -41,7 +41,7 @@ def policy() -> str:
 def render_html(document: Document) -> str:
     """The document as HTML."""
     counter = _Figures()
-    sections = "\n".join(_section(number, section, counter) for number, section in enumerate(document.sections, 1))
+    sections = "\n".join(_section(number, section, counter) for number, section in enumerate(document.signed, 1))
     script = f"<script>{script_text()}</script>\n" if counter.alive else ""
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
@@ -84,9 +84,9 @@ def inline_svg(figure: Figure, number: int) -> str:
 
 
 def _contents(document: Document) -> str:
-    if len(document.sections) < LEAST_LISTED:
+    if len(document.signed) < LEAST_LISTED:
         return ""
-    entries = "".join(f'<li><a href="#section-{n}">{escape(section.heading)}</a></li>' for n, section in enumerate(document.sections, 1))
+    entries = "".join(f'<li><a href="#section-{n}">{escape(section.heading)}</a></li>' for n, section in enumerate(document.signed, 1))
     return f'<nav aria-label="Contents"><ul>{entries}</ul></nav>\n'
 
 
@@ -110,8 +110,8 @@ def _table(table: Table) -> str:
     body = "\n".join("<tr>" + "".join(_cell(table, n, cell) for n, cell in enumerate(cells)) + "</tr>" for cells in table.rows)
     name = escape(table.caption or ", ".join(table.header))
     blank = ' class="signature"' if table.rows and not any(cell.strip() for row in table.rows for cell in row) else ""
-    head = f"<thead><tr>{heads}</tr></thead>"
-    return f'<div class="wide" tabindex="0" role="region" aria-label="{name}"><table{blank}>{caption}{head}\n<tbody>{body}</tbody></table></div>'
+    whole = f"<table{blank}>{caption}<thead><tr>{heads}</tr></thead>\n<tbody>{body}</tbody></table>"
+    return f'<div class="wide" tabindex="0" role="region" aria-label="{name}">{whole}</div>'
 
 
 def _cell(table: Table, column: int, text: str) -> str:

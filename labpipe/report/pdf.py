@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import logging
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,15 +14,18 @@ from fpdf.fonts import FontFace
 
 from labpipe.records.identification import Identification
 from labpipe.report.build import build
-from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Table
-from labpipe.report.drawing import png_bytes
+from labpipe.report.document import SIGNATURE, Block, Code, Document, Figure, Paragraph, Table
+from labpipe.report.drawing import png_bytes, svg_text
 
 FONT = "DejaVu"
-INK, GREY, SOFT = (27, 31, 36), (87, 96, 106), (244, 246, 248)
+INK, GREY, SOFT, PAPER = (27, 31, 36), (87, 96, 106), (244, 246, 248), (255, 255, 255)
 TONES = {"passed": (11, 110, 79), "failed": (168, 50, 30), "warning": (138, 90, 0), "note": GREY}
 # Without a clock in it the same result gives the same file.
 EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
+LINE = (190, 196, 203)
 WIDEST_FIGURE = 165.0
+# Characters of a drawing beyond which a picture of dots opens faster.
+MOST_VECTOR = 600_000
 
 
 class _Pages(FPDF):
@@ -29,6 +34,7 @@ class _Pages(FPDF):
     def __init__(self, document: Document) -> None:
         super().__init__(format="A4")
         self._foot = document.title
+        self.figures = 0
         fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
         self.add_font(FONT, "", fonts / "DejaVuSans.ttf")
         self.add_font(FONT, "B", fonts / "DejaVuSans-Bold.ttf")
@@ -46,15 +52,21 @@ class _Pages(FPDF):
 
 def pdf_report(identification: Identification) -> bytes:
     """The report of an identification as the bytes of a PDF file."""
-    document = build(identification)
+    return render_pdf(build(identification))
+
+
+def render_pdf(document: Document) -> bytes:
+    """The document as PDF: a cover to sign, then every section; headings are the file's bookmarks."""
+    # The reader of drawings tells what it leaves out, which is nothing that is seen.
+    logging.getLogger("fpdf.svg").setLevel(logging.ERROR)
     pages = _Pages(document)
+    _cover(pages, document)
     pages.add_page()
-    _text(pages, document.title, 17, bold=True)
-    _text(pages, document.subtitle, 9, colour=GREY)
     for section in document.sections:
         pages.ln(3)
         if pages.will_page_break(30):
             pages.add_page()
+        pages.start_section(section.heading)
         _text(pages, section.heading, 12, bold=True)
         pages.line(20, pages.get_y(), 190, pages.get_y())
         pages.ln(2)
@@ -63,13 +75,54 @@ def pdf_report(identification: Identification) -> bytes:
     return bytes(pages.output())
 
 
-def _text(pages: FPDF, text: str, size: float, *, bold: bool = False, colour: tuple[int, int, int] = INK) -> None:
+def _cover(pages: _Pages, document: Document) -> None:
+    """Title, what was tested, the verdict, and a place to sign."""
+    pages.add_page()
+    pages.set_y(45)
+    _text(pages, document.title, 24, bold=True)
+    pages.ln(2)
+    _text(pages, document.subtitle, 11, colour=GREY)
+    pages.set_line_width(0.8)
+    pages.line(20, pages.get_y() + 4, 190, pages.get_y() + 4)
+    pages.set_line_width(0.2)
+    pages.ln(14)
+    for what, which in document.cover:
+        top = pages.get_y()
+        pages.set_xy(20, top)
+        _text(pages, what, 10, colour=GREY)
+        pages.set_xy(60, top)
+        _text(pages, which, 10)
+        pages.ln(1.5)
+    pages.ln(8)
+    for block in document.sections[0].blocks if document.sections else ():
+        if isinstance(block, Paragraph):
+            _box(pages, block)
+    pages.set_y(max(pages.get_y() + 10, 225))
+    _table(pages, SIGNATURE)
+
+
+def _box(pages: _Pages, block: Paragraph) -> None:
+    """A verdict on a tinted ground with a bar of its tone beside it."""
+    start, page = pages.get_y(), pages.page
+    pages.set_fill_color(*SOFT)
+    pages.set_font(FONT, "B" if block.kind in ("passed", "failed") else "", 11)
+    pages.set_text_color(*TONES.get(block.kind, INK))
+    pages.set_x(23)
+    pages.multi_cell(167, 6.5, block.text, fill=True, new_x="LMARGIN", new_y="NEXT", align="L", padding=(2, 3))
+    if pages.page == page:
+        pages.set_fill_color(*TONES.get(block.kind, INK))
+        pages.rect(20, start, 1.6, pages.get_y() - start, style="F")
+    pages.set_fill_color(*PAPER)
+    pages.ln(3)
+
+
+def _text(pages: _Pages, text: str, size: float, *, bold: bool = False, colour: tuple[int, int, int] = INK) -> None:
     pages.set_font(FONT, "B" if bold else "", size)
     pages.set_text_color(*colour)
     pages.multi_cell(0, size * 0.5, text, new_x="LMARGIN", new_y="NEXT", align="L")
 
 
-def _put(pages: FPDF, block: Block) -> None:
+def _put(pages: _Pages, block: Block) -> None:
     if isinstance(block, Paragraph):
         _text(pages, block.text, 9, bold=block.kind in ("passed", "failed"), colour=TONES.get(block.kind, INK))
         pages.ln(1.5)
@@ -81,24 +134,37 @@ def _put(pages: FPDF, block: Block) -> None:
         _table(pages, block)
 
 
-def _figure(pages: FPDF, figure: Figure) -> None:
+def _figure(pages: _Pages, figure: Figure) -> None:
     """A drawing in its own size, at most as wide as the text; caption below it on the same page."""
     inches_wide, inches_high = figure.drawing.get_size_inches()
     width = min(25.4 * inches_wide, WIDEST_FIGURE)
     height = width * inches_high / inches_wide
     if pages.will_page_break(height + 10):
         pages.add_page()
-    pages.image(png_bytes(figure.drawing), w=width, alt_text=figure.alternative)
-    _text(pages, figure.caption, 8, colour=GREY)
+    # What a drawing leaves open is black.
+    pages.set_fill_color(0)
+    pages.image(_picture(figure), w=width, alt_text=figure.alternative)
+    pages.set_fill_color(*PAPER)
+    pages.figures += 1
+    _text(pages, f"Figure {pages.figures}. {figure.caption}", 8, colour=GREY)
     pages.ln(2)
 
 
-def _table(pages: FPDF, table: Table) -> None:
+def _picture(figure: Figure) -> io.BytesIO:
+    """The drawing as lines and outlines; as dots of print resolution where it holds a heat map or very many points."""
+    text = svg_text(figure.drawing, outlined=True)
+    if "<image" in text or len(text) > MOST_VECTOR:
+        return png_bytes(figure.drawing)
+    return io.BytesIO(text.encode())
+
+
+def _table(pages: _Pages, table: Table) -> None:
     """A table whose columns share the width by their longest text; its head comes again on each page."""
     if table.caption:
         _text(pages, table.caption, 8.5, bold=True)
     pages.set_font(FONT, "", 7)
     pages.set_text_color(*INK)
+    pages.set_draw_color(*LINE)
     longest = [max(len(row[n]) for row in (table.header, *table.rows)) for n in range(len(table.header))]
     aligned = tuple("RIGHT" if n in table.numeric else "LEFT" for n in range(len(table.header)))
     with pages.table(
@@ -110,4 +176,5 @@ def _table(pages: FPDF, table: Table) -> None:
     ) as drawn:
         for row in (table.header, *table.rows):
             drawn.row([cell or " " for cell in row])
+    pages.set_draw_color(0)
     pages.ln(2)

@@ -31,7 +31,7 @@ def markdown_report(identification: Identification) -> bytes:
 def render_markdown(document: Document) -> str:
     """The document as Markdown."""
     parts = [f"# {_md(document.title)}", _md(document.subtitle)]
-    for section in document.sections:
+    for section in document.signed:
         parts.append(f"## {_md(section.heading)}")
         parts.extend(_markdown(block) for block in section.blocks)
     return "\n\n".join(parts) + "\n"

@@ -149,3 +149,17 @@ def test_the_pdf_has_pages_with_numbers_and_is_the_same_each_time() -> None:
     first, second = pdf_report(result()), pdf_report(result())
     assert first.startswith(b"%PDF-") and first == second
     assert first.count(b"/Type /Page\n") >= 3
+
+
+def test_the_pdf_has_a_cover_with_the_dates_of_the_recordings_and_lines_instead_of_dots() -> None:
+    from labpipe.report.cover import cover_facts
+    from labpipe.report.pdf import pdf_report
+
+    base = result()
+    responses = tuple(replace(base.responses[0], conditions={"date": day, "preload": "427 N"}) for day in ("2026-03-02", "2026-02-27"))
+    facts = dict(cover_facts([replace(base, responses=responses)]))
+    assert facts["recorded"] == "2026-02-27 to 2026-03-02" and facts["preload"] == "427 N"
+    assert facts["pipeline"] == "p.yaml" and facts["computed by"] == "labpipe 0.1.0" and "rig" not in facts
+    assert b"/Subtype /Image" in pdf_report(base)
+    without_heat_map = replace(base, fits=(replace(base.fits[0], correlation=np.ones((1, 1))),))
+    assert b"/Subtype /Image" not in pdf_report(without_heat_map)
