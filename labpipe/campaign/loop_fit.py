@@ -2,26 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.campaign.amounts import with_error
+from labpipe.bearings.magnetic_kind import MagneticFile
+from labpipe.bearings.magnetic_loop import Complex
+from labpipe.campaign.amounts import chance, with_error
 from labpipe.campaign.loop_file import Unknown, unknown, with_unknowns
-from labpipe.campaign.loop_view import View, receptance
 from labpipe.errors import ConfigError, FitError
+from labpipe.identify.diagnostics import COLLINEAR_CONDITION
 from labpipe.identify.levenberg import Minimum, minimise
 from labpipe.identify.measured import Measured
+from labpipe.identify.settings import Support
 from labpipe.identify.statistics import student_limit
 from labpipe.identify.weights import has_noise, weight_doubt, whitened, whitener
+from labpipe.records.finding import Finding
 from labpipe.records.identification import Parameter
 
 STEP = 1e-5
 # Beyond this condition number of the scaled slopes, rounding decides what two unknowns are.
 UNDETERMINED = 1e6
+
+
+# The response that a file predicts on the measured lines, with the (stiffness, damping) of the support.
+Predict = Callable[[MagneticFile, tuple[float, float]], Complex]
+
+
+@dataclass(frozen=True)
+class Held:
+    """A *measured* response that a loop is held against: what a *file* predicts for it, and the *support* beside the bearings."""
+
+    measured: Measured
+    predict: Predict
+    file: MagneticFile
+    support: Support = Support()
 
 
 @dataclass(frozen=True)
@@ -56,19 +74,20 @@ class LoopFit:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Whitened residual of all views over u: unknowns as shares of their start, then deviations of the support in standard errors."""
+    """Whitened residual of all responses over u: unknowns as shares of their start, then the support's deviations in standard errors."""
 
-    views: tuple[View, ...]
+    held: tuple[Held, ...]
     unknowns: tuple[Unknown, ...]
     support: tuple[tuple[int, float], ...]  # (0 for stiffness or 1 for damping, standard error)
 
     @cached_property
-    def parts(self) -> list[tuple[View, Measured, NDArray[np.complexfloating]]]:
-        return [(view, view.measured, whitener(view.measured)) for view in self.views]
+    def weights(self) -> list[NDArray[np.complexfloating]]:
+        return [whitener(each.measured) for each in self.held]
 
     @property
     def size(self) -> float:
-        return float(np.linalg.norm(np.concatenate([whitened(weight, measured.matrix) for _, measured, weight in self.parts])))
+        pairs = zip(self.held, self.weights, strict=True)
+        return float(np.linalg.norm(np.concatenate([whitened(weight, each.measured.matrix) for each, weight in pairs])))
 
     def file_values(self, u: NDArray[np.floating]) -> dict[str, float]:
         return {each.name: each.value * (1 + float(share)) for each, share in zip(self.unknowns, u, strict=False)}
@@ -77,14 +96,13 @@ class _Problem:
         """(n_equation,): measured less predicted, then how far the support is from what was stated."""
         away = u[len(self.unknowns) :]
         found = []
-        for view, measured, weight in self.parts:
-            stated = view.support
+        for each, weight in zip(self.held, self.weights, strict=True):
+            stated = each.support
             support = [stated.stiffness.value, stated.damping.value]
             for (which, error), deviation in zip(self.support, away, strict=True):
                 support[which] += error * float(deviation)
-            file = with_unknowns(view.file, self.file_values(u))
-            predicted = receptance(view, file, measured.omega, (support[0], support[1]))
-            found.append(whitened(weight, measured.matrix - predicted))
+            predicted = each.predict(with_unknowns(each.file, self.file_values(u)), (support[0], support[1]))
+            found.append(whitened(weight, each.measured.matrix - predicted))
         return np.concatenate([*found, away])
 
     def jacobian(self, u: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -100,20 +118,19 @@ class _Problem:
         return float(residual @ residual)
 
 
-def loop_fit(views: Sequence[View], names: Sequence[str]) -> LoopFit:
-    """Output error of all views weighted by their noise; the support's uncertainty is fitted along within what was stated.
+def loop_fit(held: Sequence[Held], names: Sequence[str]) -> LoopFit:
+    """Output error of all responses weighted by their noise; the support's uncertainty is fitted along within what was stated.
 
     With no *names* it only judges the loop as it is stated. ConfigError for unknown names, FitError where the noise is not known or
     the descent does not end.
     """
-    views = tuple(views)
-    if not all(has_noise(view.measured) for view in views):
+    if not all(has_noise(each.measured) for each in held):
         hint = "average several periods or blocks"
         raise FitError("the noise of the response is not known, so a loop cannot be held against it", hint=hint)
-    unknowns = tuple(unknown(views[0].file, name) for name in names)
-    stated = views[0].support
+    unknowns = tuple(unknown(held[0].file, name) for name in names)
+    stated = held[0].support
     errors = ((0, stated.stiffness.std_error), (1, stated.damping.std_error))
-    problem = _Problem(views, unknowns, tuple((which, error) for which, error in errors if error > 0))
+    problem = _Problem(tuple(held), unknowns, tuple((which, error) for which, error in errors if error > 0))
     start = np.zeros(len(unknowns) + len(problem.support))
     # An unknown that acts on nothing has no slope to descend on.
     idle = not start.size or bool(_silent(problem, problem.jacobian(start)))
@@ -127,11 +144,11 @@ def _silent(problem: _Problem, jacobian: NDArray[np.floating]) -> tuple[str, ...
 
 
 def _judged(problem: _Problem, minimum: Minimum) -> LoopFit:
-    equations = sum(measured.n_equation for _, measured, _ in problem.parts)
+    equations = sum(each.measured.n_equation for each in problem.held)
     dof = equations - len(problem.unknowns)
-    doubt = weight_doubt(problem.parts[0][1], dof)
+    doubt = weight_doubt(problem.held[0].measured, dof)
     reduced = problem.chi2(minimum.values) / dof / doubt.excess
-    lines = sum(measured.omega.size for _, measured, _ in problem.parts)
+    lines = sum(each.measured.omega.size for each in problem.held)
     fitted = _parameters(problem, minimum, doubt.inflation, dof) if problem.unknowns else ((), (), 1.0, ())
     return LoopFit(*fitted[:2], reduced, doubt.p_value(reduced, dof), lines, *fitted[2:], minimum.converged)
 
@@ -171,3 +188,34 @@ def _undoubted(problem: _Problem, minimum: Minimum) -> tuple[Parameter, ...]:
     return tuple(
         Parameter(each.name, float(each.value * (1 + minimum.values[number])), each.unit) for number, each in enumerate(problem.unknowns)
     )
+
+
+def goodness(fitted: LoopFit) -> list[Parameter]:
+    """chi-square of all lines with its p-value, and how well the unknowns are told apart."""
+    found = [Parameter("chi2_reduced", fitted.chi2_reduced, "1", derived=True), chance("chi2_p", fitted.chi2_p)]
+    return [*found, Parameter("condition_number", fitted.condition_number, "1", derived=True)] if fitted.parameters else found
+
+
+def apart(fitted: LoopFit) -> list[Finding]:
+    """Warnings: unknowns that the lines do not tell apart, or hardly, or a fit that did not end."""
+    if not fitted.parameters:
+        return []
+    together = " and ".join(fitted.alike)
+    if not fitted.determined:
+        what = f"{together} cannot be told apart by this response (condition number {fitted.condition_number:.2g}): no value is given doubt"
+        return [Finding("collinear", f"{what}. Fit one of them, and state the other.")]
+    if not fitted.converged:
+        return [Finding("no-convergence", "the fit of the loop's unknowns did not end; its values are those of the last step")]
+    if fitted.condition_number > COLLINEAR_CONDITION:
+        what = f"{together} are hardly told apart (condition number {fitted.condition_number:.3g}, limit {COLLINEAR_CONDITION:g})"
+        return [Finding("collinear", f"{what}: their errors are large and go together")]
+    return []
+
+
+def told(fitted: LoopFit) -> str:
+    """How all lines fit the loop, as a sentence."""
+    chance_of = f"chi² per degree of freedom {fitted.chi2_reduced:.3f}, p = {fitted.chi2_p:.2g}"
+    said = f"All {fitted.lines} lines against the loop{' with its fitted unknowns' if fitted.parameters else ''}: {chance_of}."
+    if fitted.parameters and not fitted.determined:
+        said += f" {' and '.join(fitted.alike)} cannot be told apart, so none is given."
+    return said

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from labpipe.bearings.magnetic_kind import MagneticFile
 from labpipe.bearings.magnetic_loop import Complex, dynamic_stiffness
+from labpipe.campaign.loop_fit import Held
 from labpipe.errors import ConfigError
 from labpipe.identify.fitting import identify
 from labpipe.identify.measured import Measured, measured_part, select_ports
@@ -46,6 +47,12 @@ class View:
         """The lines of all bands, each once."""
         lines = np.any([lines_in(self.response.frequency, fit.band_hz) for fit in self.fits], axis=0)
         return measured_part(self.response, *self.ports, lines)
+
+    @property
+    def held(self) -> Held:
+        """The lines with what a file predicts for them."""
+        measured = self.measured
+        return Held(measured, lambda file, support: receptance(self, file, measured.omega, support), self.file, self.support)
 
 
 def checked_view(view: View) -> View:

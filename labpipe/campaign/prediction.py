@@ -9,13 +9,11 @@ import numpy as np
 
 from labpipe.bearings.magnetic_kind import MagneticFile, stability_findings, verdict
 from labpipe.bearings.magnetic_loop import dynamic_stiffness
-from labpipe.campaign.amounts import chance
 from labpipe.campaign.loop_file import with_unknowns
-from labpipe.campaign.loop_fit import LoopFit, loop_fit
+from labpipe.campaign.loop_fit import LoopFit, apart, goodness, loop_fit, told
 from labpipe.campaign.loop_view import View, predicted_fits
 from labpipe.campaign.settings import CompareSettings
 from labpipe.errors import ConfigError
-from labpipe.identify.diagnostics import COLLINEAR_CONDITION
 from labpipe.records.comparison import ComparedBand, Comparison, Curve
 from labpipe.records.finding import Finding, note
 from labpipe.records.identification import Fit, Parameter
@@ -36,10 +34,10 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
     """
     names = _names(settings, views[0].fits[0])
     bands = [band for view in views for band in _bands(view, view.file, names)]
-    fitted = loop_fit(views, settings.estimate)
+    fitted = loop_fit([view.held for view in views], settings.estimate)
     changed = [with_unknowns(view.file, fitted.values()) for view in views] if fitted.known else None
     after = [] if changed is None else [band for view, file in zip(views, changed, strict=True) for band in _bands(view, file, names)]
-    findings = (*_unstable(views), *_apart(fitted), note("assumptions", views[0].file.assumptions()))
+    findings = (*_unstable(views), *apart(fitted), note("assumptions", views[0].file.assumptions()))
     unstable = any(verdict(view.file.levitated()).unstable for view in views)
     shares = [_share(bands, name) for name in names]
     word = "unstable" if unstable else "as predicted" if min(shares) >= ENOUGH else "not as predicted"
@@ -49,7 +47,7 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
         subject=f"{names[0]} and {names[1]}, fit {settings.fit}",
         unit="N/m",
         points=(),
-        amounts=(*_amounts(bands, after, names), *_stability(views), *_goodness(fitted), *fitted.parameters),
+        amounts=(*_amounts(bands, after, names), *_stability(views), *goodness(fitted), *fitted.parameters),
         verdict=word,
         statement=_statement(bands, after, names, fitted, word, views),
         condition=settings.over,
@@ -100,11 +98,6 @@ def _amounts(bands: Sequence[ComparedBand], after: Sequence[ComparedBand], names
     return [*found, Parameter("bands", float(len(bands) // 2), "1", derived=True)]
 
 
-def _goodness(fitted: LoopFit) -> list[Parameter]:
-    found = [Parameter("chi2_reduced", fitted.chi2_reduced, "1", derived=True), chance("chi2_p", fitted.chi2_p)]
-    return [*found, Parameter("condition_number", fitted.condition_number, "1", derived=True)] if fitted.parameters else found
-
-
 def _stability(views: Sequence[View]) -> list[Parameter]:
     """Poles that grow, and the largest sensitivity of the stable settings."""
     found = [verdict(view.file.levitated()) for view in views]
@@ -123,22 +116,6 @@ def _unstable(views: Sequence[View]) -> list[Finding]:
     return found
 
 
-def _apart(fitted: LoopFit) -> list[Finding]:
-    """Unknowns that the lines do not tell apart, or hardly."""
-    if not fitted.parameters:
-        return []
-    together = " and ".join(fitted.alike)
-    if not fitted.determined:
-        what = f"{together} cannot be told apart by this response (condition number {fitted.condition_number:.2g}): no value is given doubt"
-        return [Finding("collinear", f"{what}. Fit one of them, and state the other.")]
-    if not fitted.converged:
-        return [Finding("no-convergence", "the fit of the loop's unknowns did not end; its values are those of the last step")]
-    if fitted.condition_number > COLLINEAR_CONDITION:
-        what = f"{together} are hardly told apart (condition number {fitted.condition_number:.3g}, limit {COLLINEAR_CONDITION:g})"
-        return [Finding("collinear", f"{what}: their errors are large and go together")]
-    return []
-
-
 def _statement(
     bands: Sequence[ComparedBand], after: Sequence[ComparedBand], names: tuple[str, str], fitted: LoopFit, word: str, views: Sequence[View]
 ) -> str:
@@ -148,10 +125,7 @@ def _statement(
     if word == "unstable":
         tests = ", ".join(view.test or "the test" for view in views if verdict(view.file.levitated()).unstable)
         said.append(f"The loop as stated is unstable on the mass of the bearing file ({tests}), whatever the bands show.")
-    chance_of = f"chi² per degree of freedom {fitted.chi2_reduced:.3f}, p = {fitted.chi2_p:.2g}"
-    said.append(f"All {fitted.lines} lines against the loop{' with its fitted unknowns' if fitted.parameters else ''}: {chance_of}.")
-    if fitted.parameters and not fitted.determined:
-        said.append(f"{' and '.join(fitted.alike)} cannot be told apart, so none is given.")
+    said.append(told(fitted))
     if after:
         held = " and ".join(f"{name} in {100 * _share(after, name):.0f} %" for name in names)
         said.append(f"With the fitted values the bands hold {held}.")

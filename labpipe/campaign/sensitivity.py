@@ -9,11 +9,14 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from labpipe.bearings.magnetic_kind import MagneticFile, stability_findings, verdict
-from labpipe.bearings.magnetic_stability import ZONES, Levitated, sensitivity, zone_of
+from labpipe.bearings.magnetic_stability import ZONES, sensitivity, zone_of
 from labpipe.campaign.amounts import with_error
+from labpipe.campaign.loop_file import with_unknowns
+from labpipe.campaign.loop_fit import Held, LoopFit, apart, goodness, loop_fit
+from labpipe.campaign.loop_fit import told as fit_told
 from labpipe.campaign.settings import CompareSettings
 from labpipe.errors import ConfigError, FitError
-from labpipe.identify.measured import select_ports
+from labpipe.identify.measured import Measured, select_ports
 from labpipe.records.comparison import Comparison, Curve
 from labpipe.records.finding import Finding, note
 from labpipe.records.identification import Parameter
@@ -29,16 +32,29 @@ Values = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class MeasuredSensitivity:
-    """S over *frequency* [Hz], complex (n_line,), with the standard error of |S|; *quantile*: errors to either side of 95 %."""
+    """S over *frequency* [Hz], complex (n_line,), with the standard error of |S|; *quantile*: errors to either side of 95 %.
+
+    *response*: what it was made of.
+    """
 
     frequency: Values
     values: NDArray[np.complexfloating]
     error: Values
     quantile: float
+    response: FrequencyResponse
 
     @property
     def size(self) -> Values:
         return np.abs(self.values)
+
+    def held(self, file: MagneticFile) -> Held:
+        """S with its noise, and what a file predicts for it."""
+        dof, averages = self.response.covariance_dof, self.response.averages
+        shared = max(dof / (averages - 1), 1.0) if np.isfinite(dof) and averages > 1 else 1.0
+        omega, variance = 2 * np.pi * self.frequency, (2 * self.error**2).astype(np.complex128)
+        ports = self.response.outputs[:1], self.response.inputs[:1]
+        measured = Measured(omega, self.values[:, None, None], variance[:, None, None], dof, shared, *ports)
+        return Held(measured, lambda changed, _: sensitivity(changed.levitated(), omega)[:, None, None], file)
 
 
 @dataclass(frozen=True)
@@ -74,7 +90,7 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
     variance = np.einsum("fi,fij,fj->f", slopes, covariance, slopes.conj()).real
     dof = COMPLEX_PARTS * response.covariance_dof
     quantile = float(stats.t.ppf(0.975, dof) if np.isfinite(dof) else stats.norm.ppf(0.975))
-    return MeasuredSensitivity(response.frequency, behind / added, np.sqrt(np.maximum(variance, 0.0) / 2), quantile)
+    return MeasuredSensitivity(response.frequency, behind / added, np.sqrt(np.maximum(variance, 0.0) / 2), quantile, response)
 
 
 def peak_of(measured: MeasuredSensitivity) -> Peak:
@@ -107,35 +123,58 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
 
 
 def loop_sensitivity(settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None) -> Comparison:
-    """Peak of the measured |S| with its zone, beside the prediction of the bearing file."""
+    """Peak of the measured |S| with its zone, beside the prediction of the bearing file, whose unknowns may be fitted to S."""
     measured = measured_sensitivity(response, settings.before, settings.after)
     peak = peak_of(measured)
     top = with_error("peak", "1", peak.value, peak.error, measured.quantile)
     zone = zone_of(peak.value)
-    predicted = None if file is None else np.abs(sensitivity(file.levitated(), 2 * np.pi * measured.frequency))
-    reach = measured.quantile * measured.error
-    curve = Curve(
-        response.name,
-        "sensitivity",
-        "1",
-        tuple(measured.frequency.tolist()),
-        () if predicted is None else tuple(predicted.tolist()),
-        measured=tuple(measured.size.tolist()),
-        low=tuple((measured.size - reach).tolist()),
-        high=tuple((measured.size + reach).tolist()),
-    )
-    foretold = () if predicted is None else _foretold(measured, predicted, peak)
+    theory = None if file is None else _Theory(file, loop_fit([measured.held(file)], settings.estimate))
+    predicted = None if theory is None else theory.size(theory.file, measured.frequency)
+    amounts = [top, Parameter("peak_frequency", peak.frequency, "Hz", derived=True)]
+    if theory is not None and predicted is not None:
+        amounts += [*_foretold(measured, predicted, peak), *goodness(theory.fitted), *theory.fitted.parameters]
     return Comparison(
         name=settings.name,
         kind="sensitivity",
         subject=f"|S| from {settings.before} and {settings.after}",
         unit="1",
         points=(),
-        amounts=(top, Parameter("peak_frequency", peak.frequency, "Hz", derived=True), *foretold),
+        amounts=tuple(amounts),
         verdict=f"zone {zone}",
-        statement=_statement(peak, top, zone, predicted, None if file is None else file.levitated()),
-        curves=(curve,),
-        findings=_findings(peak, zone, file),
+        statement=_statement(peak, top, zone, predicted, theory),
+        curves=(_curve(measured, predicted, theory),),
+        correlations=() if theory is None else theory.fitted.correlations,
+        findings=_findings(peak, zone, theory),
+    )
+
+
+@dataclass(frozen=True)
+class _Theory:
+    """The bearing file, and how it fits the measured sensitivity."""
+
+    file: MagneticFile
+    fitted: LoopFit
+
+    def size(self, file: MagneticFile, frequency: Values) -> Values:
+        """|S| of a file."""
+        return np.abs(sensitivity(file.levitated(), 2 * np.pi * frequency))
+
+
+def _curve(measured: MeasuredSensitivity, predicted: Values | None, theory: _Theory | None) -> Curve:
+    reach = measured.quantile * measured.error
+    matched: tuple[float, ...] = ()
+    if theory is not None and theory.fitted.known:
+        matched = tuple(theory.size(with_unknowns(theory.file, theory.fitted.values()), measured.frequency).tolist())
+    return Curve(
+        measured.response.name,
+        "sensitivity",
+        "1",
+        tuple(measured.frequency.tolist()),
+        () if predicted is None else tuple(predicted.tolist()),
+        matched,
+        tuple(measured.size.tolist()),
+        tuple((measured.size - reach).tolist()),
+        tuple((measured.size + reach).tolist()),
     )
 
 
@@ -150,34 +189,34 @@ def _foretold(measured: MeasuredSensitivity, predicted: Values, peak: Peak) -> t
     )
 
 
-def _statement(peak: Peak, top: Parameter, zone: str, predicted: Values | None, plant: Levitated | None) -> str:
+def _statement(peak: Peak, top: Parameter, zone: str, predicted: Values | None, theory: _Theory | None) -> str:
     assert top.ci95 is not None
     low, high = top.ci95
     said = f"|S| reaches {peak.value:.3f} (95 %: {low:.3f} to {high:.3f}) at {peak.frequency:.4g} Hz: zone {zone} of ISO 14839-3"
     ends = [zone_of(low), zone_of(high)]
     sure = "." if ends[0] == ends[1] else f"; its interval reaches from zone {ends[0]} to zone {ends[1]}."
     whole = f" Limits: {', '.join(f'{name} below {end:g}' for name, end in ZONES)}."
-    if plant is None or predicted is None:
+    if theory is None or predicted is None:
         return said + sure + whole
-    stability = verdict(plant)
+    stability = verdict(theory.file.levitated())
     if stability.unstable:
         return f"{said}{sure}{whole} The loop of the bearing file is unstable, so this recording is not of it."
     told = f" Predicted in this band: {float(np.max(predicted)):.3f}."
     if stability.peak.value > 1.01 * float(np.max(predicted)):
         where = f"{stability.peak.value:.3g} at {stability.peak.frequency:.3g} Hz, zone {stability.peak.zone}"
         told += f" Outside it the prediction reaches {where}, which this recording does not show."
-    return said + sure + whole + told
+    return f"{said}{sure}{whole}{told} {fit_told(theory.fitted)}"
 
 
-def _findings(peak: Peak, zone: str, file: MagneticFile | None) -> tuple[Finding, ...]:
+def _findings(peak: Peak, zone: str, theory: _Theory | None) -> tuple[Finding, ...]:
     found = []
     if zone in ("C", "D"):
         found.append(Finding("sensitivity", f"the measured sensitivity lies in zone {zone} of ISO 14839-3, not fit for long operation"))
     if peak.at_edge:
         what = f"the largest sensitivity stands at the edge of the band, {peak.frequency:.4g} Hz; beyond it may lie more"
         found.append(Finding("sensitivity-edge", what))
-    if file is not None:
-        told = stability_findings(verdict(file.levitated()))
+    if theory is not None:
+        told = stability_findings(verdict(theory.file.levitated()))
         found += [replace(each, message=f"prediction: {each.message}") for each in told]
-        found.append(note("assumptions", file.assumptions()))
+        found += [*apart(theory.fitted), note("assumptions", theory.file.assumptions())]
     return tuple(found)

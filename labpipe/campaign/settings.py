@@ -45,7 +45,7 @@ class CompareSettings:
     law: str = setting("choice", "trend: straight line, or power law", choices=LAWS, default="line")
     setting_error: float = setting("value", "relative standard error of setting the condition", unit="1", default=0.0)
     theory: TheorySettings | None = setting("section", "theory to compare with", section=TheorySettings, default=None)
-    estimate: tuple[str, ...] = setting("names", "prediction: unknowns of the bearing file to be fitted: gap, delay, gain, ...", default=())
+    estimate: tuple[str, ...] = setting("names", "prediction, sensitivity: unknowns of the bearing file to be fitted", default=())
     before: str = setting("text", "sensitivity: response ahead of the sum at which the excitation comes in", default="before")
     after: str = setting("text", "sensitivity: response behind that sum", default="after")
     level: float = setting("value", "level of significance of tests", unit="1", default=0.05)
@@ -61,8 +61,9 @@ class CompareSettings:
             raise ConfigError("'level' must lie between 0 and 100 %")
         if self.setting_error < 0:
             raise ConfigError("'setting_error' must not be negative")
-        if self.estimate and self.kind != "prediction":
-            raise ConfigError(f"'estimate' is for the kind prediction, not {self.kind}", hint="leave it out")
+        if self.estimate and (self.kind not in MAGNETIC_KINDS or self.theory is None):
+            hint = f"it goes with theory: {{bearing: FILE}} of the kinds {' and '.join(MAGNETIC_KINDS)}"
+            raise ConfigError("'estimate' has no loop whose unknowns it could fit", hint=hint)
         if len(set(self.estimate)) < len(self.estimate):
             raise ConfigError("'estimate' names an unknown twice", hint=", ".join(dict.fromkeys(self.estimate)))
         self._check_theory()

@@ -146,6 +146,8 @@ def sensitivity_figures(comparison: Comparison) -> list[Figure]:
         axes.plot(frequency, measured, ".", color=COLOURS[0], markersize=2.5, label="measured")
         if curve.theory:
             axes.plot(frequency, curve.theory, "-", color=COLOURS[1], linewidth=1.1, label="predicted")
+        if curve.matched:
+            axes.plot(frequency, curve.matched, "--", color=COLOURS[2], linewidth=1.1, label="with the fitted unknowns")
         for name, limit in ZONE_LIMITS:
             axes.axhline(limit, color="0.4", linewidth=0.8, linestyle="--")
             axes.text(frequency[-1], limit, f"zone {name} ends", fontsize=7, ha="right", va="bottom", color="0.3")
@@ -155,6 +157,6 @@ def sensitivity_figures(comparison: Comparison) -> list[Figure]:
         axes.set_ylim(0, None)
         axes.set_ylabel("|S| [1]")
         axes.set_xlabel("frequency [Hz]")
-        axes.legend(ncols=3, fontsize=8)
+        axes.legend(ncols=4, fontsize=8)
     caption = f"{comparison.name}: measured sensitivity with its 95 % band; dashed: limits of the zones of ISO 14839-3."
     return [Figure(canvas, caption, f"Sensitivity of the control loop over frequency, {comparison.verdict}")]

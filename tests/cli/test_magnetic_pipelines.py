@@ -48,7 +48,7 @@ def test_an_unstable_setting_is_said_beside_the_verdict(root: Path, tmp_path: Pa
     [
         ("magnetic-loop", {**SLIDING, "theory": {"bearing": f"{BEARINGS}/nsk-6208.yaml"}}, "of the kind ball-bearing"),
         ("magnetic-loop", SLIDING, "'theory' is missing"),
-        ("magnetic-loop", {**SLIDING, "kind": "trend", "over": "speed", "estimate": ["gap"]}, "'estimate' is for the kind prediction"),
+        ("magnetic-loop", {**SLIDING, "kind": "trend", "over": "speed", "estimate": ["gap"]}, "'estimate' has no loop"),
         ("magnetic-loop", {**SLIDING, "estimate": ["gap"], "theory": {"bearing": f"{BEARINGS}/hmb-magnetic.yaml"}}, "no 'gap'"),
         ("magnetic-loop", {**SLIDING, "estimate": ["gap", "gap"], "theory": GEOMETRY}, "names an unknown twice"),
         ("magnetic-gains", {**SLIDING, "over": "gain", "theory": GEOMETRY}, "'theory.entry' is missing"),

@@ -9,9 +9,15 @@ import pytest
 from scipy import stats
 
 from labpipe.campaign.loop_file import unknown, with_unknowns
-from labpipe.campaign.loop_fit import loop_fit
+from labpipe.campaign.loop_fit import LoopFit
+from labpipe.campaign.loop_fit import loop_fit as fit_of_all
+from labpipe.campaign.loop_view import View
 from labpipe.errors import ConfigError, FitError
 from tests.unit.campaign.loop_cases import bearing, measured
+
+
+def loop_fit(views: list[View], names: tuple[str, ...]) -> LoopFit:
+    return fit_of_all([view.held for view in views], names)
 
 
 @pytest.mark.parametrize(
