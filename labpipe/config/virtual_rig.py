@@ -9,8 +9,10 @@ from typing import Any
 from labpipe.config.faults import Faults
 from labpipe.config.reader import read_settings
 from labpipe.config.rotor import on_rotor
+from labpipe.config.run_up_rotor import on_run_up_rotor
 from labpipe.marked_yaml import load_marked, set_entry
 from labpipe.registry import Registry, nearest
+from labpipe.simulate.unbalance_rig import KIND as RUN_UPS
 
 VIRTUAL_RIGS = Registry(
     "virtual rig",
@@ -19,6 +21,7 @@ VIRTUAL_RIGS = Registry(
         "virtual-mdof-rig": "labpipe.simulate.mdof_rig:VirtualMdofRig",
         "virtual-ball-bearing-rig": "labpipe.simulate.ball_bearing_rig:VirtualBallBearingRig",
         "virtual-journal-rig": "labpipe.simulate.journal_rig:VirtualJournalRig",
+        "virtual-unbalance-rig": "labpipe.simulate.unbalance_rig:VirtualUnbalanceRig",
         "virtual-white-noise-rig": "labpipe.simulate.white_noise_rig:WhiteNoiseRig",
     },
 )
@@ -39,6 +42,6 @@ def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> Any:
     faults.raise_any()
     rig = read_settings(VIRTUAL_RIGS.load(kind), tree, "", faults)
     if rig is not None and "rotor" in entries:
-        rig = on_rotor(rig, tree, path.parent, faults)
+        rig = (on_run_up_rotor if rig.kind == RUN_UPS else on_rotor)(rig, tree, path.parent, faults)
     faults.raise_any()
     return rig

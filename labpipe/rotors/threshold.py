@@ -57,8 +57,8 @@ class Stability:
         n, place = self.rotor.n_dof, self.rotor.dofs(self.bearing)
         speed = np.atleast_1d(np.asarray(speed, np.float64))
         matrices = self.rotor.matrices
-        k = np.repeat(matrices.stiffness[None], speed.size, axis=0)
-        c = matrices.damping + speed[:, None, None] * matrices.gyroscopic
+        k: Array = np.repeat(matrices.stiffness[None], speed.size, axis=0)
+        c: Array = matrices.damping + speed[:, None, None] * matrices.gyroscopic
         rows = np.ix_(range(speed.size), place, place)
         k[rows] += stiffness
         c[rows] += damping
@@ -69,13 +69,13 @@ class Stability:
 
     def growth(self, speed: Array, stiffness: Array, damping: Array) -> Array:
         """Largest growth rate [1/s] of modes that move the journal, (n_speed,)."""
-        roots, vectors = np.linalg.eig(self.system(speed, stiffness, damping))
-        return np.max(np.where(self.moving(vectors), roots.real, -np.inf), axis=-1)
+        found = np.linalg.eig(self.system(speed, stiffness, damping))
+        moving = self.moving(np.asarray(found.eigenvectors, np.complex128))
+        return np.max(np.where(moving, found.eigenvalues.real, -np.inf), axis=-1)
 
     def eigenvalues(self, speed: Array, stiffness: Array, damping: Array) -> ComplexArray:
         """All eigenvalues [1/s], (n_speed, 2 n_dof)."""
-        roots: ComplexArray = np.linalg.eigvals(self.system(speed, stiffness, damping))
-        return roots
+        return np.asarray(np.linalg.eigvals(self.system(speed, stiffness, damping)), np.complex128)
 
     def least_stable(self, speed: float, stiffness: Array, damping: Array) -> LeastStable:
         """The least stable mode at one *speed* [rad/s] with the slopes of its growth by the bearing's coefficients.
@@ -94,8 +94,9 @@ class Stability:
     def moving(self, vectors: ComplexArray) -> NDArray[np.bool_]:
         """Modes (..., n_mode) in which the journal takes part; *vectors* (..., 2 n_dof, n_mode)."""
         n = self.rotor.n_dof
-        deflections = np.abs(vectors[..., :n, :]) ** 2
-        share = deflections[..., self.rotor.dofs(self.bearing), :].sum(axis=-2) / deflections[..., 0:n:4, :].sum(axis=-2).clip(1e-300)
+        squares = np.abs(vectors[..., :n, :]) ** 2
+        whole = squares[..., 0::4, :].sum(axis=-2) + squares[..., 1::4, :].sum(axis=-2)
+        share = squares[..., self.rotor.dofs(self.bearing), :].sum(axis=-2) / np.maximum(whole, 1e-300)
         moving: NDArray[np.bool_] = share > LEAST_PARTICIPATION
         return moving
 
@@ -128,8 +129,9 @@ def refuse_unstable(stability: Stability, coefficients: CoefficientsAtSpeed, spe
     growth = stability.growth(speed, *coefficients(speed))
     if np.any(growth > GROWTH_TOLERANCE):
         first = int(np.argmax(growth > GROWTH_TOLERANCE))
+        rpm = speed[first] * 30 / np.pi
         raise FitError(
-            f"at {speed[first] * 30 / np.pi:.0f} rpm the rotor is unstable (growth rate {growth[first]:.3g} 1/s): there is no steady amplitude",
+            f"at {rpm:.0f} rpm the rotor is unstable (growth rate {growth[first]:.3g} 1/s): there is no steady amplitude",
             hint="keep to speeds below the threshold of instability",
         )
 

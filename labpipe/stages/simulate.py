@@ -15,14 +15,16 @@ from numpy.typing import NDArray
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError
 from labpipe.formats.frf_csv import write_frf_csv
+from labpipe.formats.runup_csv import write_runup_csv
 from labpipe.records.recording import Recording
-from labpipe.simulate import ball_bearing_rig, journal_rig, mdof_rig, white_noise_rig
+from labpipe.simulate import ball_bearing_rig, journal_rig, mdof_rig, unbalance_rig, white_noise_rig
 from labpipe.simulate.ball_bearing_rig import VirtualBallBearingRig
 from labpipe.simulate.journal_rig import VirtualJournalRig
 from labpipe.simulate.loop_runs import LOOP_RUNS
 from labpipe.simulate.magnetic_rig import SimulatedRun, simulate
 from labpipe.simulate.mdof_rig import VirtualMdofRig
 from labpipe.simulate.settings import VirtualRig
+from labpipe.simulate.unbalance_rig import VirtualUnbalanceRig
 from labpipe.simulate.white_noise_rig import WhiteNoiseRig
 
 # What the virtual logger writes for a channel: (recorded unit, recorded value per SI value). y comes as the probe's voltage.
@@ -94,6 +96,15 @@ def _ball_bearing(rig: VirtualBallBearingRig, seed: int, runs: Iterable[str] | N
     return [*names, _write_truth(truth, output)]
 
 
+def _run_ups(rig: VirtualUnbalanceRig, seed: int, runs: Iterable[str] | None, output: OutputFolder) -> list[str]:
+    """One table of 1x amplitudes and phases over speed per run."""
+    names = []
+    for run in unbalance_rig.run_ups(rig, seed, runs):
+        names.append(f"{run.name}.csv")
+        write_runup_csv(output.write_path(names[-1]), run)
+    return [*names, _write_truth({"seed": seed, "rig": rig.name, "truth": unbalance_rig.truth(rig)}, output)]
+
+
 def _write_truth(truth: dict[str, Any], output: OutputFolder) -> str:
     output.write_path("truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
     return "truth.json"
@@ -105,6 +116,7 @@ SIMULATED: dict[str, Callable[[Any, int, Iterable[str] | None, OutputFolder], li
     white_noise_rig.KIND: _white_noise,
     ball_bearing_rig.KIND: _ball_bearing,
     journal_rig.KIND: _journal,
+    unbalance_rig.KIND: _run_ups,
 }
 
 

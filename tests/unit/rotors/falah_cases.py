@@ -12,7 +12,7 @@ from labpipe.rotors.parts import Disc, Rotor, ShaftElement
 from labpipe.rotors.pinned import pinned_rotor
 
 RPM = np.pi / 30
-DISC = (4.3, 4.3 * 0.05**2 / 4, 4.3 * 0.05**2 / 2)
+DISC = (4.3, 4.453e-3, 4.3 * 0.05**2 / 2)
 ROTOR = Rotor(tuple(ShaftElement(0.19, 16.5e-3) for _ in range(4)), (Disc(2, *DISC), Disc(4, *DISC)))
 PINNED = pinned_rotor(ROTOR, (1, 5))
 UNBALANCE = {2: 5e-5 + 0j, 4: 3e-5 * np.exp(1j * np.pi / 3)}

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from tests.unit.rotors.falah_cases import PINNED, ROTOR, RPM, UNBALANCE, film
 
 from labpipe.errors import ConfigError
 from labpipe.rotors.parts import Rotor, ShaftElement, Support
 from labpipe.rotors.pinned import condensed_rotor, inverse, pinned_rotor, unbalance_forces
 from labpipe.rotors.response import dynamic_stiffness, unbalance_response
+from tests.unit.rotors.falah_cases import PINNED, ROTOR, RPM, UNBALANCE, film
 
 SPEED = np.arange(400.0, 2800, 100) * RPM
 FORCES = unbalance_forces(PINNED, UNBALANCE, SPEED)

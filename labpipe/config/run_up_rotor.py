@@ -1,0 +1,102 @@
+"""Reading a rotor file with ``pins:``: a shaft in pinned ends, on one journal bearing under a load of its own, for run-ups."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from labpipe.config.faults import Faults, join
+from labpipe.config.reader import read_settings
+from labpipe.config.rotor import LISTS, DampingSettings, _entries, _materials, _rotor, _tried
+from labpipe.errors import ConfigError
+from labpipe.identify.unbalance_rotor import RunUpRotor
+from labpipe.identify.worn_rig import BearingPlace, Unbalance
+from labpipe.marked_yaml import Marked, load_marked, set_entry
+from labpipe.records.settings import setting
+from labpipe.simulate.unbalance_rig import VirtualUnbalanceRig
+
+OWN_LISTS = ("elements", "discs", "sleeves", "bearings", "unbalances")
+SECTIONS = (*OWN_LISTS, "materials", "damping", "planes", "pins")
+
+
+@dataclass(frozen=True)
+class PinnedSettings:
+    """The plain entries of a rotor file with pins."""
+
+    name: str = setting("text", "name of the rotor, as the report shows it", default="")
+    description: str = setting("text", "what a reader should know of the rotor", default="")
+
+
+def load_run_up_rotor(path: Path, overrides: Iterable[str] = ()) -> RunUpRotor:
+    """The rotor of a rotor file with pins; ConfigErrors with every fault at its place."""
+    tree = load_marked(path)
+    for assignment in overrides:
+        set_entry(tree, assignment)
+    faults = Faults()
+    rig = read_run_up_rotor(tree, path.stem, faults)
+    faults.raise_any()
+    assert rig is not None
+    return rig
+
+
+def read_run_up_rotor(tree: Marked, stem: str, faults: Faults) -> RunUpRotor | None:
+    """The rotor of a marked tree; None and faults where it cannot be read."""
+    before = len(faults)
+    entries = faults.mapping(tree, "")
+    plain = Marked({key: entry for key, entry in entries.items() if key not in SECTIONS}, tree.where)
+    known = read_settings(PinnedSettings, plain, "", faults)
+    for key, hint in (("pins", "for example pins: [1, 5]"), ("planes", "for example planes: {disc 1: 2}"), ("bearings", "one entry")):
+        if key not in entries:
+            faults.add(tree, key, "is missing", hint)
+    pins = _nodes(entries.get("pins"), "pins", faults)
+    planes = _planes(entries.get("planes"), faults)
+    lists = {key: _entries(LISTS[key], entries.get(key), key, faults) for key in OWN_LISTS}
+    if "bearings" in entries and isinstance(entries["bearings"].content, list) and len(entries["bearings"].content) != 1:
+        faults.add(entries["bearings"], "bearings", "a rotor between pins runs on one journal bearing")
+    materials = _materials(entries.get("materials"), faults)
+    damping = read_settings(DampingSettings, entries["damping"], "damping", faults) if "damping" in entries else DampingSettings()
+    rotor = None if len(faults) > before else _rotor(lists, materials, damping, tree, faults)
+    if rotor is None or known is None or len(faults) > before:
+        return None
+    bearing = lists["bearings"][0][1]
+    place = BearingPlace(bearing.name or "bearing", bearing.node, bearing.bearing())
+    unbalances = tuple(Unbalance(one.node, one.size, one.phase) for _, one in lists["unbalances"])
+    return _tried(lambda: RunUpRotor(known.name or stem, rotor, pins, place, planes, unbalances), tree, "", faults)
+
+
+def _nodes(node: Marked | None, key: str, faults: Faults) -> tuple[int, ...]:
+    if node is None:
+        return ()
+    if not isinstance(node.content, list):
+        faults.add(node, key, "a list of nodes is needed", "for example [1, 5]")
+        return ()
+    return tuple(_node(entry, f"{key}.{number}", faults) for number, entry in enumerate(node.content, 1))
+
+
+def _node(entry: Marked, key: str, faults: Faults) -> int:
+    if isinstance(entry.content, bool) or not isinstance(entry.content, int):
+        faults.add(entry, key, "the number of a node is needed", "nodes are counted from 1, from the left")
+        return 0
+    return entry.content
+
+
+def _planes(node: Marked | None, faults: Faults) -> tuple[tuple[str, int], ...]:
+    entries = faults.mapping(node, "planes") if node is not None else {}
+    return tuple((name, _node(entry, join("planes", name), faults)) for name, entry in entries.items())
+
+
+def on_run_up_rotor(settings: VirtualUnbalanceRig, node: Marked, folder: Path, faults: Faults) -> VirtualUnbalanceRig:
+    """Settings with their *rotor* file read; a fault where that cannot be done."""
+    path = folder / settings.rotor
+    if not path.exists():
+        faults.add(node.content["rotor"], "rotor", f"no such file '{settings.rotor}'", "paths are relative to the file that names them")
+        return settings
+    try:
+        rig = load_run_up_rotor(path)
+        if not rig.unbalances:
+            faults.add(node.content["rotor"], "rotor", "the rotor has no unbalances", "add unbalances: to the rotor file")
+        return replace(settings, rig=rig)
+    except ConfigError as error:
+        faults.merge(error)
+        return settings

@@ -1,0 +1,99 @@
+"""The physical family of journal coefficients over load and speed: the Reynolds solution with a dozen parameters.
+
+All twelve are natural logarithms, zero for the rotor file's own bearing. With Omega_0, W_0 reference speed and load
+
+    mu(Omega, W) = mu_0 exp(a) (Omega / Omega_0)^b (W / W_0)^d,   c = c_0 exp(g),
+    K_ij = W / c  k_ij(S) exp(f_ij),   C_ij = W / (c Omega)  c_ij(S) exp(f'_ij),   S from mu and c.
+
+A larger clearance with more viscosity (mu / c^2 kept) only lowers all eight coefficients alike: clearance, viscosity and the common
+factor cannot be told apart by any run-up. Priors hold such combinations; `PRIOR` states them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.bearings.journal import JournalBearing
+from labpipe.bearings.journal_curve import JournalCurve, journal_curve, sommerfeld_number
+from labpipe.rotors.threshold import CoefficientsAtSpeed
+
+COEFFICIENTS = ("k_xx", "k_xy", "k_yx", "k_yy", "c_xx", "c_xy", "c_yx", "c_yy")
+PARAMETERS = ("viscosity", "viscosity_speed", "viscosity_load", "clearance", *(f"factor_{name}" for name in COEFFICIENTS))
+# Standard deviations of the logarithms before any run-up is seen.
+PRIOR = np.array([0.5, 0.3, 0.3, 0.1, *[0.1] * 8])
+# Largest departure of a logarithm: beyond, the rotor file describes another bearing.
+BOUND = np.array([1.5, 1.0, 1.0, 0.4, *[0.5] * 8])
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class FilmFamily:
+    """The family about a *bearing*; *speed* [rad/s] and *load* [N] are the references of the slopes."""
+
+    bearing: JournalBearing
+    speed: float
+    load: float
+
+    @property
+    def curve(self) -> JournalCurve:
+        return journal_curve(self.bearing.length / self.bearing.diameter, self.bearing.groove_width)
+
+    def sommerfeld(self, values: Array, load: Array, speed: Array) -> Array:
+        """S (n_point,) of the parameters *values* (12,) at loads [N] and speeds [rad/s], (n_point,)."""
+        a, b, d, g = values[:4]
+        change = a + b * np.log(speed / self.speed) + d * np.log(load / self.load) - 2 * g
+        return sommerfeld_number(self.bearing, load, speed) * np.exp(change)
+
+    def coefficients(self, values: Array, load: Array | float, speed: Array) -> Array:
+        """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table."""
+        load, speed = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
+        found = self.curve.coefficients(self.sommerfeld(values, load, speed))
+        return self._joined(found.stiffness, found.damping) * self._scale(values, load, speed)
+
+    def coefficients_and_slopes(self, values: Array, load: Array, speed: Array) -> tuple[Array, Array]:
+        """`coefficients` and their derivatives by PARAMETERS, (n_point, 8, 12)."""
+        found = self.curve.coefficients(self.sommerfeld(values, load, speed))
+        scale = self._scale(values, load, speed)
+        own = self._joined(found.stiffness, found.damping) * scale
+        by_place = self._joined(found.stiffness_slope, found.damping_slope) * scale
+        slopes = np.zeros((*own.shape, len(PARAMETERS)))
+        slopes[..., 0] = by_place
+        slopes[..., 1] = by_place * np.log(speed / self.speed)[:, None]
+        slopes[..., 2] = by_place * np.log(load / self.load)[:, None]
+        slopes[..., 3] = -2 * by_place - own
+        numbers = np.arange(8)
+        slopes[:, numbers, 4 + numbers] = own
+        return own, slopes
+
+    def at_load(self, values: Array, load: float) -> CoefficientsAtSpeed:
+        """K and C (n_speed, 2, 2) as a function of speed."""
+        return lambda speed: as_matrices(self.coefficients(values, load, speed))
+
+    def _scale(self, values: Array, load: Array, speed: Array) -> Array:
+        per_length = load / (self.bearing.clearance * np.exp(values[3]))
+        both = np.stack([per_length] * 4 + [per_length / speed] * 4, axis=-1)
+        return both * np.exp(values[4:])
+
+    @staticmethod
+    def _joined(stiffness: Array, damping: Array) -> Array:
+        return np.concatenate([stiffness.reshape(*stiffness.shape[:-2], 4), damping.reshape(*damping.shape[:-2], 4)], axis=-1)
+
+
+def as_matrices(coefficients: Array) -> tuple[Array, Array]:
+    """K and C, (..., 2, 2) each, from eight COEFFICIENTS (..., 8)."""
+    split = coefficients.reshape(*coefficients.shape[:-1], 2, 2, 2)
+    return split[..., 0, :, :], split[..., 1, :, :]
+
+
+def as_eight(stiffness: Array, damping: Array) -> Array:
+    """The eight COEFFICIENTS (..., 8) from K and C (..., 2, 2)."""
+    return FilmFamily._joined(np.asarray(stiffness), np.asarray(damping))
+
+
+def coefficient_errors(found: Array, true: Array) -> Array:
+    """rms over the points of found less true, over the rms of the true coefficient, (8,) [-], of (n_point, 8) each."""
+    return np.sqrt(np.mean((found - true) ** 2, axis=0) / np.mean(true**2, axis=0))

@@ -1,0 +1,85 @@
+"""A run-up: the 1x response of a rotor over speed at several planes, with what excited it and the static load on its bearing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import DataError
+from labpipe.records.arrays import frozen_array
+from labpipe.records.settings import Uncertain
+
+DIRECTIONS = ("x", "y")
+
+
+@dataclass(frozen=True)
+class Shaker:
+    """A force that does not turn: *plane* where it acts, its components [N] and its frequency over the shaft's speed."""
+
+    plane: str
+    x: float
+    y: float
+    frequency_ratio: float = 1.0
+
+
+@dataclass(frozen=True)
+class RunUp:
+    """One run under one static *load* [N]; x along the load, y a quarter turn further with the spin.
+
+    speed (n_speed,) [rad/s], rising; response (n_speed, n_plane, 2): complex phasors [m], 0-to-peak, from x(t) = Re(X exp(j w t)), w
+    the frequency of the excitation; amplitude_error [m] and phase_error [rad], like response: standard errors. unbalance [kg m] by
+    plane, complex with its angle from x at time zero; shaker: what excited the rotor instead; threshold [rad/s]: of instability, where
+    it was measured. DataError where these do not fit together.
+    """
+
+    name: str
+    load: float
+    speed: NDArray[np.floating]
+    planes: tuple[str, ...]
+    response: NDArray[np.complexfloating]
+    amplitude_error: NDArray[np.floating]
+    phase_error: NDArray[np.floating]
+    unbalance: Mapping[str, complex] = field(default_factory=dict)
+    shaker: Shaker | None = None
+    threshold: Uncertain | None = None
+
+    def __post_init__(self) -> None:
+        n, shape = np.size(self.speed), (np.size(self.speed), len(self.planes), 2)
+        for name, dtype, wanted in (("speed", np.float64, (n,)), ("response", np.complex128, shape)):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), dtype, name, wanted))
+        for name in ("amplitude_error", "phase_error"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), np.float64, name, shape))
+            if not np.all(getattr(self, name) > 0):
+                raise DataError(f"the {name.replace('_', ' ')} of run '{self.name}' is not positive everywhere", hint="weights need it")
+        self._check_plain()
+        self._check_excitation()
+
+    def _check_plain(self) -> None:
+        if not 0 < self.load < np.inf:
+            raise DataError(f"the load of run '{self.name}' is positive, not {self.load:g} N")
+        if not self.planes or len(set(self.planes)) < len(self.planes):
+            raise DataError(f"run '{self.name}' needs planes of different names")
+        if self.speed.size == 0 or self.speed[0] <= 0 or np.any(np.diff(self.speed) <= 0):
+            raise DataError(f"the speeds of run '{self.name}' must rise from above zero")
+        if self.threshold is not None and not (self.threshold.value > 0 and self.threshold.std_error > 0):
+            raise DataError(f"the threshold of run '{self.name}' needs a positive speed and a positive uncertainty")
+
+    def _check_excitation(self) -> None:
+        named = [*self.unbalance, *([self.shaker.plane] if self.shaker is not None else [])]
+        for plane in named:
+            if plane not in self.planes:
+                raise DataError(f"run '{self.name}' is excited at '{plane}', which is not among its planes", hint=", ".join(self.planes))
+        if bool(self.unbalance) == (self.shaker is not None):
+            raise DataError(f"run '{self.name}' needs either an unbalance or a shaker, and not both")
+
+    @property
+    def n_speed(self) -> int:
+        return int(self.speed.size)
+
+    @property
+    def rpm(self) -> NDArray[np.floating]:
+        """Speeds [rpm], (n_speed,)."""
+        return self.speed * 30 / np.pi
