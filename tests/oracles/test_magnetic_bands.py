@@ -39,3 +39,27 @@ def test_prediction_lies_in_the_95_percent_interval_of_nine_bands_in_ten(bands: 
         found = [next(each for each in fit["parameters"] if each["name"] == name) for fit in bands]
         low, high = np.array([each["ci95"] for each in found]).T
         assert np.mean((low <= truth) & (truth <= high)) >= 0.9, name
+
+
+def test_the_rig_closed_in_time_is_predicted_in_nine_bands_in_ten(labpipe: Callable[..., Any], root: Path, tmp_path: Path) -> None:
+    """Mean share of the shipped comparison over three seeds; bands share lines, so a single recording may miss several at once.
+
+    Twelve seeds gave 97 % of the bands for k (92 to 100 %), 96 % for c (89 to 100 %).
+    """
+    pipeline = yaml.safe_load((root / "pipelines/magnetic-loop.yaml").read_text(encoding="utf-8"))
+    pipeline |= {"rig": str(root / "configs/hmb-loop.yaml"), "expect": {}, "report": {"formats": []}}
+    theory = {"bearing": str(root / "configs/bearings/hmb-magnetic.yaml")}
+    pipeline["compare"] = {"loop": {**pipeline["compare"]["loop"], "theory": theory}}
+    shares = []
+    for seed in (2, 3, 4):
+        folder = tmp_path / str(seed)
+        rig = root / "configs/virtual-hmb-loop.yaml"
+        assert labpipe("simulate", rig, "--run", "loop-0rpm", "--seed", seed, "-o", folder).code == 0
+        pipeline["recordings"] = str(folder / "loop-0rpm.parquet")
+        (folder / "loop.yaml").write_text(yaml.safe_dump(pipeline), encoding="utf-8")
+        assert labpipe("run", folder / "loop.yaml", "-o", folder / "out").code == 0
+        (found,) = json.loads((folder / "out/identification.json").read_text(encoding="utf-8"))["comparisons"]
+        amounts = {amount["name"]: amount["value"] for amount in found["amounts"]}
+        assert amounts["bands"] == 79 and amounts["chi2_p"] > 1e-3
+        shares.append((amounts["share_k"], amounts["share_c"]))
+    assert np.all(np.mean(shares, axis=0) >= 0.9), shares
