@@ -30,7 +30,7 @@ def _band_table(comparison: Comparison, name: str) -> Table:
     several = not bands[0].p_value and len({band.test for band in bands}) > 1
     tested = bands[0].p_value is not None
     other, last = ("the other test", ("p-value, corrected",)) if tested else ("predicted", ())
-    header = (f"{name} [{unit_text(bands[0].unit)}]", "95 % interval", other, "ratio", "95 % interval of the ratio", *last)
+    header = (f"{name} [{unit_text(bands[0].unit)}]", "95 % interval", other, "ratio with 95 % interval", *last)
     first = ("test", "band [Hz]") if several else ("band [Hz]",)
     rows = tuple(_row(band, several) for band in bands)
     meaning = f"{bands[0].test}" if tested else "* where the 95 % interval does not hold the prediction"
@@ -44,8 +44,8 @@ def _row(band: ComparedBand, several: bool) -> tuple[str, ...]:
     error = abs(high - low) / 4
     mark = "" if band.holds or band.p_value is not None else " *"
     last = () if band.p_value is None else (f"{band.p_value:.2g}",)
-    ends = "" if band.ratio_ci95 is None else f"{band.ratio_ci95[0]:.3f} to {band.ratio_ci95[1]:.3f}"
-    ratio = "" if band.ratio is None else f"{band.ratio:.3f}"
+    ends = "" if band.ratio_ci95 is None else f" ({band.ratio_ci95[0]:.3f} to {band.ratio_ci95[1]:.3f})"
+    ratio = "" if band.ratio is None else f"{band.ratio:.3f}{ends}"
     first = (*([band.test] if several else []), f"{band.band_hz[0]:g}-{band.band_hz[1]:g}")
     interval = f"{rounded(low, error)} to {rounded(high, error)}"
-    return (*first, rounded(value, error) + mark, interval, rounded(other, error), ratio, ends, *last)
+    return (*first, rounded(value, error) + mark, interval, rounded(other, error), ratio, *last)
