@@ -17,6 +17,7 @@ from labpipe.errors import ConfigError
 
 # Controller of Lim et al. (2009), section 4: sampled at 20 kHz.
 CONTROL_RATE = 20e3
+ROUNDING = 1e-9
 INPUTS = ("force", "next_force", "noise", "injection")
 OUTPUTS = ("reading", "before", "after", "output", "current")
 
@@ -49,7 +50,12 @@ class SampledLoop:
     rate: float
 
     def run(self, inputs: Array) -> Array:
-        """Outputs (n_sample, n_direction, 5) of inputs (n_sample, n_direction, 4), from rest."""
+        """Outputs (n_sample, n_direction, 5) of inputs (n_sample, n_direction, 4), from rest; ConfigError for a loop that is unstable."""
+        largest = float(np.max(np.abs(np.linalg.eigvals(self.a))))
+        if largest > 1 + ROUNDING:
+            rate = np.log(largest) * self.rate
+            what = f"the loop is unstable: its fastest pole grows by e in {1e3 / rate:.3g} ms, so there is no recording of it"
+            raise ConfigError(what, hint="`labpipe bearing` shows the poles of its bearing file")
         state = np.zeros((self.a.shape[0], inputs.shape[1]))
         driven = inputs @ self.b.T
         states = np.empty((inputs.shape[0], inputs.shape[1], self.a.shape[0]))

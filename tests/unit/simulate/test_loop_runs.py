@@ -110,3 +110,12 @@ def test_shipped_recordings_are_what_the_command_makes(root: Path, tmp_path: Pat
     assert labpipe("simulate", rig, "--seed", "1", "--run", "gain-1.1", "-o", tmp_path).code == 0
     assert (tmp_path / "gain-1.1.parquet").read_bytes() == (root / "sample_data/hmb-loop/gain-1.1.parquet").read_bytes()
     assert sum(path.stat().st_size for path in (root / "sample_data/hmb-loop").iterdir()) < 800_000
+
+
+def test_an_unstable_loop_leaves_no_recording(root: Path, tmp_path: Path, labpipe) -> None:
+    """The printed sign of the lag: the rotor alone is unstable, on the pedestal's springs it is not."""
+    rig = root / "configs/virtual-hmb-loop.yaml"
+    unstable = ("simulate", rig, "--set", "levitation.loop.lag=0.25", "-o", tmp_path / "out", "--run")
+    ended = labpipe(*unstable, "loop-injection")
+    assert ended.code == 2 and "the loop is unstable" in ended.err and not (tmp_path / "out").exists(), ended
+    assert labpipe(*unstable, "gain-1.0").code == 0
