@@ -1,18 +1,20 @@
-"""labpipe report DIR|identification.json -o FILE"""
+"""labpipe report DIR|identification.json... -o FILE [--figures DIR]"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
 
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.cli import options
-from labpipe.stages.report import write_report
+from labpipe.errors import DataError
+from labpipe.stages.report import write_campaign, write_report
 
 
 @click.command()
-@click.argument("result", metavar="DIR|identification.json", type=options.PATH)
+@click.argument("results", metavar="DIR|identification.json...", type=options.PATH, nargs=-1, required=True)
 @click.option(
     "-o",
     "--output",
@@ -21,12 +23,48 @@ from labpipe.stages.report import write_report
     metavar="FILE",
     help="Report file; its ending (.html, .pdf, .md) chooses the format.",
 )
+@click.option("--figures", type=options.PATH, metavar="DIR", help="Also every figure as SVG and PNG, and its numbers as CSV, in DIR.")
 @options.quiet
 @options.verbose
-def report(result: Path, output: Path, quiet: bool, verbose: bool) -> None:
-    """Write the report of a result: verdict, parameters, figures, warnings, provenance."""
-    identification = read_identification(result / NAME if result.is_dir() else result)
-    options.teller(quiet, verbose)(f"report    {identification.title}")
-    write_report(identification, output)
+def report(results: tuple[Path, ...], output: Path, figures: Path | None, quiet: bool, verbose: bool) -> None:
+    """Write the report of a result: verdict, parameters, figures, warnings, provenance.
+
+    Several results, or a folder with results below it, give the report of a campaign: every coefficient over preload, speed,
+    temperature and the condition `date` of its tests, control limits, and who differs from the rest.
+
+    \b
+    labpipe report out/ -o report.pdf --figures out/figures
+    labpipe report monday/ tuesday/ wednesday/ -o campaign.html
+    """
+    paths = result_files(results)
+    tell = options.teller(quiet, verbose)
+    identifications = [read_identification(path) for path in paths]
+    if len(paths) == 1:
+        tell(f"report    {identifications[0].title}")
+        write_report(identifications[0], output, figures=figures)
+    else:
+        tell(f"report    {len(paths)} results together")
+        write_campaign(list(zip(_names(paths), identifications, strict=True)), output, figures)
     if not quiet:
-        click.echo(f"written: {output}", err=True)
+        click.echo(f"written: {output}" + (f", figures in {figures}" if figures is not None else ""), err=True)
+
+
+def result_files(results: Sequence[Path]) -> list[Path]:
+    """The identification.json of every result named: a file, a folder that holds one, or all below a folder that does not."""
+    found: list[Path] = []
+    for path in results:
+        below = sorted(path.rglob(NAME)) if path.is_dir() and not (path / NAME).exists() else []
+        if path.is_dir() and not below and not (path / NAME).exists():
+            raise DataError(f"holds no {NAME}, nor does a folder below it", where=str(path), hint="run `labpipe run` first")
+        found.extend(below or [path / NAME if path.is_dir() else path])
+    return list(dict.fromkeys(found))
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """The shortest ends of the folders' names that tell the results apart."""
+    folders = [path.resolve().parent if path.name == NAME else path.resolve().with_suffix("") for path in paths]
+    for parts in range(1, max(len(folder.parts) for folder in folders) + 1):
+        names = ["/".join(folder.parts[-parts:]) for folder in folders]
+        if len(set(names)) == len(names):
+            return names
+    return [f"{names[n]} ({n + 1})" for n in range(len(names))]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure as Canvas
@@ -30,7 +31,7 @@ def svg_text(drawing: Canvas, outlined: bool = False) -> str:
     """The drawing as SVG without its XML prologue, so that it can stand inside HTML; no clock in it. *outlined*: letters as outlines."""
     stream = io.StringIO()
     with mpl.rc_context({**STYLE, "svg.fonttype": "path" if outlined else "none"}):
-        drawing.savefig(stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+        _save(drawing, stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = stream.getvalue()
     return text[text.index("<svg") :]
 
@@ -39,6 +40,12 @@ def png_bytes(drawing: Canvas) -> io.BytesIO:
     """The drawing as PNG in print resolution."""
     stream = io.BytesIO()
     with mpl.rc_context(STYLE):
-        drawing.savefig(stream, format="png", dpi=PRINT_DPI, metadata={"Software": None})
+        _save(drawing, stream, format="png", dpi=PRINT_DPI, metadata={"Software": None})
     stream.seek(0)
     return stream
+
+
+def _save(drawing: Canvas, stream: io.IOBase, **options: Any) -> None:
+    """Save, and keep the layout as it is now: laid out once more, everything would move by a hair."""
+    drawing.savefig(stream, **options)
+    drawing.set_layout_engine("none")

@@ -14,7 +14,7 @@ from fpdf.fonts import FontFace
 
 from labpipe.records.identification import Identification
 from labpipe.report.build import build
-from labpipe.report.document import SIGNATURE, Block, Code, Document, Figure, Paragraph, Table
+from labpipe.report.document import SIGNATURE, Block, Code, Document, Figure, Paragraph, Section, Table
 from labpipe.report.drawing import png_bytes, svg_text
 
 FONT = "DejaVu"
@@ -64,7 +64,7 @@ def render_pdf(document: Document) -> bytes:
     pages.add_page()
     for section in document.sections:
         pages.ln(3)
-        if pages.will_page_break(30):
+        if pages.will_page_break(30 + _height_of(section)):
             pages.add_page()
         pages.start_section(section.heading)
         _text(pages, section.heading, 12, bold=True)
@@ -73,6 +73,19 @@ def render_pdf(document: Document) -> bytes:
         for block in section.blocks:
             _put(pages, block)
     return bytes(pages.output())
+
+
+def _height_of(section: Section) -> float:
+    """The height [mm] of a figure that a section begins with: a heading does not stand alone at the foot of a page."""
+    first = section.blocks[0] if section.blocks else None
+    return _size(first)[1] if isinstance(first, Figure) else 0.0
+
+
+def _size(figure: Figure) -> tuple[float, float]:
+    """Width and height [mm] of a drawing in its own size, at most as wide as the text."""
+    inches_wide, inches_high = figure.drawing.get_size_inches()
+    width = min(25.4 * float(inches_wide), WIDEST_FIGURE)
+    return width, width * float(inches_high / inches_wide)
 
 
 def _cover(pages: _Pages, document: Document) -> None:
@@ -136,9 +149,7 @@ def _put(pages: _Pages, block: Block) -> None:
 
 def _figure(pages: _Pages, figure: Figure) -> None:
     """A drawing in its own size, at most as wide as the text; caption below it on the same page."""
-    inches_wide, inches_high = figure.drawing.get_size_inches()
-    width = min(25.4 * inches_wide, WIDEST_FIGURE)
-    height = width * inches_high / inches_wide
+    width, height = _size(figure)
     if pages.will_page_break(height + 10):
         pages.add_page()
     # What a drawing leaves open is black.
@@ -168,7 +179,7 @@ def _table(pages: _Pages, table: Table) -> None:
     longest = [max(len(row[n]) for row in (table.header, *table.rows)) for n in range(len(table.header))]
     aligned = tuple("RIGHT" if n in table.numeric else "LEFT" for n in range(len(table.header)))
     with pages.table(
-        col_widths=[min(max(length, 5), 40) for length in longest],
+        col_widths=[min(max(length, 8), 40) for length in longest],
         text_align=aligned,
         line_height=4.2,
         borders_layout=TableBordersLayout.HORIZONTAL_LINES,

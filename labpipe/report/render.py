@@ -17,6 +17,26 @@ RENDERERS = Registry(
     },
 )
 
+# The same for documents that are not of one identification.
+DOCUMENTS = Registry(
+    "report format",
+    {
+        "html": "labpipe.report.render:html_document",
+        "md": "labpipe.report.render:markdown_document",
+        "pdf": "labpipe.report.pdf:render_pdf",
+    },
+)
+
+
+def html_document(document: Document) -> bytes:
+    """A document as the bytes of an HTML file."""
+    return render_html(document).encode()
+
+
+def markdown_document(document: Document) -> bytes:
+    """A document as the bytes of a Markdown file."""
+    return render_markdown(document).encode()
+
 
 def html_report(identification: Identification) -> bytes:
     """One HTML file that opens offline: style and drawings inside, nothing fetched, names from files escaped."""

@@ -1,13 +1,15 @@
-"""report: identification -> a document people read and sign."""
+"""report: identification, or several of them -> a document people read and sign, and its figures as files."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
-from labpipe.artefacts.writing import output_file
-from labpipe.errors import ConfigError
+from labpipe.artefacts.writing import output_file, output_folder
+from labpipe.errors import ConfigError, DataError
 from labpipe.records.identification import Identification
-from labpipe.report.render import RENDERERS
+from labpipe.report.render import DOCUMENTS, RENDERERS
 
 SUFFIX_FORMATS = {".html": "html", ".htm": "html", ".md": "md", ".pdf": "pdf"}
 
@@ -22,8 +24,37 @@ def format_of(path: Path) -> str:
     return SUFFIX_FORMATS[suffix]
 
 
-def write_report(identification: Identification, path: Path, report_format: str = "") -> None:
-    """Write the report of an identification; the format follows from the file's ending."""
+def write_report(identification: Identification, path: Path, report_format: str = "", figures: Path | None = None) -> None:
+    """Write the report of an identification; the format follows from the file's ending. *figures*: a folder for them as files."""
     content: bytes = RENDERERS.load(report_format or format_of(path))(identification)
-    with output_file(path) as target:
+    _write(content, path, {} if figures is None else _figures_of(identification), figures)
+
+
+def write_campaign(results: Sequence[tuple[str, Identification]], path: Path, figures: Path | None = None) -> None:
+    """Write the report of many results (name, identification) together: trends, control limits, differences."""
+    from labpipe.report.campaign import campaign_document
+    from labpipe.report.figure_files import figure_files
+
+    document = campaign_document(results)
+    content: bytes = DOCUMENTS.load(format_of(path))(document)
+    _write(content, path, {} if figures is None else figure_files(document), figures)
+
+
+def _figures_of(identification: Identification) -> dict[str, bytes]:
+    from labpipe.report.build import build
+    from labpipe.report.figure_files import figure_files
+
+    return figure_files(build(identification))
+
+
+def _write(content: bytes, path: Path, files: dict[str, bytes], figures: Path | None) -> None:
+    """Report and figures, all or none."""
+    if figures is not None and figures.exists() and not figures.is_dir():
+        raise DataError("is a file, a folder is needed", where=str(figures))
+    with ExitStack() as outputs:
+        target = outputs.enter_context(output_file(path))
         target.write_bytes(content)
+        if figures is not None:
+            folder = outputs.enter_context(output_folder(figures))
+            for name, part in files.items():
+                folder.write_path(name).write_bytes(part)

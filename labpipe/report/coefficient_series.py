@@ -1,0 +1,140 @@
+"""One coefficient in many results: its values with their doubt, and the conditions of the tests that they come from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import date
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.quantities import UnitError, display_unit, si_amount, to_display
+from labpipe.records.identification import Fit, Identification, Parameter
+from labpipe.report.cover import DATES
+from labpipe.report.wording import unit_text
+
+
+@dataclass(frozen=True)
+class Value:
+    """A parameter of a fit in one result; *label* tells the test from the others, *day* is None where no condition gives it."""
+
+    label: str
+    fit: Fit
+    parameter: Parameter
+    conditions: dict[str, tuple[float, str]]
+    day: date | None
+
+
+@dataclass(frozen=True)
+class CoefficientSeries:
+    """The values of one parameter of one fit, by their dates where all are known, else as the results were given."""
+
+    fit: str
+    name: str
+    values: tuple[Value, ...]
+
+    @property
+    def title(self) -> str:
+        return f"{self.name} of {self.fit}"
+
+    @property
+    def unit(self) -> str:
+        return display_unit(self.values[0].parameter.unit)
+
+    @property
+    def axis(self) -> str:
+        unit = unit_text(self.values[0].parameter.unit)
+        return f"{self.name} [{unit}]" if unit else self.name
+
+    @property
+    def dated(self) -> bool:
+        return all(value.day is not None for value in self.values)
+
+    def shown(self) -> NDArray[np.float64]:
+        """Values (n,) in the display unit."""
+        return np.array([to_display(value.parameter.value, self.unit) for value in self.values])
+
+    def errors(self) -> NDArray[np.float64]:
+        """Standard errors (n,) in the display unit, NaN where a fit has none."""
+        zero = to_display(0.0, self.unit)
+        known = [value.parameter.std_error for value in self.values]
+        return np.array([np.nan if error is None else abs(to_display(error, self.unit) - zero) for error in known])
+
+    def intervals(self) -> NDArray[np.float64]:
+        """95 % intervals (n, 2) in the display unit, NaN where there is none."""
+        ends = [value.parameter.ci95 or (np.nan, np.nan) for value in self.values]
+        return np.array([[to_display(end, self.unit) for end in pair] for pair in ends])
+
+    def over(self) -> dict[str, tuple[str, NDArray[np.float64]]]:
+        """condition -> (axis label, (n,) in display units) for every amount that all tests have and that differs between them."""
+        names = [name for name in self.values[0].conditions if all(name in value.conditions for value in self.values)]
+        found = {}
+        for name in names:
+            units = {value.conditions[name][1] for value in self.values}
+            if len(units) == 1 and len({value.conditions[name][0] for value in self.values}) > 1:
+                unit = units.pop()
+                label = f"{name} [{unit_text(unit)}]" if unit_text(unit) else name
+                amounts = [to_display(value.conditions[name][0], display_unit(unit)) for value in self.values]
+                found[name] = (label, np.array(amounts))
+        days = [value.day for value in self.values if value.day is not None]
+        if self.dated and len(set(days)) > 1:
+            found["date"] = (f"days since {min(days).isoformat()} [d]", np.array([float((day - min(days)).days) for day in days]))
+        return found
+
+
+def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[CoefficientSeries]:
+    """Every parameter that two results or more have, of fits in one band; sliding fits are drawn over frequency instead."""
+    groups: dict[tuple[str, str], list[Value]] = {}
+    for result, identification in results:
+        for fit in single_fits(identification):
+            for parameter in fit.parameters:
+                title = f"{fit.name} of {fit.term}" if fit.term else fit.name
+                groups.setdefault((title, parameter.name), []).append(_value(result, identification, fit, parameter))
+    series = [CoefficientSeries(fit, name, _ordered(values)) for (fit, name), values in groups.items() if len(values) > 1]
+    return [one for one in series if len({value.parameter.unit for value in one.values}) == 1]
+
+
+def single_fits(identification: Identification) -> list[Fit]:
+    """Fits that stand once for their test, name and term."""
+    keys = [(fit.name, fit.test, fit.term) for fit in identification.fits]
+    return [fit for fit, key in zip(identification.fits, keys, strict=True) if keys.count(key) == 1 and fit.model != "straight-line"]
+
+
+def _ordered(values: Sequence[Value]) -> tuple[Value, ...]:
+    if any(value.day is None for value in values):
+        return tuple(values)
+    return tuple(sorted(values, key=lambda value: value.day or date.min))
+
+
+def _value(result: str, identification: Identification, fit: Fit, parameter: Parameter) -> Value:
+    label = f"{result}, {fit.test}" if fit.test and result else fit.test or result
+    conditions = _conditions(identification, fit.test)
+    amounts = {name: amount for name, text in conditions.items() if (amount := _amount(str(text))) is not None}
+    days = (_day(str(text)) for name, text in conditions.items() if name.lower() in DATES)
+    return Value(label, fit, parameter, amounts, next((day for day in days if day is not None), None))
+
+
+def _conditions(identification: Identification, test: str) -> dict[str, Any]:
+    """What was written for a test: with its response, or among the settings where the response was not kept."""
+    for response in identification.responses:
+        if response.name == test:
+            return dict(response.conditions)
+    listed: Iterable[dict[str, Any]] = identification.settings.get("tests", [])
+    return next((dict(one.get("conditions", {})) for one in listed if one.get("name") == test), {})
+
+
+def _amount(text: str) -> tuple[float, str] | None:
+    try:
+        return si_amount(text)
+    except UnitError:
+        return None
+
+
+def _day(text: str) -> date | None:
+    """The day of an ISO date such as 2026-03-02 or 2026-03-02T14:10."""
+    try:
+        return date.fromisoformat(text[:10])
+    except ValueError:
+        return None
