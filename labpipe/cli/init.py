@@ -1,4 +1,4 @@
-"""labpipe init DIR"""
+"""labpipe init DIR [RECORDING...]"""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from pathlib import Path
 
 import click
 
-from labpipe.artefacts.writing import output_folder
+from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
 from labpipe.errors import ConfigError
 from labpipe.simulate.settings import VirtualRig
+from labpipe.stages.examples import copy_example, examples
+from labpipe.stages.scaffold import MARK, scaffold
 from labpipe.stages.simulate import simulate_files
 
 SCAFFOLD = ("rig.yaml", "pipeline.yaml")
@@ -18,14 +20,56 @@ SCAFFOLD = ("rig.yaml", "pipeline.yaml")
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=options.PATH)
-def init(folder: Path) -> None:
-    """Scaffold a project in DIR: rig.yaml, pipeline.yaml and a sample recording; it runs as it is."""
-    taken = [name for name in SCAFFOLD if (folder / name).exists()]
+@click.argument("recordings", metavar="[RECORDING...]", nargs=-1, type=options.PATH)
+@click.option("--example", metavar="NAME", help="A shipped rig with its recordings and pipelines; `--example list` names them.")
+def init(folder: Path, recordings: tuple[Path, ...], example: str | None) -> None:
+    """Scaffold a project in DIR: rig.yaml, pipeline.yaml and a sample recording; it runs as it is.
+
+    With RECORDING... (or FRFs) the two files say what the recording's own metadata say: channels, units, rate, kind of excitation,
+    band. Lines that only a person can decide are marked, and labpipe names each until it is decided.
+    """
+    if example is not None and recordings:
+        raise ConfigError("--example brings its own recordings", hint="leave out one of the two")
+    if example == "list":
+        for name, pipelines in examples().items():
+            click.echo(f"{name}: {', '.join(path.stem for path in pipelines)}")
+        return
+    taken = [name for name in (*SCAFFOLD, "pipelines") if (folder / name).exists()]
     if taken:
         raise ConfigError(f"already holds {', '.join(taken)}", where=str(folder), hint="name a new folder")
     with output_folder(folder) as output:
-        for name in SCAFFOLD:
-            output.write_path(name).write_bytes(files("labpipe.cli").joinpath("scaffold", name).read_bytes())
-        simulate_files(VirtualRig("virtual-magnetic-rig"), 1, ["pedestal"], output)
+        if example is not None:
+            _example(example, folder, output)
+        elif recordings:
+            _from_recordings(recordings, folder, output)
+        else:
+            _sample(folder, output)
+
+
+def _example(name: str, folder: Path, output: OutputFolder) -> None:
+    pipelines = copy_example(name, output)
+    click.echo(f"written to {folder}: {', '.join(pipelines)}, configs, sample_data")
+    _next(folder / "pipelines" / pipelines[0], folder)
+
+
+def _from_recordings(recordings: tuple[Path, ...], folder: Path, output: OutputFolder) -> None:
+    made = scaffold(recordings, folder)
+    for name, text in zip(SCAFFOLD, (made.rig, made.pipeline), strict=True):
+        if text:
+            output.write_path(name).write_text(text, encoding="utf-8")
+    click.echo(f"written to {folder}: {', '.join(name for name, text in zip(SCAFFOLD, (made.rig, made.pipeline), strict=True) if text)}")
+    if made.decisions:
+        click.echo(f"to be decided, marked '{MARK}': {', '.join(made.decisions)}")
+    _next(folder / "pipeline.yaml", folder)
+
+
+def _sample(folder: Path, output: OutputFolder) -> None:
+    for name in SCAFFOLD:
+        output.write_path(name).write_bytes(files("labpipe.cli").joinpath("scaffold", name).read_bytes())
+    simulate_files(VirtualRig("virtual-magnetic-rig"), 1, ["pedestal"], output)
     click.echo(f"written to {folder}: {', '.join(SCAFFOLD)}, pedestal.csv, truth.json")
-    click.echo(f"next: labpipe run {folder / 'pipeline.yaml'} -o {folder / 'out'}")
+    _next(folder / "pipeline.yaml", folder)
+
+
+def _next(pipeline: Path, folder: Path) -> None:
+    click.echo(f"next: labpipe run {pipeline} -o {folder / 'out'}")

@@ -7,18 +7,15 @@ from pathlib import Path
 import click
 
 from labpipe.artefacts.recording_file import StoredRecording, open_recording
-from labpipe.artefacts.response_file import SUFFIX as FRF_SUFFIX
 from labpipe.cli import options
 from labpipe.config.rig import load_rig
 from labpipe.errors import DataError
-from labpipe.formats.mat_frf import holds_response
 from labpipe.formats.table import open_table
-from labpipe.formats.uff import TIME, UFF_SUFFIXES, read_uff
 from labpipe.records.finding import Finding
 from labpipe.records.response import FORMS, FrequencyResponse, Port
 from labpipe.records.rig import Rig
 from labpipe.signals.screening import ChannelScreen, TimeAxisScreen
-from labpipe.stages.frf import load_response
+from labpipe.stages.frf import is_response, load_response
 from labpipe.stages.ingest import contradictions, is_recording
 
 BLOCK = 1 << 16
@@ -31,20 +28,12 @@ TIME_NAMES = ("t", "time", "zeit")
 def inspect(file: Path, rig_path: Path | None) -> None:
     """Show what is in a recording or an FRF: channels, units, rate, length, gaps, clipping, levels."""
     rig = None if rig_path is None else load_rig(rig_path)
-    if file.name.endswith(FRF_SUFFIX) or (file.is_file() and _is_response(file)):
+    if is_response(file):
         _inspect_response(load_response(file), file)
     elif file.is_file() and is_recording(file):
         _inspect_recording(open_recording(file))
     else:
         _inspect_table(file, rig)
-
-
-def _is_response(file: Path) -> bool:
-    """Whether a file of another program holds FRFs and no recording."""
-    suffix = file.suffix.lower()
-    if suffix == ".mat":
-        return holds_response(file)
-    return suffix in UFF_SUFFIXES and all(record.function != TIME for record in read_uff(file))
 
 
 def _inspect_response(response: FrequencyResponse, file: Path) -> None:

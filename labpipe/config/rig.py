@@ -91,13 +91,13 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
         channels=tuple(channels),
         sample_rate=known.sample_rate,
         time=known.time,
-        time_scale=_time_scale(known.time),
+        time_scale=time_scale(known.time),
         mass=known.mass,
         description=known.description,
     )
 
 
-def _time_scale(column: str | None) -> float:
+def time_scale(column: str | None) -> float:
     """Seconds per unit of the time column, from the unit in brackets behind its name (seconds without one)."""
     match = re.search(r"[\[(]([^\])]+)[\])]\s*$", column or "")
     if match is None:

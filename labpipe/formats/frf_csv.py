@@ -18,6 +18,7 @@ from labpipe.records.rig import AXIS_ANGLES
 from labpipe.registry import nearest
 
 _COLUMN = re.compile(r"^(?P<output>[^/]+)/(?P<input>[^:]+):(?P<part>re|im|var|coh)$")
+FREQUENCY = "frequency_hz"
 
 
 def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
@@ -26,7 +27,7 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
     A variance per element is read as a covariance without correlation between the elements.
     """
     table = CsvTable(path)
-    check_columns(table, ["frequency_hz"])
+    check_columns(table, [FREQUENCY])
     pairs = [match for column in table.columns if (match := _COLUMN.match(column))]
     if not pairs:
         raise DataError("no columns 'output/input:re' and 'output/input:im'", where=str(path), hint="for example 'x/f:re', 'x/f:im'")
@@ -38,7 +39,7 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
     real, imaginary = (_cube(columns, outputs, inputs, part) for part in ("re", "im"))
     variance, coherence = (_optional_cube(columns, outputs, inputs, part) for part in ("var", "coh"))
     return FrequencyResponse(
-        frequency=columns["frequency_hz"],
+        frequency=columns[FREQUENCY],
         matrix=real + 1j * imaginary,
         outputs=tuple(_port(label) for label in outputs),
         inputs=tuple(_port(label) for label in inputs),
@@ -81,7 +82,7 @@ def _optional_cube(
 
 def write_frf_csv(path: Path, response: FrequencyResponse) -> None:
     """Write the response as `read_frf_csv` reads it."""
-    columns = {"frequency_hz": response.frequency}
+    columns = {FREQUENCY: response.frequency}
     variance = response.variance
     for o, output in enumerate(response.outputs):
         for i, port in enumerate(response.inputs):

@@ -6,13 +6,14 @@ from pathlib import Path
 
 from labpipe.errors import DataError
 from labpipe.formats.packed import plain_suffix
+from labpipe.formats.table import TEXT_SUFFIXES
 from labpipe.records.response import FrequencyResponse
 from labpipe.registry import Registry
 
 FRF_READERS = Registry(
     "frf-reader",
     {
-        **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc"), "labpipe.formats.frf_csv:read_frf_csv"),
+        **dict.fromkeys(TEXT_SUFFIXES, "labpipe.formats.frf_csv:read_frf_csv"),
         **dict.fromkeys((".uff", ".unv", ".uf"), "labpipe.formats.uff_frf:read_frf_uff"),
         ".mat": "labpipe.formats.mat_frf:read_frf_mat",
     },

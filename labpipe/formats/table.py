@@ -13,10 +13,11 @@ from labpipe.errors import DataError
 from labpipe.formats.packed import plain_suffix
 from labpipe.registry import Registry, nearest
 
+TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".asc")
 READERS = Registry(
     "reader",
     {
-        **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc"), "labpipe.formats.csv_table:CsvTable"),
+        **dict.fromkeys(TEXT_SUFFIXES, "labpipe.formats.csv_table:CsvTable"),
         ".parquet": "labpipe.formats.parquet_table:ParquetTable",
         **dict.fromkeys((".uff", ".unv", ".uf"), "labpipe.formats.uff_table:UffTable"),
         ".mat": "labpipe.formats.mat_file:mat_table",

@@ -13,7 +13,12 @@ from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.response_file import SUFFIX, read_response, write_response
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError, LabpipeError
+from labpipe.formats.frf_csv import FREQUENCY
 from labpipe.formats.frf_file import read_frf_file
+from labpipe.formats.mat_frf import holds_response
+from labpipe.formats.packed import plain_suffix
+from labpipe.formats.table import TEXT_SUFFIXES, open_table
+from labpipe.formats.uff import TIME, UFF_SUFFIXES, read_uff
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
@@ -50,6 +55,18 @@ def frf(
 
 def _where(recordings: Sequence[StoredRecording]) -> str:
     return ", ".join(recording.header.inputs[0].path if recording.header.inputs else recording.path.name for recording in recordings)
+
+
+def is_response(path: Path) -> bool:
+    """Whether a file holds FRFs and no recording: labpipe's own, or another program's."""
+    if not path.is_file():
+        return False
+    suffix = plain_suffix(path)
+    if suffix == ".mat":
+        return holds_response(path)
+    if suffix in UFF_SUFFIXES:
+        return all(record.function != TIME for record in read_uff(path))
+    return path.name.endswith(SUFFIX) or (suffix in TEXT_SUFFIXES and FREQUENCY in open_table(path).columns)
 
 
 def load_response(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:

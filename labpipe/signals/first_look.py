@@ -1,0 +1,104 @@
+"""A first look at a force nobody described: is it periodic, hammer hits or random, and which frequencies does it hold?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+# Two periods of a periodic signal are alike to at least this (their correlation); noise stays far below.
+ALIKE = 0.9
+# The force of hits rests for most of the time: peak over rms, and share of samples below a hundredth of the peak.
+HIT_CREST, RESTING = 8.0, 0.7
+# Power below the strongest line that still counts as excited: 30 dB.
+EXCITED = 1e-3
+# A random recording is cut into about this many blocks, so that its averages number some thirty with 50 % overlap.
+BLOCKS = 16
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """What a force looks like. length: samples of a period (periodic) or of a block (random, impact); band: where it has power [Hz]."""
+
+    kind: str
+    length: int
+    band: tuple[float, float]
+    repeats: int
+
+
+def look(force: NDArray[np.floating], sample_rate: float) -> Excitation:
+    """The kind of a force (n_sample,) [any unit] sampled at *sample_rate* [Hz]."""
+    force = force - np.median(force)
+    hits = hit_starts(force)
+    if hits.size:
+        gaps = np.diff([*hits, force.size])
+        length = round_down(int(min(gaps)))
+        return Excitation("impact", length, _band(force, sample_rate), int(hits.size))
+    force = force - np.mean(force)
+    period = find_period(force)
+    if period:
+        return Excitation("periodic", period, _line_band(force, period, sample_rate), force.size // period)
+    length = round_down(max(force.size // BLOCKS, 2))
+    return Excitation("random", length, _band(force, sample_rate), force.size // length)
+
+
+def find_period(signal: NDArray[np.floating]) -> int:
+    """The shortest lag [samples] after which the signal (n_sample,) comes again, at least twice; 0 when there is none.
+
+    A lag L counts when the correlation of x[n] and x[n + L] over all n exceeds ALIKE, and more than at its neighbours.
+    """
+    n = signal.size
+    if n < 8 or not np.any(signal):
+        return 0
+    spectrum = fft.rfft(signal, fft.next_fast_len(2 * n, real=True))
+    product = fft.irfft(np.abs(spectrum) ** 2, fft.next_fast_len(2 * n, real=True))[: n // 2 + 1]
+    power = np.concatenate([[0.0], np.cumsum(signal**2)])
+    lags = np.arange(product.size)
+    correlation = product / np.sqrt(np.maximum(power[n - lags] * (power[n] - power[lags]), np.finfo(float).tiny))
+    # A slow signal is like itself after a few samples as well: the first lag counts only once the likeness was lost.
+    lost = np.flatnonzero(correlation < 0.5)
+    if not lost.size:
+        return 0
+    later = correlation[lost[0] :]
+    peaks = np.flatnonzero((later[1:-1] >= ALIKE) & (later[1:-1] >= later[:-2]) & (later[1:-1] >= later[2:])) + 1
+    if not peaks.size:
+        return 0
+    # Noise lowers all whole multiples alike; the shortest lag that comes near the best one is the period.
+    near = peaks[later[peaks] >= later[peaks].max() - (1 - ALIKE) / 2]
+    return int(lost[0] + near[0])
+
+
+def hit_starts(force: NDArray[np.floating]) -> NDArray[np.intp]:
+    """The samples at which hits of a hammer begin; none where the force (n_sample,) does not rest most of the time."""
+    peak, rms = float(np.max(np.abs(force))), float(np.sqrt(np.mean(force**2)))
+    if rms == 0 or peak < HIT_CREST * rms or np.mean(np.abs(force) < 0.01 * peak) < RESTING:
+        return np.empty(0, np.intp)
+    above = np.flatnonzero(np.abs(force) > 0.1 * peak)
+    return above[np.concatenate([[True], np.diff(above) > force.size // 1000 + 10])]
+
+
+def round_down(samples: int) -> int:
+    """The largest 1, 2 or 5 times a power of ten that is not above *samples*."""
+    decade = 10 ** (len(str(samples)) - 1)
+    return max(step * decade for step in (1, 2, 5) if step * decade <= samples)
+
+
+def _line_band(force: NDArray[np.floating], period: int, sample_rate: float) -> tuple[float, float]:
+    """The first and the last line of a periodic force that holds power."""
+    whole = force[: force.size // period * period].reshape(-1, period).mean(axis=0)
+    power = np.abs(fft.rfft(whole)) ** 2
+    power[0] = 0.0
+    lines = np.flatnonzero(power > EXCITED * power.max()) * sample_rate / period
+    return float(lines[0]), float(lines[-1])
+
+
+def _band(force: NDArray[np.floating], sample_rate: float) -> tuple[float, float]:
+    """Where a force that is not periodic has power, by the mean spectrum of its blocks."""
+    length = max(force.size // BLOCKS, 8)
+    blocks = force[: force.size // length * length].reshape(-1, length)
+    power = np.mean(np.abs(fft.rfft(blocks * np.hanning(length), axis=1)) ** 2, axis=0)
+    power[0] = 0.0
+    lines = np.flatnonzero(power > EXCITED * power.max()) * sample_rate / length
+    return float(lines[0]), float(min(lines[-1], 0.4 * sample_rate))

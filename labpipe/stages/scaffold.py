@@ -1,0 +1,213 @@
+"""A project from a recording: rig.yaml and pipeline.yaml with all that the file says itself, and marks where a person must decide."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.config.rig import time_scale
+from labpipe.errors import DataError
+from labpipe.formats.table import Table, open_table
+from labpipe.records.recording import Channel, Recording
+from labpipe.records.response import FrequencyResponse
+from labpipe.signals.first_look import Excitation, look
+from labpipe.spectra.measurement import measure
+from labpipe.spectra.settings import FrfSettings
+from labpipe.stages.first_guess import DECIDE, GuessedChannel, first_rows, guess_channels, time_columns
+from labpipe.stages.frf import is_response, load_response
+
+MARK = "# <- decide:"
+# A fit looks at this share of the peak's frequency to either side, and at this many lines at least.
+AROUND, LEAST_LINES = 0.1, 12
+
+
+@dataclass(frozen=True)
+class Scaffold:
+    """The text of the two files; *rig* is empty where the files are FRFs."""
+
+    rig: str
+    pipeline: str
+
+    @property
+    def decisions(self) -> list[str]:
+        """The marked lines, with the file that they stand in."""
+        files = (("rig.yaml", self.rig), ("pipeline.yaml", self.pipeline))
+        return [f"{name}:{n}" for name, text in files for n, line in enumerate(text.splitlines(), 1) if MARK in line]
+
+
+@dataclass(frozen=True)
+class FirstLook:
+    """A recording as its file describes it; *rate* [Hz], 0 where nobody knows it; rows (n_sample, n_channel) as recorded."""
+
+    channels: tuple[GuessedChannel, ...]
+    rate: float
+    time: str
+    rows: NDArray[np.floating]
+
+    def column_of(self, role: str) -> list[int]:
+        return [number for number, channel in enumerate(self.channels) if channel.role == role]
+
+
+def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
+    """The project in *folder* for recordings, or for FRFs, which need no rig file; DataError for a file that cannot be read."""
+    paths = [Path(os.path.relpath(path, folder)).as_posix() for path in files]
+    if is_response(files[0]):
+        return Scaffold("", _pipeline_of_responses(load_response(files[0]), paths))
+    seen = first_look(open_table(files[0]))
+    return Scaffold(_rig(seen, files[0]), _pipeline(seen, files, paths))
+
+
+def first_look(table: Table) -> FirstLook:
+    """The channels of a table with what its metadata say, its rate and time column, and its first rows."""
+    names, rows = first_rows(table)
+    if rows.shape[0] < 2:
+        raise DataError("holds too few samples", where=str(table.path))
+    times = time_columns(names, rows)
+    kept = [number for number, name in enumerate(names) if name not in times]
+    if not kept:
+        raise DataError("holds no column but time", where=str(table.path))
+    time = times[0] if times and table.sample_rate is None else ""
+    step = float(np.mean(np.diff(rows[:, names.index(time)]))) * time_scale(time) if time else 0.0
+    rate = table.sample_rate or (1 / step if step else 0.0)
+    return FirstLook(tuple(guess_channels([names[n] for n in kept], table.units)), rate, time, rows[:, kept])
+
+
+def _rig(seen: FirstLook, path: Path) -> str:
+    lines = [f"# What the rig is, as far as {path.name} says it. Marked lines wait for a person to decide.", "name: My rig"]
+    if seen.time:
+        lines.append(f"time: {json.dumps(seen.time, ensure_ascii=False)}")
+    elif not seen.rate:
+        lines.append(f"sample_rate: {DECIDE}    {MARK} the sampling rate, for example 20 kHz; the file does not say it")
+    lines.append("channels:                      # key = the name used everywhere else")
+    lines.extend(_channel_line(channel) for channel in seen.channels)
+    lines.append("# mass: 1 kg                   # that moves with the response; without it the mass is estimated")
+    return "\n".join(lines) + "\n"
+
+
+def _channel_line(channel: GuessedChannel) -> str:
+    entries = {"column": json.dumps(channel.column, ensure_ascii=False), "quantity": channel.quantity, "unit": json.dumps(channel.unit)}
+    entries |= {"role": channel.role, "dof": channel.dof} if channel.role else {"dof": channel.dof}
+    if channel.sensitivity:
+        entries["sensitivity"] = channel.sensitivity
+    asked = f"  {MARK} {'; '.join(channel.decisions)}" if channel.decisions else ""
+    return f"  {channel.key}: {{{', '.join(f'{key}: {text}' for key, text in entries.items())}}}{asked}".replace(f'"{DECIDE}"', DECIDE)
+
+
+def _pipeline(seen: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> str:
+    inputs, outputs = seen.column_of("input"), seen.column_of("output")
+    excitation = look(seen.rows[:, inputs[0]], seen.rate or 1.0) if inputs else None
+    lines = [
+        f"# What to do with the recording{'s' if len(paths) > 1 else ''}. Paths are relative to this file.",
+        "title: Stiffness and damping of my rig",
+        "rig: rig.yaml",
+        *_sources(files, paths, "recordings"),
+        *_frf_lines(excitation, seen.rate),
+        "identify:",
+    ]
+    peaks = _peaks(seen, inputs[:1], outputs, excitation) if excitation is not None and seen.rate else {}
+    force = seen.channels[inputs[0]].key if inputs else f"{DECIDE}    {MARK} the channel of the force, once rig.yaml knows one"
+    if not outputs:
+        lines.extend(_fit_lines("fit", force, f"{DECIDE}    {MARK} the channel of a response, once rig.yaml knows one", None))
+    for output in (seen.channels[number].key for number in outputs):
+        lines.extend(_fit_lines(f"fit_{output}", force, output, peaks.get(output)))
+    lines.append("# Coupled responses: model: mdof, with one force after the other. See README, 'Models and estimators'.")
+    return "\n".join(lines) + "\n"
+
+
+def _sources(files: Sequence[Path], paths: Sequence[str], kind: str) -> list[str]:
+    if len(paths) == 1:
+        return [f"{kind}: {json.dumps(paths[0], ensure_ascii=False)}"]
+    entries = (
+        f"  - {{name: {json.dumps(file.stem, ensure_ascii=False)}, {kind}: {json.dumps(path, ensure_ascii=False)}}}"
+        for file, path in zip(files, paths, strict=True)
+    )
+    return ["tests:                         # conditions: {speed: 3000 rpm} says what differed", *entries]
+
+
+def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
+    if excitation is None:
+        return ["frf:", f"  excitation: {DECIDE}    {MARK} periodic (with period: 1 s), random or impact (with block: 1 s)"]
+    told = {
+        "periodic": f"the force comes again after {excitation.length} samples, {excitation.repeats} times",
+        "random": "the force does not come again",
+        "impact": f"{excitation.repeats} hits",
+    }[excitation.kind]
+    low, high = excitation.band
+    length = f"{excitation.length / rate:.12g} s" if rate else f"{DECIDE}    {MARK} the time that {excitation.length} samples take"
+    lines = ["frf:", f"  excitation: {excitation.kind}".ljust(31) + f"# {told}"]
+    lines.append(f"  {'period' if excitation.kind == 'periodic' else 'block'}: {length}")
+    if excitation.kind == "periodic":
+        lines.append(f"  skip: {1 if excitation.repeats > 2 else 0}".ljust(31) + "# transient periods")
+    if rate:
+        lines.append(f"  band: {low:.6g}-{high:.6g} Hz".ljust(31) + "# where the force has power")
+    return lines
+
+
+def _fit_lines(name: str, force: str, output: str, band: tuple[float, float] | None) -> list[str]:
+    lines = [f"  {name}:", "    model: sdof", "    estimator: ml", f"    input: {force}", f"    output: {output}"]
+    if band is not None:
+        lines.append(f"    band: {band[0]:.6g}-{band[1]:.6g} Hz".ljust(31) + "# around the highest peak")
+    return lines
+
+
+def _peaks(seen: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excitation: Excitation) -> dict[str, tuple[float, float]]:
+    """A band around the highest peak of the mobility of each response, by its channel; none where nothing can be measured."""
+    chosen = [*inputs, *outputs]
+    channels = tuple(_as_channel(seen.channels[number]) for number in chosen)
+    kinds = {channel.quantity for channel in channels if channel.role == "output"}
+    if not outputs or len(kinds) > 1:
+        return {}
+    length = excitation.length / seen.rate
+    periodic = excitation.kind == "periodic"
+    settings = FrfSettings(
+        excitation.kind,
+        period=length if periodic else None,
+        skip=1 if excitation.repeats > 2 else 0,
+        block=None if periodic else length,
+        band=excitation.band,
+    )
+    try:
+        response = measure([Recording(channels, seen.rows[:, chosen], seen.rate)], settings)
+    except DataError:
+        return {}
+    return {port.label: _around(response.frequency, _mobility(response)[:, row]) for row, port in enumerate(response.outputs)}
+
+
+def _as_channel(channel: GuessedChannel) -> Channel:
+    """The channel for a look at the spectra; what is not known counts as a displacement, in any unit."""
+    quantity = channel.quantity if channel.quantity in ("force", "velocity", "acceleration") else "displacement"
+    return Channel(channel.key, quantity, channel.role, channel.dof)
+
+
+def _mobility(response: FrequencyResponse) -> NDArray[np.floating]:
+    """|velocity / force| (n_frequency, n_output) of the first force: neither the low nor the high end outweighs a resonance."""
+    order = {"receptance": 1, "mobility": 0, "accelerance": -1}.get(response.form, 0)
+    weight = np.maximum(response.frequency, response.frequency[response.frequency > 0].min()) ** order
+    return np.abs(response.matrix[:, :, 0]) * weight[:, None]
+
+
+def _around(frequency: NDArray[np.floating], mobility: NDArray[np.floating]) -> tuple[float, float]:
+    """The band around the highest peak, with LEAST_LINES lines at least."""
+    peak = int(np.argmax(mobility))
+    reach = max(AROUND * float(frequency[peak]), LEAST_LINES / 2 * float(np.median(np.diff(frequency))))
+    return max(float(frequency[peak]) - reach, float(frequency[0])), min(float(frequency[peak]) + reach, float(frequency[-1]))
+
+
+def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) -> str:
+    """A pipeline that begins with FRFs: one fit for each response, to the first force."""
+    files = [Path(path) for path in paths]
+    estimator = "ml" if response.covariance is not None else "ls"
+    lines = ["# What to do with the FRFs. Paths are relative to this file.", "title: Stiffness and damping from measured FRFs"]
+    lines.extend(_sources(files, paths, "frfs"))
+    lines.append("identify:")
+    for row, port in enumerate(response.outputs):
+        band = _around(response.frequency, _mobility(response)[:, row])
+        fit = _fit_lines(f"fit_{row + 1}", json.dumps(response.inputs[0].label), json.dumps(port.label), band)
+        lines.extend(line.replace("estimator: ml", f"estimator: {estimator}") for line in fit)
+    return "\n".join(lines) + "\n"
