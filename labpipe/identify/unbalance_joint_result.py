@@ -17,6 +17,8 @@ from labpipe.rotors.threshold import CoefficientsAtSpeed
 
 # Below this probability chi-square rejects the family.
 REJECTED = 1e-3
+# Part of a load by which a prediction may lie outside those of the fit.
+LOAD_SLACK = 0.01
 # Step of a difference, in standard errors along each axis of the covariance.
 STEP = 0.5
 
@@ -110,6 +112,22 @@ class JointFit:
         if found is None:
             raise FitError("the threshold speed leaves the range of the search within its own uncertainty", hint="it is above 6000 rpm")
         return found
+
+    def caution(self, load: float) -> str:
+        """What a reader of a prediction at a *load* [N] must know beside its interval; empty where the interval says it all."""
+        parts = []
+        if self.rejected:
+            parts.append(
+                f"chi-square per datum is {self.chi2_per_datum:.1f}: the bearing is not of the fitted family, and the interval, though "
+                "widened, may miss the truth"
+            )
+        low, high = min(self.loads), max(self.loads)
+        if not low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
+            parts.append(
+                f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): the interval holds for bearings of the fitted "
+                "family only, and chi-square cannot tell beyond the measured loads"
+            )
+        return "; ".join(parts)
 
     def _predicted(self, predict: Callable[[Array], float]) -> Uncertain:
         """A prediction with its standard error: central differences along the axes of the covariance."""

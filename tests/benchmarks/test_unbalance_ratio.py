@@ -72,9 +72,8 @@ def test_identification_in_run_ups(capsys) -> None:  # type: ignore[no-untyped-d
     condensing = wall_seconds(lambda: RIG.under_unbalance(runs[1].speed, RIG.known_unbalance), 21)
     with capsys.disabled():
         print(f"\nrun-up {1e3 * run_up:.3f} ms, condensing it {1e3 * condensing:.2f} ms")
-        print(
-            f"per point {1e3 * points:.0f} ms = {points / run_up:.0f} run-ups; joint fit {1e3 * joint:.0f} ms = {joint / run_up:.0f} run-ups"
-        )
+        print(f"per point {1e3 * points:.0f} ms = {points / run_up:.0f} run-ups")
+        print(f"joint fit {1e3 * joint:.0f} ms = {joint / run_up:.0f} run-ups")
     # The goals with the run-up counted as 1 ms or what it takes, whichever is longer; four times that is gross failure.
     unit = max(run_up, 1e-3)
     assert points < 4000 * unit

@@ -100,6 +100,13 @@ def test_a_truth_of_arbitrary_factors_is_flagged() -> None:
     assert np.all(np.abs(found.values) <= BOUND * (1 + 1e-9))
 
 
+def test_a_load_outside_those_of_the_fit_is_cautioned(inside: JointFit) -> None:
+    assert inside.caution(inside.loads[0]) == ""
+    assert "16.9 N lies outside the loads of the fit (3.66 to 10.3 N)" in inside.caution(16.94)
+    flagged = dataclasses.replace(inside, chi2=6 * inside.chi2)
+    assert flagged.caution(5.0).startswith("chi-square per datum is 6.")
+
+
 def test_parameters_as_people_read_them(inside: JointFit) -> None:
     """Factors on the file's values; the two slopes are exponents."""
     viscosity, slope = inside.parameter("viscosity"), inside.parameter("viscosity_speed")
