@@ -36,6 +36,8 @@ COMMANDS = {
     "calibrate": "Sensor, actuator and stiffness calibration fits.",
     "export": "Write an artefact as CSV or Parquet.",
     "schema": "The JSON schema of rig or pipeline files, for editors.",
+    "completion": "What makes your shell complete commands and options.",
+    "doctor": "Versions, threads, optional packages, and what is wrong here.",
 }
 # A function named `list` would hide Python's own.
 TABLE = Registry("command", {name: f"labpipe.cli.{name}:{'list_results' if name == 'list' else name}" for name in COMMANDS})

@@ -1,0 +1,25 @@
+"""labpipe completion SHELL"""
+
+from __future__ import annotations
+
+import click
+from click.shell_completion import get_completion_class
+
+SHELLS = {"bash": "~/.bashrc", "zsh": "~/.zshrc", "fish": "~/.config/fish/completions/labpipe.fish"}
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(list(SHELLS)))
+def completion(shell: str) -> None:
+    """Print what makes SHELL complete commands and options of labpipe on the Tab key.
+
+    \b
+    bash: eval "$(labpipe completion bash)"       in ~/.bashrc
+    zsh:  eval "$(labpipe completion zsh)"        in ~/.zshrc
+    fish: labpipe completion fish > ~/.config/fish/completions/labpipe.fish
+    """
+    from labpipe.cli.main import group
+
+    found = get_completion_class(shell)
+    assert found is not None
+    click.echo(found(group, {}, "labpipe", "_LABPIPE_COMPLETE").source())

@@ -1,0 +1,83 @@
+"""labpipe doctor"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import os
+import platform
+import re
+import sys
+import tempfile
+from dataclasses import dataclass
+
+import click
+
+from labpipe import __version__
+
+# What only one ability needs, by the distribution's name: the module, and what is missing without it.
+OPTIONAL = {"distributed": ("distributed", "labpipe run --cluster: pip install 'labpipe[cluster]'")}
+MODULES = {"PyYAML": "yaml", "fpdf2": "fpdf", "npTDMS": "nptdms"}
+
+
+@dataclass(frozen=True)
+class Check:
+    """One line of the report; *fault* says what is wrong, empty where nothing is; *needed*: labpipe does not work without."""
+
+    what: str
+    found: str
+    fault: str = ""
+    needed: bool = True
+
+
+@click.command()
+def doctor() -> int:
+    """Show versions, threads, optional packages and what is wrong with this installation; exit code 2 when something needed is missing."""
+    checks = [*_machine(), *_packages(), _temporary_folder()]
+    width = max(len(check.what) for check in checks)
+    for check in checks:
+        click.echo(f"{check.what:<{width}}  {check.found}" + (f"  <- {check.fault}" if check.fault else ""))
+    broken = [check for check in checks if check.fault and check.needed]
+    click.echo("all is well" if not broken else f"{len(broken)} thing(s) to put right")
+    return 2 if broken else 0
+
+
+def _machine() -> list[Check]:
+    threads = ", ".join(f"{name}={os.environ[name]}" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS") if name in os.environ)
+    encoding = sys.stdout.encoding or "unknown"
+    return [
+        Check("labpipe", __version__),
+        Check("Python", f"{platform.python_version()} ({platform.system()} {platform.machine()})"),
+        Check("processors", str(os.cpu_count())),
+        Check("threads of linear algebra", threads),
+        Check("terminal", encoding, "" if "utf" in encoding.lower() else "set PYTHONIOENCODING=utf-8 for units such as µm", needed=False),
+    ]
+
+
+def _packages() -> list[Check]:
+    """Every package that labpipe's own metadata name, imported, so that a broken one shows."""
+    try:
+        stated = importlib.metadata.requires("labpipe") or []
+    except importlib.metadata.PackageNotFoundError:
+        return [Check("installation", "labpipe runs from its source alone", "pip install . in the checkout")]
+    required = [re.match(r"[\w.-]+", text) for text in stated if "extra ==" not in text]
+    names = [match[0] for match in required if match is not None]
+    needed = [_package(name, MODULES.get(name, name), "", True) for name in names]
+    return [*needed, *(_package(name, module, hint, False) for name, (module, hint) in OPTIONAL.items())]
+
+
+def _package(name: str, module: str, hint: str, needed: bool) -> Check:
+    try:
+        importlib.import_module(module)
+    except ImportError as error:
+        return Check(name, "not there", hint or f"pip install {name} ({error})", needed)
+    return Check(name, importlib.metadata.version(name))
+
+
+def _temporary_folder() -> Check:
+    try:
+        with tempfile.TemporaryFile() as stream:
+            stream.write(b"labpipe")
+    except OSError as error:
+        return Check("temporary folder", tempfile.gettempdir(), os.strerror(error.errno or 0).lower())
+    return Check("temporary folder", tempfile.gettempdir())
