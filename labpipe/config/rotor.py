@@ -160,6 +160,9 @@ def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
     """The rotor of a marked tree; None and faults where it cannot be read."""
     before = len(faults)
     entries = faults.mapping(tree, "")
+    if "pins" in entries:
+        faults.add(entries["pins"], "pins", "this rotor runs between pins, for run-ups", "here one in journal bearings at a speed is needed")
+        return None
     plain = Marked({k: v for k, v in entries.items() if k not in SECTIONS}, tree.where)
     known = read_settings(RotorSettings, plain, "", faults)
     materials = _materials(entries.get("materials"), faults)

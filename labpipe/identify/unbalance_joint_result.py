@@ -124,8 +124,8 @@ class JointFit:
         low, high = min(self.loads), max(self.loads)
         if not low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
             parts.append(
-                f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): the interval holds for bearings of the fitted "
-                "family only, and chi-square cannot tell beyond the measured loads"
+                f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): the interval holds for bearings of the "
+                "fitted family only, and chi-square cannot tell beyond the measured loads"
             )
         return "; ".join(parts)
 

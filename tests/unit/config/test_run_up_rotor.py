@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.config.rotor import load_rotor
 from labpipe.config.run_up_rotor import load_run_up_rotor
 from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.errors import ConfigError
@@ -55,6 +56,12 @@ def test_faults_are_named_with_their_place(tmp_path: Path, text: str, old: str, 
     with pytest.raises(ConfigError, match=said) as caught:
         load_run_up_rotor(path)
     assert f"{path}:" in str(caught.value)
+
+
+def test_where_a_rotor_in_journal_bearings_is_needed_pins_are_said(root: Path) -> None:
+    with pytest.raises(ConfigError, match=r"falah.yaml:\d+:1: pins: this rotor runs between pins") as caught:
+        load_rotor(root / "configs/rotors/falah.yaml")
+    assert "\n" not in str(caught.value)
 
 
 def test_two_journal_bearings_between_pins_are_refused(tmp_path: Path, text: str) -> None:
