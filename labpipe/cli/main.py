@@ -28,6 +28,7 @@ COMMANDS = {
     "check": "Run pipelines and hold them against their expect: and accept: rules.",
     "list": "The results below a folder, or what they found, by rig, condition, date, fit.",
     "compare": "Two results held against each other, parameter by parameter.",
+    "trend": "A parameter over a condition or over time in all results below a folder.",
     "orders": "Amplitude and phase of 1x over a run, orbits, forward and backward.",
     "bearing": "Stiffness and damping of a bearing model at its load and speed.",
     "study": "Monte Carlo of a pipeline on a virtual rig: bias, coverage, success per estimator.",

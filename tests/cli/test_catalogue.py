@@ -15,6 +15,7 @@ from labpipe.artefacts.identification_file import write_identification
 from labpipe.catalogue.differences import differences
 from labpipe.catalogue.index import INDEX, interval, open_index
 from labpipe.catalogue.query import Filter, results, values
+from labpipe.catalogue.trends import trends
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Failed, Fit, Goodness, Identification, Parameter, RuleOutcome
@@ -202,6 +203,66 @@ def test_lists_on_the_terminal_and_as_csv(campaign: Path, labpipe) -> None:
     ]
     assert labpipe("list", campaign, "-p", "k", "--where", "preload > 9 kN").out == "nothing found\n"
     assert labpipe("list", campaign / "nowhere").code == 2
+
+
+@pytest.fixture
+def line(tmp_path: Path) -> Path:
+    """k = 1000 N/m + 2 N/m for each newton of preload exactly, errors 10 N/m, one test a day."""
+    for day, preload in enumerate((100, 200, 400, 300), 1):
+        fits = [fit(f"t{preload}", 1000.0 + 2 * preload)]
+        store(tmp_path / f"r{day}", fits, {f"t{preload}": {"preload": f"{preload} N", "date": f"2026-11-0{day}"}})
+    return tmp_path
+
+
+def test_a_trend_over_a_condition(line: Path) -> None:
+    """Weighted line through exact values: slope 2, standard error 10 / sqrt(sum (x - 250)^2) = 10 / sqrt(50,000)."""
+    with open_index(line) as index:
+        (series,) = trends(values(index, Filter(parameter="k")), "preload")
+    assert list(series.condition) == [100.0, 200.0, 300.0, 400.0] and series.condition_unit == "N"
+    assert series.line is not None
+    assert series.line.values[1] == pytest.approx(2.0) and series.line.std_error(1) == pytest.approx(10 / 50_000**0.5)
+
+
+def test_a_trend_over_time_and_its_limits(line: Path) -> None:
+    """By date 1200, 1400, 1800, 1600: mean 1500, mean moving range 800 / 3, sigma = that over 2 / sqrt(pi)."""
+    with open_index(line) as index:
+        (series,) = trends(values(index, Filter(parameter="k")), "date")
+    assert list(series.condition) == [0.0, 1.0, 2.0, 3.0]
+    assert series.limits is not None and series.limits.centre == pytest.approx(1500.0)
+    assert series.limits.sigma == pytest.approx(800 / 3 * np.pi**0.5 / 2) and not series.outside
+
+
+def test_a_value_out_of_control_is_named(tmp_path: Path, labpipe) -> None:
+    for day in range(1, 10):
+        value = 1000.0 + (day % 2) + (500.0 if day == 9 else 0.0)
+        store(tmp_path / f"r{day}", [fit("", value)], {"": {"date": f"2026-11-0{day}"}})
+    ended = labpipe("trend", tmp_path, "-p", "k", "--over", "date")
+    assert "beyond r9" in ended.out and ended.out.count("out of control") == 1
+    assert "test" not in ended.out.splitlines()[2]
+
+
+def test_trends_on_the_terminal_as_csv_and_as_report(line: Path, labpipe) -> None:
+    ended = labpipe("trend", line, "-p", "k", "--over", "preload", "--csv", line / "t.csv", "-o", line / "t.html")
+    assert ended.code == 0, ended.err
+    assert "per N (95 %): rising" in ended.out and "control limits" not in ended.out
+    assert len((line / "t.csv").read_text().splitlines()) == 5
+    assert "Campaign" in (line / "t.html").read_text()
+    ended = labpipe("trend", line, "-p", "k", "--over", "preload", "--where", "preload < 250 N")
+    assert "no trend can be told" in ended.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (["--over", "speed"], "no test has the amount 'speed'"),
+        (["--over", "preload", "--where", "preload > 9 kN"], "no test has the amount 'preload'"),
+        (["--over", "date", "--since", "2030-01-01"], "no result is left by these filters"),
+        (["--over", "preload", "-o", "x.docx"], "no report format for the ending '.docx'"),
+    ],
+)
+def test_trends_that_cannot_be_told_are_refused(line: Path, labpipe, arguments: list[str], what: str) -> None:
+    ended = labpipe("trend", line, "-p", "k", *arguments)
+    assert ended.code == 2 and what in ended.err
 
 
 def two(first: list[Fit], second: list[Fit]) -> tuple[Identification, Identification]:

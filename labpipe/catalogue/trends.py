@@ -1,0 +1,99 @@
+"""A parameter over a condition or over time, from all results that are asked for: its trend, and values out of control."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.campaign.control import ControlLimits, control_limits, straight_trend
+from labpipe.campaign.weighted import WeightedFit
+from labpipe.catalogue.index import DATE
+from labpipe.catalogue.query import ValueRow
+from labpipe.errors import ConfigError, FitError
+from labpipe.registry import nearest
+
+FEWEST = 3
+
+
+@dataclass(frozen=True)
+class Series:
+    """One parameter of one fit in many tests, [SI]; *condition* (n,) in *condition_unit*, rising."""
+
+    fit: str
+    parameter: str
+    over: str
+    condition_unit: str
+    condition: NDArray[np.float64]
+    rows: tuple[ValueRow, ...]
+
+    @property
+    def unit(self) -> str:
+        return self.rows[0].unit
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        return np.array([row.value for row in self.rows])
+
+    @property
+    def errors(self) -> NDArray[np.float64]:
+        return np.array([np.nan if row.std_error is None else row.std_error for row in self.rows])
+
+    @property
+    def line(self) -> WeightedFit | None:
+        """The weighted straight line; None where values, errors or differences of the condition are missing."""
+        try:
+            return straight_trend(self.condition, self.values, self.errors)
+        except FitError:
+            return None
+
+    @property
+    def limits(self) -> ControlLimits | None:
+        """Control limits of the values in the order of their dates; None for fewer than three."""
+        return control_limits(np.array([row.value for row in self.by_date])) if len(self.rows) >= FEWEST else None
+
+    @property
+    def by_date(self) -> list[ValueRow]:
+        return sorted(self.rows, key=lambda row: row.date)
+
+    @property
+    def outside(self) -> list[ValueRow]:
+        """The values beyond the control limits."""
+        return [] if self.limits is None else [self.by_date[place] for place in self.limits.outside]
+
+
+def trends(rows: Sequence[ValueRow], over: str) -> list[Series]:
+    """One series for each fit, term and band; tests without the condition are left out.
+
+    ConfigError when no test has the condition as an amount, or tests have it in different dimensions.
+    """
+    known = list(dict.fromkeys(name for row in rows for name in row.amounts))
+    if over != DATE and over not in known:
+        raise ConfigError(f"no test has the amount '{over}'", hint=nearest(over, (*known, DATE)))
+    groups: dict[tuple[str, str, str], list[ValueRow]] = {}
+    for row in rows:
+        if over == DATE or over in row.amounts:
+            band = f" {row.low_hz:g}-{row.high_hz:g} Hz" if row.high_hz > row.low_hz else ""
+            name = f"{row.fit} of {row.term}" if row.term else row.fit
+            groups.setdefault((name + band, row.parameter, row.unit), []).append(row)
+    return [_series(fit, parameter, over, own) for (fit, parameter, _), own in groups.items()]
+
+
+def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Series:
+    if over == DATE:
+        first = min(row.date for row in rows)
+        placed, unit = [(float(_days(first, row.date)), row) for row in rows], f"d since {first}"
+    else:
+        units = sorted({row.amounts[over][1] for row in rows})
+        if len(units) > 1:
+            raise ConfigError(f"the condition '{over}' has the units {', '.join(units)}", hint="write it in one dimension")
+        placed, unit = [(row.amounts[over][0], row) for row in rows], units[0]
+    placed.sort(key=lambda pair: (pair[0], pair[1].date, pair[1].path))
+    return Series(fit, parameter, over, unit, np.array([x for x, _ in placed]), tuple(row for _, row in placed))
+
+
+def _days(first: str, day: str) -> int:
+    return (datetime.date.fromisoformat(day[:10]) - datetime.date.fromisoformat(first[:10])).days

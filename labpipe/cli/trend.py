@@ -1,0 +1,90 @@
+"""labpipe trend [FOLDER] -p PARAMETER --over CONDITION"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from labpipe.artefacts.identification_file import read_identification
+from labpipe.catalogue.index import DATE, open_index
+from labpipe.catalogue.query import Filter, values
+from labpipe.catalogue.trends import Series, trends
+from labpipe.cli import options
+from labpipe.cli.columns import echo_table, value_cells
+from labpipe.cli.list import row_entry
+from labpipe.errors import DataError
+from labpipe.formats.rows_csv import write_rows
+from labpipe.quantities import display_unit, to_display
+from labpipe.stages.report import format_of, write_campaign
+
+LEVEL = 0.05
+
+
+@click.command()
+@click.argument("folder", type=options.PATH, default=Path("."))
+@click.option("-p", "--parameter", required=True, help="The parameter; '*' stands for any letters.")
+@click.option("--over", required=True, metavar="CONDITION", help="A condition of the tests such as preload, or `date`.")
+@options.catalogue_filters
+@click.option("--csv", "table", type=options.PATH, help="Write the values, in SI units, to this file.")
+@click.option("-o", "--output", type=options.PATH, metavar="FILE", help="Also the campaign report of these results (.html, .pdf, .md).")
+def trend(folder: Path, parameter: str, over: str, table: Path | None, output: Path | None, **filters: object) -> None:
+    """Show how a parameter goes over a condition in all results below FOLDER: values, slope, and over `date` control limits.
+
+    The line is weighted by the standard errors; control limits are mean -+ 3 x mean moving range / 1.128 in the order of the dates.
+    """
+    if output is not None:
+        format_of(output)
+    with open_index(folder) as index:
+        rows = values(index, Filter(parameter=parameter, **filters))  # type: ignore[arg-type]
+    found = trends(rows, over)
+    used = [row for series in found for row in series.rows]
+    if not used:
+        raise DataError("no result is left by these filters", where=str(folder))
+    for series in found:
+        _echo_series(series)
+    if table is not None:
+        write_rows(table, [row_entry(row) for row in used])
+    if output is not None:
+        paths = sorted({row.path for row in used})
+        write_campaign([(path.removesuffix("/identification.json"), read_identification(folder / path)) for path in paths], output)
+        click.echo(f"written: {output}", err=True)
+
+
+def _echo_series(series: Series) -> None:
+    click.echo(f"{series.parameter} of {series.fit} over {series.over}")
+    # Over another condition than time, values are meant to differ.
+    outside = set(map(id, series.outside)) if series.over == DATE else set()
+    rows = []
+    for x, row in zip(series.condition, series.rows, strict=True):
+        mark = "out of control" if id(row) in outside else row.warnings
+        rows.append((f"  {x:g} {series.condition_unit}", *value_cells(row.value, row.std_error, row.unit), row.label, row.date, mark))
+    echo_table((f"  {series.over}", series.parameter, "std. error", "unit", "test", "date", ""), rows, right=(1, 2))
+    click.echo(f"  {_slope(series)}")
+    if series.over == DATE:
+        click.echo(f"  {_control(series)}")
+
+
+def _slope(series: Series) -> str:
+    """The slope in words, in display units."""
+    line = series.line
+    if line is None:
+        return "no trend can be told: at least three values with standard errors at different conditions are needed"
+    unit = display_unit(series.unit, float(line.values[0]))
+    slope, error = (to_display(value, unit) - to_display(0.0, unit) for value in (float(line.values[1]), line.std_error(1)))
+    reach, p_value = line.quantile * error, line.p_of(1)
+    per = series.condition_unit.split(" ")[0]
+    verdict = "no trend" if p_value >= LEVEL else "rising" if slope > 0 else "falling"
+    scatter = "; the values scatter more than their errors, which are enlarged" if line.inflated else ""
+    shown = "" if unit == "1" else f" {unit}"
+    return f"slope {slope:.4g} +- {reach:.2g}{shown} per {per} (95 %): {verdict}, p = {p_value:.2g}{scatter}"
+
+
+def _control(series: Series) -> str:
+    limits = series.limits
+    if limits is None:
+        return "fewer than three values give no control limits"
+    unit = display_unit(series.unit, limits.centre)
+    low, high = (to_display(value, unit) for value in (limits.low, limits.high))
+    beyond = ", ".join(row.label for row in series.outside) or "none"
+    return f"control limits {low:.6g} to {high:.6g} {'' if unit == '1' else unit}: beyond {beyond}"
