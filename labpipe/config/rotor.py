@@ -161,7 +161,7 @@ def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
     before = len(faults)
     entries = faults.mapping(tree, "")
     if "pins" in entries:
-        faults.add(entries["pins"], "pins", "this rotor runs between pins, for run-ups", "here one in journal bearings at a speed is needed")
+        faults.add(entries["pins"], "pins", "this rotor runs between pins, for run-ups", "here one in journal bearings is needed")
         return None
     plain = Marked({k: v for k, v in entries.items() if k not in SECTIONS}, tree.where)
     known = read_settings(RotorSettings, plain, "", faults)
