@@ -17,6 +17,8 @@ from labpipe.report.plotted import plotted
 SCRIPTS = ("scale.js", "panel.js", "reading.js", "zoom.js", "figure.js")
 # Many sections need a way to them; few do not.
 LEAST_LISTED = 4
+# A hundredth of a point is finer than any screen.
+FINER = re.compile(r"(\d\.\d\d)\d+")
 
 
 @cache
@@ -78,7 +80,8 @@ class _Figures:
 def inline_svg(figure: Figure, number: int) -> str:
     """The drawing as SVG inside a page: named for those who cannot see it, its ids its own, its style not the page's."""
     text = svg_text(figure.drawing)
-    text = re.sub(r"<metadata>.*?</metadata>|<style[^>]*>.*?</style>", "", text, flags=re.DOTALL)
+    text = re.sub(r"<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<!--.*?-->", "", text, flags=re.DOTALL)
+    text = re.sub(r'\b(?:d|x|y)="[^"]*"', lambda found: FINER.sub(r"\1", found[0]), text)
     text = re.sub(r'(\bid="|xlink:href="#|url\(#)', rf"\g<1>f{number}-", text)
     return text.replace("<svg", f'<svg role="img" aria-label="{escape(figure.alternative)}"', 1)
 
@@ -110,7 +113,8 @@ def _table(table: Table) -> str:
     body = "\n".join("<tr>" + "".join(_cell(table, n, cell) for n, cell in enumerate(cells)) + "</tr>" for cells in table.rows)
     name = escape(table.caption or ", ".join(table.header))
     blank = ' class="signature"' if table.rows and not any(cell.strip() for row in table.rows for cell in row) else ""
-    whole = f"<table{blank}>{caption}<thead><tr>{heads}</tr></thead>\n<tbody>{body}</tbody></table>"
+    named = "" if table.caption else f' aria-label="{name}"'
+    whole = f"<table{blank}{named}>{caption}<thead><tr>{heads}</tr></thead>\n<tbody>{body}</tbody></table>"
     return f'<div class="wide" tabindex="0" role="region" aria-label="{name}">{whole}</div>'
 
 

@@ -78,7 +78,7 @@ class Browser:
         session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         page = Page(self, session, target)
         self.events.clear()
-        for domain in ("Page", "Runtime", "Network", "Log", "Accessibility"):
+        for domain in ("Page", "Runtime", "Network", "Log", "Accessibility", "Performance"):
             page.call(f"{domain}.enable")
         page.size(width, height)
         page.media(dark=dark)

@@ -1,5 +1,6 @@
 // A figure: its panels side by side as far as the page is wide, its legend, its buttons. Each takes its numbers from the page.
 const NARROWEST = 175;
+const AT_ONCE = 8;
 const HINT = "Drag a box to zoom; click, then wheel; arrow keys read values; 0 shows all. Touch a curve to read it.";
 
 function start(holder, number) {
@@ -115,4 +116,12 @@ function legendButton(figure, legend, name) {
   };
 }
 
-document.querySelectorAll("figure.numbers").forEach(start);
+// The first figures at once; the others one by one, so that a long report answers meanwhile.
+const holders = [...document.querySelectorAll("figure.numbers")];
+holders.slice(0, AT_ONCE).forEach(start);
+function startRest(number) {
+  if (number >= holders.length) return;
+  start(holders[number], number);
+  setTimeout(startRest, 0, number + 1);
+}
+setTimeout(startRest, 0, AT_ONCE);

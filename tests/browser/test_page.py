@@ -1,0 +1,183 @@
+"""The HTML report in a browser: nothing asked from elsewhere, readable in every width and colour scheme, zoom and reading work."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+CURVE = "figure.numbers .panels > svg"
+TICKS = "[...document.querySelectorAll('#figure-1 .ticks text[text-anchor=middle]')]"
+LIMITS = f"Math.max(...{TICKS}.map((t) => Number(t.textContent.replace('−', '-'))))"
+# Relative luminance and contrast after WCAG 2.1, over every text and the ground that it stands on.
+CONTRAST = """
+(() => {
+  const parts = (text) => text.match(/[\\d.]+/g).map(Number);
+  const shine = (rgb) => rgb.slice(0, 3).map((v) => v / 255).map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4))
+    .reduce((sum, v, n) => sum + v * [0.2126, 0.7152, 0.0722][n], 0);
+  const ground = (element) => {
+    for (let one = element; one; one = one.parentElement) {
+      const colour = parts(getComputedStyle(one).backgroundColor);
+      if (colour.length < 4 || colour[3] > 0) return colour;
+    }
+    return [255, 255, 255];
+  };
+  const found = [];
+  for (const one of document.querySelectorAll("h1,h2,p,td,th,caption,figcaption,a,b,span,button,pre,.live text")) {
+    if (!one.textContent.trim() || !one.getClientRects().length || one.closest(".skip") || one.style.fill) continue;
+    const style = getComputedStyle(one);
+    const ink = shine(parts(one instanceof SVGElement ? style.fill : style.color));
+    const paper = shine(ground(one));
+    found.push((Math.max(ink, paper) + 0.05) / (Math.min(ink, paper) + 0.05));
+  }
+  return [found.length, Math.min(...found)];
+})()
+"""
+
+
+@pytest.fixture
+def page(browser: Any, report_page: Path) -> Iterator[Any]:
+    opened = browser.open(report_page)
+    yield opened
+    opened.close()
+
+
+def centre(page: Any, selector: str, across: float = 0.5, down: float = 0.4) -> tuple[float, float]:
+    page.run(f"document.querySelector({json.dumps(selector)}).scrollIntoView({{block: 'center'}})")
+    found = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
+    box = page.run(f"(({{left, top, width, height}}) => [left, top, width, height])({found})")
+    return box[0] + across * box[2], box[1] + down * box[3]
+
+
+def read(page: Any) -> str:
+    return page.run("(document.querySelector('#figure-1 .reading:not([hidden])') || {innerText: ''}).innerText")
+
+
+def test_nothing_is_asked_from_elsewhere_and_nothing_is_complained_of(page: Any, report_page: Path) -> None:
+    asked = [event["request"]["url"] for event in page.said("Network.requestWillBeSent")]
+    assert [url for url in asked if not url.startswith("data:")] == [report_page.resolve().as_uri()]
+    assert page.said("Runtime.exceptionThrown", "Log.entryAdded", "Runtime.consoleAPICalled") == []
+
+
+def test_the_policy_stops_a_page_that_would_ask(browser: Any, report_page: Path, tmp_path: Path) -> None:
+    added = '<img src="http://127.0.0.1:9/a.png"></main><script>window.ran = 1</script>'
+    text = report_page.read_text(encoding="utf-8").replace("</main>", added)
+    (tmp_path / "changed.html").write_text(text, encoding="utf-8")
+    opened = browser.open(tmp_path / "changed.html")
+    assert opened.run("window.ran") is None
+    assert "Content Security Policy" in json.dumps(opened.said("Log.entryAdded"))
+    opened.close()
+
+
+def test_every_figure_is_drawn_by_the_script(page: Any) -> None:
+    assert page.run("document.querySelectorAll('figure').length") == 6
+    assert page.run("document.querySelectorAll('figure.alive .panels svg .series').length") == 10
+    assert page.run("[...document.querySelectorAll('.static')].every((one) => getComputedStyle(one).display === 'none')")
+
+
+def test_a_box_zooms_the_wheel_needs_a_click_and_all_comes_back(page: Any) -> None:
+    whole = page.run(LIMITS)
+    page.drag(centre(page, CURVE, 0.2, 0.1), centre(page, CURVE, 0.5, 0.12))
+    boxed = page.run(LIMITS)
+    assert whole >= 225 and 100 <= boxed <= 150
+    place = centre(page, CURVE)
+    page.run("document.activeElement.blur()")
+    page.mouse("mouseWheel", *place, deltaX=0, deltaY=-1)
+    page.settle()
+    assert page.run(LIMITS) == boxed
+    page.run(f"document.querySelector('{CURVE}').focus()")
+    for _ in range(6):
+        page.mouse("mouseWheel", *centre(page, CURVE, 0.1), deltaX=0, deltaY=-100)
+    page.settle()
+    assert page.run(LIMITS) < boxed
+    page.run("[...document.querySelectorAll('#figure-1 button')].find((one) => one.textContent === 'All').click()")
+    assert page.run(LIMITS) == whole
+
+
+def test_the_pointer_and_the_keys_read_the_values_of_the_table(page: Any) -> None:
+    page.mouse("mouseMoved", *centre(page, CURVE, 0.5))
+    page.settle()
+    told = read(page)
+    found = re.search(r"centre of the band ([\d.]+) Hz\s+k: ([\d.]+) kN/m \(shaded ([\d.]+) to ([\d.]+)\)", told)
+    assert found, told
+    at, k, low, high = map(float, found.groups())
+    assert low < k < high
+    page.run(f"document.querySelector('{CURVE}').focus()")
+    page.key("ArrowRight")
+    assert f"centre of the band {at + 3:g} Hz" in read(page)
+    page.key("Home")
+    assert "centre of the band 8.5 Hz" in read(page)
+    rows = "[...document.querySelectorAll('tbody tr')]"
+    row = page.run(f"{rows}.find((one) => one.cells[1]?.textContent === '8.5').cells[3].textContent")
+    value = float(re.search(r"k: (−?[\d.]+)", read(page))[1].replace("−", "-"))  # type: ignore[index]
+    assert value == pytest.approx(float(row.split()[0]), abs=float(row.split()[2]) / 5)
+    page.key("Escape")
+    assert read(page) == ""
+
+
+def test_a_series_is_hidden_and_shown_by_its_legend(page: Any) -> None:
+    count = "document.querySelectorAll('#figure-3 .series .curve').length"
+    entry = "document.querySelector('#figure-3 .entry')"
+    before = page.run(count)
+    page.run(f"{entry}.click()")
+    assert page.run(count) == before - 1 and page.run(f"{entry}.getAttribute('aria-pressed')") == "false"
+    page.run(f"{entry}.click()")
+    assert page.run(count) == before
+
+
+@pytest.mark.parametrize(("width", "kind"), [(360, "screen"), (700, "print"), (1400, "screen")])
+def test_nothing_hangs_over_the_edge(page: Any, width: int, kind: str) -> None:
+    page.media(kind=kind)
+    page.size(width, 800)
+    assert page.run("document.documentElement.scrollWidth") <= width
+    if kind == "print":
+        assert page.run("[...document.querySelectorAll('.static')].every((one) => one.getClientRects().length === 1)")
+        assert page.run("[...document.querySelectorAll('.live')].every((one) => one.getClientRects().length === 0)")
+        edges = "[...document.querySelectorAll('table, pre, .static svg')].map((one) => one.getBoundingClientRect().right)"
+        assert max(page.run(edges)) <= width + 1
+    else:
+        sizes = "Math.min(...[...document.querySelectorAll('.live text')].map((one) => parseFloat(getComputedStyle(one).fontSize)))"
+        assert page.run(sizes) >= 11
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_all_text_stands_out_in_both_colour_schemes(page: Any, dark: bool) -> None:
+    page.media(dark=dark)
+    page.settle()
+    count, least = page.run(CONTRAST)
+    assert count > 200 and least >= 4.5
+    assert page.run("getComputedStyle(document.body).backgroundColor") == ("rgb(20, 24, 29)" if dark else "rgb(255, 255, 255)")
+
+
+def test_a_screen_reader_finds_names_for_everything(page: Any) -> None:
+    nodes = page.call("Accessibility.getFullAXTree")["nodes"]
+    by_role: dict[str, list[str]] = {}
+    for node in nodes:
+        if not node.get("ignored"):
+            by_role.setdefault(node["role"]["value"], []).append(node.get("name", {}).get("value", ""))
+    for role in ("button", "application", "region", "link", "heading", "table"):
+        assert by_role.get(role) and all(by_role[role]), role
+    assert len(by_role["main"]) == 1 and by_role["navigation"] == ["Contents"]
+    assert page.run("[...document.querySelectorAll('thead th')].every((one) => one.scope === 'col')")
+    ids = page.run("[...document.querySelectorAll('[id]')].map((one) => one.id)")
+    assert len(set(ids)) == len(ids)
+    assert page.run("document.querySelector('.skip').getAttribute('href')") == "#content"
+
+
+def test_a_page_of_79_bands_is_small_and_soon_there(browser: Any, report_page: Path, tmp_path: Path) -> None:
+    assert report_page.stat().st_size < 3_000_000
+    (tmp_path / "empty.html").write_text("<!DOCTYPE html><title>empty</title>", encoding="utf-8")
+    spent = {}
+    for path in (tmp_path / "empty.html", report_page):
+        opened = browser.open(path)
+        # The processor time of the page's own main thread, loading, drawing and laying out.
+        metrics = {one["name"]: one["value"] for one in opened.call("Performance.getMetrics")["metrics"]}
+        spent[path.name] = metrics["TaskDuration"]
+        loaded = opened.run("performance.getEntriesByType('navigation')[0].loadEventEnd")
+        print(f"{path.name}: loaded after {loaded:.0f} ms, main thread {1000 * spent[path.name]:.0f} ms, {path.stat().st_size} bytes")
+        opened.close()
+    assert spent["report.html"] < 30 * spent["empty.html"]
