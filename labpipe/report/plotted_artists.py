@@ -44,7 +44,7 @@ def _content(axes: Axes) -> list[Artist]:
 
 
 def _name(artist: Artist) -> tuple[str, bool]:
-    label = str(artist.get_label())
+    label = str(artist.get_label() or "")
     return ("", False) if not label or label.startswith("_") else (label, True)
 
 

@@ -1,4 +1,7 @@
 // Reading values: the cursor follows the pointer or the arrow keys; what it stands on is told in words beside it.
+// With more values than this, those of the panel under the cursor are told.
+const MOST_LINES = 9;
+
 function nearestIn(panel, x, y) {
   let best = null;
   for (const one of panel.shown()) {
@@ -58,20 +61,25 @@ function showReading(figure, panel, place) {
   } else {
     node("b", { textContent: (spec.title ? `${spec.title}, ` : "") + nameOf(spec.x, place.x) }, figure.box);
   }
-  for (const other of figure.panels) {
-    other.cursor.replaceChildren();
-    const along = other === panel || (panel.orderly && other.orderly && other.spec.x.group === spec.x.group);
-    if (!along || place.one.kind === "cells") continue;
-    const prefix = figure.panels.length > 1 && other.shown().length && other.spec.y.title ? `${other.spec.y.title}, ` : "";
-    for (const line of linesOf(other, place)) {
-      const words = line.text.startsWith(other.spec.y.title) ? line.text : prefix + line.text;
-      node("span", { textContent: words, style: `--own: ${line.colour}` }, figure.box);
-      if (line.at) element("circle", { cx: line.at[0], cy: line.at[1], r: 5, style: `--own: ${line.colour}` }, other.cursor);
-    }
+  const along = figure.panels.filter((other) => other === panel || (panel.orderly && other.orderly && other.spec.x.group === spec.x.group));
+  for (const other of figure.panels) other.cursor.replaceChildren();
+  if (place.one.kind !== "cells") tell(figure, panel, place, along);
+  placeBox(figure, panel, place);
+}
+
+function tell(figure, panel, place, along) {
+  const told = along.map((other) => [other, linesOf(other, place)]);
+  const brief = told.reduce((sum, [, lines]) => sum + lines.length, 0) > MOST_LINES;
+  for (const [other, lines] of told) {
     const x = other.scale.x.pixel(place.x);
     element("path", { d: `M${x} ${other.box.top}V${other.box.bottom}` }, other.cursor);
+    for (const line of lines) {
+      if (line.at) element("circle", { cx: line.at[0], cy: line.at[1], r: 5, style: `--own: ${line.colour}` }, other.cursor);
+      if (brief && other !== panel) continue;
+      const named = line.text.startsWith(other.spec.y.title) || brief || figure.panels.length === 1;
+      node("span", { textContent: named ? line.text : `${other.spec.y.title}, ${line.text}`, style: `--own: ${line.colour}` }, figure.box);
+    }
   }
-  placeBox(figure, panel, place);
 }
 
 function placeBox(figure, panel, place) {
