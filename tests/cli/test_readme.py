@@ -44,7 +44,7 @@ def test_the_tutorial_runs_as_printed(tmp_path: Path, labpipe, monkeypatch) -> N
             assert ended.code == (2 if shown else 0), ended
             assert ended.err.strip().splitlines() == shown or not shown
             ran += 1
-    assert ran == 7
+    assert ran == 9
     assert (tmp_path / "my-rig/out/report.pdf").exists()
 
 
