@@ -1,0 +1,167 @@
+"""Compass search within bounds: many small problems side by side, each polled along its axes on a mesh that halves or doubles.
+
+Generalised pattern search (Torczon 1997; Lewis and Torczon 1999 for bounds): from the best point x so far the 2 n neighbours x +- m e_i
+are asked, all of them; the lowest one that is lower than x becomes x and the mesh m doubles, otherwise m halves. Neighbours beyond a bound are moved onto
+it. Without gradients, and without any statement on how well the minimum is determined. COBYQA of scipy is the alternative by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from labpipe.errors import ConfigError
+from labpipe.registry import nearest
+
+Array = NDArray[np.floating]
+# Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of the problems *chosen* (n_chosen,).
+Objective = Callable[[Array, NDArray[np.intp]], Array]
+
+
+@dataclass(frozen=True)
+class SearchLimits:
+    """When a search begins and ends; meshes are parts of the box's width."""
+
+    first_mesh: float = 0.25
+    smallest_mesh: float = 1e-4
+    largest_mesh: float = 0.5
+    most_evaluations: int = 4000
+
+    def __post_init__(self) -> None:
+        if not 0 < self.smallest_mesh <= self.first_mesh <= self.largest_mesh <= 1:
+            raise ConfigError("meshes of a pattern search rise: smallest, first, largest, up to 1", hint="for example 1e-4, 0.25, 0.5")
+        if self.most_evaluations < 1:
+            raise ConfigError(f"most_evaluations is at least 1, not {self.most_evaluations}")
+
+
+@dataclass(frozen=True)
+class SearchHistory:
+    """One row per iteration, (n_iteration, n_problem) each: evaluations so far, lowest objective so far, mesh (NaN where there is none).
+
+    A problem that has ended keeps its last row.
+    """
+
+    evaluations: NDArray[np.intp]
+    objective: Array
+    mesh: Array
+
+    def of(self, problem: int) -> SearchHistory:
+        """One problem's own rows (n_iteration, 1), without those after its end."""
+        column = self.evaluations[:, problem]
+        rows = np.concatenate([[True], np.diff(column) > 0])
+        return SearchHistory(*(getattr(self, name)[rows][:, [problem]] for name in ("evaluations", "objective", "mesh")))
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """The lowest points (n_problem, n_parameter) that were found; objective, mesh, evaluations (n_problem,).
+
+    capped (n_problem,): ended by the cap on evaluations, not by the mesh.
+    """
+
+    values: Array
+    objective: Array
+    mesh: Array
+    evaluations: NDArray[np.intp]
+    capped: NDArray[np.bool_]
+    history: SearchHistory
+
+
+def compass_search(objective: Objective, start: Array, lower: Array, upper: Array, limits: SearchLimits | None = None) -> SearchResult:
+    """Searches from *start* (n_problem, n_parameter) between *lower* and *upper*, of the same shape; deterministic.
+
+    ConfigError where a start lies outside its box.
+    """
+    limits = limits or SearchLimits()
+    values, width = _checked(start, lower, upper)
+    n_problem, n_parameter = values.shape
+    everyone = np.arange(n_problem)
+    lowest = objective(values[None], everyone)[0]
+    mesh, evaluations = np.full(n_problem, limits.first_mesh), np.ones(n_problem, np.intp)
+    rows = [(evaluations.copy(), lowest.copy(), mesh.copy())]
+    compass = np.concatenate([np.eye(n_parameter), -np.eye(n_parameter)])[:, None, :]
+    while (going := everyone[(mesh >= limits.smallest_mesh) & (evaluations < limits.most_evaluations)]).size:
+        trial = values[going] + compass * (mesh[going, None] * width[going])
+        trial = np.clip(trial, lower[going], upper[going])
+        found = objective(trial, going)
+        best = np.argmin(found, axis=0)
+        least = found[best, np.arange(going.size)]
+        better = least < lowest[going]
+        values[going[better]] = trial[best[better], np.flatnonzero(better)]
+        lowest[going[better]] = least[better]
+        mesh[going] = np.where(better, np.minimum(2 * mesh[going], limits.largest_mesh), mesh[going] / 2)
+        evaluations[going] += 2 * n_parameter
+        rows.append((evaluations.copy(), lowest.copy(), mesh.copy()))
+    history = SearchHistory(*(np.array(column) for column in zip(*rows, strict=True)))
+    return SearchResult(values, lowest, mesh, evaluations, mesh >= limits.smallest_mesh, history)
+
+
+def cobyqa_search(objective: Objective, start: Array, lower: Array, upper: Array, limits: SearchLimits | None = None) -> SearchResult:
+    """The same by COBYQA (Ragonneau 2022; scipy 1.14 or newer), one problem after the other; its trust region has no mesh (NaN).
+
+    The objective is scaled by its value at the start, parameters by the box. ConfigError without COBYQA in the scipy at hand.
+    """
+    limits = limits or SearchLimits()
+    values, width = _checked(start, lower, upper)
+    traces = [_trace(objective, n, values[n], lower[n], width[n], limits) for n in range(values.shape[0])]
+    length = max(trace.objective.size for trace in traces)
+    best = np.array([trace.points[np.argmin(trace.objective)] for trace in traces])
+    columns = [np.pad(np.minimum.accumulate(trace.objective), (0, length - trace.objective.size), "edge") for trace in traces]
+    counts = np.array([trace.objective.size for trace in traces], np.intp)
+    evaluations = np.minimum(np.arange(1, length + 1)[:, None], counts)
+    lowest = np.stack(columns, axis=1)
+    mesh = np.full(lowest.shape, np.nan)
+    history = SearchHistory(evaluations, lowest, mesh)
+    return SearchResult(lower + best * width, lowest[-1], mesh[-1], counts, np.array([trace.capped for trace in traces]), history)
+
+
+@dataclass(frozen=True)
+class _Trace:
+    """Everything one COBYQA run asked for, in parts of its box."""
+
+    points: Array
+    objective: Array
+    capped: bool
+
+
+def _trace(objective: Objective, problem: int, start: Array, lower: Array, width: Array, limits: SearchLimits) -> _Trace:
+    points: list[Array] = []
+    asked: list[float] = []
+    number = np.array([problem])
+
+    def scaled(parts: Array) -> float:
+        inside = np.clip(parts, 0, 1)
+        points.append(inside)
+        asked.append(float(objective((lower + inside * width)[None, None], number)[0, 0]))
+        return asked[-1] / (asked[0] or 1.0)
+
+    options = {"initial_tr_radius": limits.first_mesh, "final_tr_radius": limits.smallest_mesh, "maxfev": limits.most_evaluations}
+    bounds = optimize.Bounds(np.zeros(start.size), np.ones(start.size))
+    try:
+        ended = optimize.minimize(scaled, (start - lower) / width, method="COBYQA", bounds=bounds, options=options)
+    except ValueError as error:
+        if "Unknown solver" not in str(error):
+            raise
+        raise ConfigError("this scipy has no COBYQA", hint="install scipy 1.14 or newer, or search by method: pattern") from error
+    return _Trace(np.array(points), np.array(asked), len(asked) >= limits.most_evaluations and not ended.success)
+
+
+SEARCHES = {"pattern": compass_search, "cobyqa": cobyqa_search}
+
+
+def search_named(name: str) -> Callable[..., SearchResult]:
+    """One of SEARCHES; ConfigError with the nearest known name on a miss."""
+    if name not in SEARCHES:
+        raise ConfigError(f"no search '{name}'", hint=nearest(name, SEARCHES))
+    return SEARCHES[name]
+
+
+def _checked(start: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """A copy of the starts and the widths of their boxes."""
+    if not np.all((lower < upper) & (start >= lower) & (start <= upper)):
+        raise ConfigError("a search starts within its bounds, the lower ones below the upper ones")
+    return np.array(start, np.float64), upper - lower
