@@ -8,12 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
+from labpipe.distributions import normal_quantile
 from labpipe.errors import ConfigError, FitError
 from labpipe.records.settings import Uncertain
 
-NORMAL_95 = float(stats.norm.ppf(0.975))
+NORMAL_95 = normal_quantile(0.975)
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from labpipe.campaign.amounts import chance
 from labpipe.campaign.settings import CompareSettings
+from labpipe.distributions import student_quantile, student_tail
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.corrections import is_direct
 from labpipe.identify.settings import FitSettings
@@ -109,7 +109,7 @@ def _tested(a: Fit, b: Fit, name: str, settings: FitSettings) -> tuple[float, fl
     total = float(np.hypot(*errors))
     dof = total**4 / float(np.sum(errors**4 / np.array([a.dof, b.dof])))
     t = (b.parameter(name).value - a.parameter(name).value) / total
-    return float(2 * stats.t.sf(abs(t), dof)), float(stats.t.ppf(0.975, dof)) * total
+    return 2 * student_tail(abs(t), dof), student_quantile(0.975, dof) * total
 
 
 def _band(test: str, a: Fit, b: Fit, name: str, reach: float, p_value: float) -> ComparedBand:

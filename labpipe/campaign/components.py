@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from labpipe.campaign.amounts import chance, with_error
 from labpipe.campaign.observations import Campaign
+from labpipe.distributions import chi2_quantile, chi2_tail, f_quantile, f_tail, student_quantile
 from labpipe.errors import FitError
 from labpipe.records.comparison import Comparison
 from labpipe.records.identification import Parameter
@@ -56,16 +56,16 @@ def components(values: NDArray[np.floating], groups: NDArray[np.str_]) -> Compon
         raise FitError("the repeats do not scatter at all", hint="are they the same recording?")
     n_0 = (n - np.sum(counts**2) / n) / (a - 1)
     f = between / within
-    ends = [between_sum * (1 - stats.f.ppf(q, a - 1, n - a) / f) / (n_0 * stats.chi2.ppf(q, a - 1)) for q in (1 - TAIL, TAIL)]
+    ends = [between_sum * (1 - f_quantile(q, a - 1, n - a) / f) / (n_0 * chi2_quantile(q, a - 1)) for q in (1 - TAIL, TAIL)]
     low, high = (float(np.sqrt(max(end, 0.0))) for end in ends)
-    spread = (float(np.sqrt(within_sum / stats.chi2.ppf(1 - TAIL, n - a))), float(np.sqrt(within_sum / stats.chi2.ppf(TAIL, n - a))))
+    spread = (float(np.sqrt(within_sum / chi2_quantile(1 - TAIL, n - a))), float(np.sqrt(within_sum / chi2_quantile(TAIL, n - a))))
     part = float(np.sqrt(max((between - within) / n_0, 0.0)))
     error = float(np.sqrt(between / n))
     return Components(float(np.mean(values)), error, float(np.sqrt(within)), spread, part, (low, high), _tail(f, a, n), a, n)
 
 
 def _tail(f: float, a: int, n: int) -> float:
-    return float(stats.f.sf(f, a - 1, n - a))
+    return f_tail(f, a - 1, n - a)
 
 
 def repeatability(campaign: Campaign) -> Comparison:
@@ -75,7 +75,7 @@ def repeatability(campaign: Campaign) -> Comparison:
     noise = float(np.sqrt(np.mean(campaign.std_error**2)))
     ratio = (found.within / noise) ** 2
     dof = found.repeats - found.settings
-    noise_p = float(stats.chi2.sf(ratio * dof, dof))
+    noise_p = chi2_tail(ratio * dof, dof)
     verdict = "settings differ" if found.p_value < settings.level else "settings alike"
     unit = campaign.unit
     percent = [100 * part / abs(found.mean) for part in (found.within, found.between)]
@@ -88,7 +88,7 @@ def repeatability(campaign: Campaign) -> Comparison:
         unit=unit,
         points=campaign.points(),
         amounts=(
-            with_error("mean", unit, found.mean, found.mean_error, float(stats.t.ppf(1 - TAIL, found.settings - 1))),
+            with_error("mean", unit, found.mean, found.mean_error, student_quantile(1 - TAIL, found.settings - 1)),
             Parameter("within", found.within, unit, ci95=found.within_ci),
             Parameter("between", found.between, unit, ci95=found.between_ci, at_bound=found.between == 0),
             Parameter("noise", noise, unit, derived=True),

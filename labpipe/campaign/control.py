@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from labpipe.campaign.weighted import WeightedFit, weighted_fit, weighted_mean
+from labpipe.distributions import normal_tail
 from labpipe.errors import FitError
 
 # Mean of the range of two normal values in standard deviations, 2 / sqrt(pi).
@@ -68,5 +68,5 @@ def from_the_rest(values: NDArray[np.floating], errors: NDArray[np.floating]) ->
         others = np.arange(values.size) != n
         rest = weighted_mean(values[others], errors[others])
         differences[n] = values[n] - rest.values[0]
-        chances[n] = 2 * stats.norm.sf(abs(differences[n]) / np.hypot(errors[n], rest.std_error(0)))
+        chances[n] = 2 * normal_tail(abs(differences[n]) / np.hypot(errors[n], rest.std_error(0)))
     return differences, chances

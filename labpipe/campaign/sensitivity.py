@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from labpipe.bearings.magnetic_kind import MagneticFile, stability_findings, verdict
 from labpipe.bearings.magnetic_stability import ZONES, sensitivity, zone_of
@@ -15,6 +14,7 @@ from labpipe.campaign.loop_file import with_unknowns
 from labpipe.campaign.loop_fit import Held, LoopFit, apart, goodness, loop_fit
 from labpipe.campaign.loop_fit import told as fit_told
 from labpipe.campaign.settings import CompareSettings
+from labpipe.distributions import normal_quantile, student_quantile
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.measured import Measured, select_ports
 from labpipe.records.comparison import Comparison, Curve
@@ -89,7 +89,7 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
     covariance = response.covariance[:, index][:, :, index]
     variance = np.einsum("fi,fij,fj->f", slopes, covariance, slopes.conj()).real
     dof = COMPLEX_PARTS * response.covariance_dof
-    quantile = float(stats.t.ppf(0.975, dof) if np.isfinite(dof) else stats.norm.ppf(0.975))
+    quantile = student_quantile(0.975, dof) if np.isfinite(dof) else normal_quantile(0.975)
     return MeasuredSensitivity(response.frequency, behind / added, np.sqrt(np.maximum(variance, 0.0) / 2), quantile, response)
 
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, stats
+from scipy import linalg
 
+from labpipe.distributions import chi2_tail, normal_quantile, normal_tail, student_quantile, student_tail
 from labpipe.errors import FitError
 
 # Scatter with a smaller chance than this cannot come from the stated errors alone.
@@ -32,7 +33,7 @@ class WeightedFit:
     @property
     def quantile(self) -> float:
         """Standard errors to either side of a 95 % interval."""
-        return float(stats.t.ppf(0.975, self.dof) if self.inflated else stats.norm.ppf(0.975))
+        return student_quantile(0.975, self.dof) if self.inflated else normal_quantile(0.975)
 
     def std_error(self, number: int) -> float:
         return float(np.sqrt(self.covariance[number, number]))
@@ -40,7 +41,7 @@ class WeightedFit:
     def p_of(self, number: int, value: float = 0.0) -> float:
         """Two-sided p-value of the parameter being *value*."""
         ratio = abs(self.values[number] - value) / self.std_error(number)
-        return float(2 * (stats.t.sf(ratio, self.dof) if self.inflated else stats.norm.sf(ratio)))
+        return 2 * (student_tail(ratio, self.dof) if self.inflated else normal_tail(ratio))
 
 
 def weighted_fit(columns: NDArray[np.floating], values: NDArray[np.floating], errors: NDArray[np.floating]) -> WeightedFit:
@@ -59,7 +60,7 @@ def weighted_fit(columns: NDArray[np.floating], values: NDArray[np.floating], er
     solved = covariance @ design.T @ whitened
     chi2 = float(np.sum((whitened - design @ solved) ** 2))
     dof = values.size - columns.shape[1]
-    p_value = float(stats.chi2.sf(chi2, dof)) if dof else None
+    p_value = chi2_tail(chi2, dof) if dof else None
     inflated = p_value is not None and p_value < SCATTER_LEVEL
     return WeightedFit(solved, covariance * chi2 / dof if inflated else covariance, chi2, dof, p_value, inflated)
 

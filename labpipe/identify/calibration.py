@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from labpipe.distributions import student_tail
 from labpipe.errors import FitError
 from labpipe.identify.regression import solve_scaled
 from labpipe.identify.statistics import condition_number, correlation, estimated
@@ -64,7 +64,7 @@ def curvature_p(x: NDArray[np.floating], y: NDArray[np.floating]) -> float | Non
     variance = float(residual @ residual) / (x.size - 3)
     if variance == 0:
         return None
-    return 2 * float(stats.t.sf(abs(values[0]) / np.sqrt(variance * inverse[0, 0]), x.size - 3))
+    return 2 * student_tail(abs(values[0]) / np.sqrt(variance * inverse[0, 0]), x.size - 3)
 
 
 def linear_range(positions: NDArray[np.floating], slopes: NDArray[np.floating], tolerance: float) -> float:

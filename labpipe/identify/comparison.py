@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from scipy import stats
-
+from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.constraints import constrained
 from labpipe.identify.likelihood import maximum_likelihood
 from labpipe.identify.measured import Measured
-from labpipe.identify.models import MODELS
 from labpipe.identify.order import modal_chi2
-from labpipe.identify.settings import ESTIMATE, FitSettings
+from labpipe.identify.settings import ESTIMATE, MODELS, FitSettings
 from labpipe.identify.setup import Setup
 from labpipe.identify.weights import has_noise, weight_doubt, whitener
 from labpipe.records.finding import Finding
@@ -153,4 +151,4 @@ def _tested(candidate: Candidate, richer: list[Candidate]) -> Candidate:
         return candidate
     richest = max(richer, key=lambda other: other.parameters)
     gained, added = candidate.chi2 - richest.chi2, richest.parameters - candidate.parameters
-    return replace(candidate, p_value=float(stats.chi2.sf(gained, added))) if added > 0 else candidate
+    return replace(candidate, p_value=chi2_tail(gained, added)) if added > 0 else candidate

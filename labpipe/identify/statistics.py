@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from labpipe.distributions import student_quantile
 from labpipe.records.identification import Goodness, Parameter
 
 
@@ -55,7 +55,7 @@ def determination(known: NDArray[np.complexfloating], residual: NDArray[np.compl
 @functools.cache
 def student_limit(dof: int) -> float:
     """The two-sided 95 % Student quantile."""
-    return float(stats.t.ppf(0.975, max(dof, 1)))
+    return student_quantile(0.975, max(dof, 1))
 
 
 def estimated(name: str, unit: str, value: float, std_error: float, dof: int, vif: float | None) -> Parameter:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
 from labpipe.identify.unbalance_film import PARAMETERS, FilmFamily
 from labpipe.identify.unbalance_rotor import RunUpRotor
@@ -58,7 +58,7 @@ class JointFit:
     @property
     def chi2_p(self) -> float:
         """Probability of a larger chi-square if the family held the truth."""
-        return float(stats.chi2.sf(self.chi2, self.n_datum - self.n_effective))
+        return chi2_tail(self.chi2, self.n_datum - self.n_effective)
 
     @property
     def rejected(self) -> bool:

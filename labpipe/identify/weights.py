@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from labpipe.distributions import chi2_tail, f_tail
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.statistics import stacked
@@ -42,8 +42,8 @@ class WeightDoubt:
         """Chance of a reduced chi-square at least this large for a right model; chi-square, or F scaled to the mean 1."""
         own = dof / self.shared
         if not np.isfinite(self.residual_dof):
-            return float(stats.chi2.sf(reduced * own, own))
-        return float(stats.f.sf(reduced * self.residual_dof / (self.residual_dof - 2), own, self.residual_dof))
+            return chi2_tail(reduced * own, own)
+        return f_tail(reduced * self.residual_dof / (self.residual_dof - 2), own, self.residual_dof)
 
 
 def weight_doubt(measured: Measured, dof: int) -> WeightDoubt:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from labpipe.distributions import chi2_quantile
 from labpipe.identify.worn_misfit import Misfit
 from labpipe.identify.worn_search import Minimum, descend
 
@@ -80,7 +80,7 @@ def joint_region(misfit: Misfit, best: Minimum, covariance: Array, level: float 
     Along rays from the estimate, in units of the covariance's ellipse, to where the profile increases by the chi-square quantile of
     two parameters; cut at the bounds.
     """
-    limit = float(np.sqrt(stats.chi2.ppf(level, 2)))
+    limit = float(np.sqrt(chi2_quantile(level, 2)))
     root = np.linalg.cholesky(covariance[:2, :2])
     low, high = misfit.model.low[:2], misfit.model.high[:2]
     outline = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from labpipe.distributions import student_tail
 from labpipe.quantities import display_unit, to_display
 from labpipe.records.identification import Fit, Parameter
 from labpipe.records.study import StudyThreshold
@@ -62,15 +63,13 @@ def parameter_row(parameter: Parameter, dof: int, unit: str = "") -> tuple[str, 
 
 def significance(parameter: Parameter, dof: int) -> str:
     """Stars by the two-sided p-value of the t-ratio; 'derived' for derived values."""
-    from scipy import stats
-
     if parameter.derived:
         return "derived"
     if parameter.at_bound:
         return "at bound"
     if parameter.t_ratio is None:
         return ""
-    p_value = 2 * float(stats.t.sf(abs(parameter.t_ratio), max(dof, 1)))
+    p_value = 2 * student_tail(abs(parameter.t_ratio), max(dof, 1))
     return next((stars for limit, stars in STARS if p_value < limit), "n.s.")
 
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from labpipe.bearings.magnetic_loop import ControlLoop, dynamic_stiffness
 from labpipe.records.recording import Channel, Recording
@@ -166,6 +165,9 @@ def _probe_noise(rig: VirtualRig, rate: float, shape: tuple[int, int], rng: np.r
 
 def _hover_force(rig: VirtualRig, plant: Suspended, shape: tuple[int, int], rng: np.random.Generator) -> Samples:
     """A slow force that makes the rotor wander by the stated rms: white noise through a first-order low pass."""
+    # Loading scipy.signal takes longer than most runs.
+    from scipy import signal
+
     b, a = signal.butter(1, HOVER_CORNER, fs=CONTROL_RATE)
     wander = signal.lfilter(b, a, rng.normal(0.0, 1.0, shape), axis=0)
     static = plant.stiffness + plant.bearings * dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real
@@ -175,6 +177,9 @@ def _hover_force(rig: VirtualRig, plant: Suspended, shape: tuple[int, int], rng:
 
 def _logged(outputs: Samples, rate: float, n_sample: int) -> Samples:
     """The loop's signals as a logger with its filter stores them: every channel by the same filter without delay."""
+    # Loading scipy.signal takes longer than most runs.
+    from scipy import signal
+
     return signal.resample_poly(outputs, 1, round(CONTROL_RATE / rate), axis=0)[:n_sample]
 
 

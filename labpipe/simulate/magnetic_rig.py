@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from labpipe.errors import ConfigError
 from labpipe.records.recording import Channel, Recording
@@ -125,6 +124,9 @@ def radial(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun
 
 def _hover(rig: VirtualRig, timing: Timing, rng: np.random.Generator) -> NDArray[np.floating]:
     """Slow random wander of the levitated rotor: white noise through a first-order low pass, with the stated rms."""
+    # Loading scipy.signal takes longer than most runs.
+    from scipy import signal
+
     n = timing.n_sample * timing.periods
     b, a = signal.butter(1, HOVER_CORNER, fs=timing.sample_rate)
     wander = signal.lfilter(b, a, rng.normal(0.0, 1.0, n + timing.n_sample))[timing.n_sample :]

@@ -6,10 +6,11 @@ from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, signal
+from scipy import fft
 
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, SampleSource
+from labpipe.spectra.windows import hann
 
 # One segment of this length is looked at in every block that is read.
 SEGMENT = 1024
@@ -26,7 +27,7 @@ class Watched:
         """*hits*: the force is strong for moments only, so a block is looked at where it is strongest."""
         self._source = source
         self._n = min(SEGMENT, 1 << (max(source.n_sample, 1).bit_length() - 1))
-        self._window = signal.windows.hann(self._n, sym=False)[:, None]
+        self._window = hann(self._n)[:, None]
         self._forces = [number for number, channel in enumerate(source.channels) if hits and channel.role == "input"]
         self._power = np.zeros((self._n // 2 + 1, len(source.channels)))
         self._n_segment = 0

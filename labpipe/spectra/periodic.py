@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, stats
+from scipy import fft, special
 
 from labpipe.errors import ConfigError, DataError
 
@@ -125,7 +125,7 @@ def _broadband_lines(power: NDArray[np.floating], dof: float, half_width: int) -
     while True:
         around = _neighbourhood_mean(power, broadband, half_width, own=False)
         count = _neighbourhood_count(broadband, half_width, own=False)
-        limit = np.asarray(stats.f.ppf(1 - OUTLIER_LEVEL, 2 * dof, 2 * dof * count))
+        limit = np.asarray(special.fdtri(2 * dof, 2 * dof * count, 1 - OUTLIER_LEVEL))
         # A line without any neighbour left has nothing to be compared with.
         found = np.any((power > limit[:, None] * around) & (around > 0), axis=1) & broadband
         if not np.any(found):

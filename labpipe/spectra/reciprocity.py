@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from labpipe.distributions import gamma_tail
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.response import FrequencyResponse
@@ -99,4 +99,4 @@ def _p_value(normal: NDArray[np.complexfloating], dof: float) -> float:
     exact = np.isinf(dof)
     shape = n_effective * (1.0 if exact else (dof - 2) / dof)
     mean = power / normal.size * (1.0 if exact else (dof - 1) / dof)
-    return float(stats.gamma.sf(mean * shape, shape))
+    return gamma_tail(mean * shape, shape)

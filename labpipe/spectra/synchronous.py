@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
@@ -15,6 +14,7 @@ from labpipe.records.recording import Channel, SampleSource
 from labpipe.spectra.reading import READ_SAMPLES, checked_blocks
 from labpipe.spectra.settings import ShaftLines
 from labpipe.spectra.shaft import STRETCH, ShaftMotion, shaft_motion, steady
+from labpipe.spectra.windows import hann
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def _fitted(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> NDArr
 def _refined(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
     """The speed [Hz] near *speed* at which 1x keeps its phase: d phi per STRETCH, every response weighted with its own power."""
     stretch = min(max(1, round(STRETCH / speed * source.sample_rate)), source.n_sample // 2)
-    window = signal.windows.hann(stretch, sym=False)
+    window = hann(stretch)
     outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
     amplitudes, rest, start = [], np.empty((0, len(outputs))), 0
     for block in source.blocks(READ_SAMPLES):

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from labpipe.errors import ConfigError
 
@@ -15,8 +14,19 @@ SHARED = 1e-3
 FURTHEST_LINE = 20
 
 
+def hann(n_sample: int) -> NDArray[np.floating]:
+    """The periodic (DFT-even) Hann window, 1/2 - 1/2 cos(2 pi n / N), (n_sample,)."""
+    values: NDArray[np.floating] = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n_sample) / n_sample)
+    return values
+
+
 def window_values(name: str, n_sample: int) -> NDArray[np.floating]:
     """The periodic (DFT-even) window of that name; "tukey 0.25" gives a parameter. ConfigError when scipy does not know it."""
+    if name == "hann":
+        return hann(n_sample)
+    # Only rare windows are worth the time of this import.
+    from scipy import signal
+
     kind, *parameters = name.split()
     try:
         chosen: Any = (kind, *(float(parameter) for parameter in parameters)) if parameters else kind
