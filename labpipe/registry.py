@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -22,13 +22,18 @@ def nearest(name: str, known: Iterable[str]) -> str:
 @functools.cache
 def _added(kind: str) -> tuple[EntryPoint, ...]:
     """What other packages add to a table; looked up once, since it reads the metadata of every installed package."""
-    return tuple(entry_points(group=f"labpipe.{kind}"))
+    return tuple(entry_points(group=group_of(kind)))
+
+
+def group_of(kind: str) -> str:
+    """The entry-point group of a table: "frf-reader" -> "labpipe.frf_reader", for groups hold letters, digits and underscores only."""
+    return "labpipe." + kind.replace(" ", "_").replace("-", "_")
 
 
 class Registry:
-    """A table of choices whose targets are imported when they are used.
+    """A table of choices whose targets are imported when they are used: name -> target.
 
-    Other packages add entries under the entry-point group ``labpipe.<kind>``.
+    Other packages add entries under the entry-point group ``group_of(kind)``.
     """
 
     def __init__(self, kind: str, table: Mapping[str, str]) -> None:
@@ -49,3 +54,12 @@ class Registry:
             if entry.name == name:
                 return entry.load()
         raise ConfigError(f"unknown {self.kind} '{name}'", hint=nearest(name, self.names()))
+
+    def __getitem__(self, name: str) -> Any:
+        return self.load(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names())
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.names()

@@ -1,31 +1,24 @@
-"""identify: a frequency response and the settings of a fit -> one Fit per band or peak. ESTIMATORS by name."""
+"""identify: a frequency response and the settings of a fit -> one Fit per band or peak."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError, FitError, LabpipeError
-from labpipe.identify.amplitude import amplitude_fit
 from labpipe.identify.bootstrap import bootstrapped
 from labpipe.identify.comparison import candidates, comparison_findings
 from labpipe.identify.constraints import constrained
 from labpipe.identify.diagnostics import MISMATCH_P, estimate_findings, parameter_findings, quality_findings
-from labpipe.identify.instrumental import instrumental_variables
-from labpipe.identify.likelihood import maximum_likelihood
 from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.model import DynamicModel
-from labpipe.identify.models import MODELS
 from labpipe.identify.order import motion_notes
 from labpipe.identify.proportional import ProportionalModel
-from labpipe.identify.regression import least_squares
 from labpipe.identify.reported import mismatch_factor, reported_parameters
-from labpipe.identify.settings import FitSettings
+from labpipe.identify.settings import ESTIMATORS, MODELS, FitSettings
 from labpipe.identify.setup import Setup
 from labpipe.identify.statistics import Estimate, condition_number, correlation, student_limit
 from labpipe.identify.worn import worn_fit
@@ -34,9 +27,6 @@ from labpipe.records.identification import Fit, FittedCurve, Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.bands import EDGE, lines_in
 from labpipe.spectra.convert import receptance_factor
-
-Estimator = Callable[[Measured, Any, str], Estimate]
-ESTIMATORS: dict[str, Estimator] = {"ls": least_squares, "iv": instrumental_variables, "ml": maximum_likelihood, "amplitude": amplitude_fit}
 
 Band = tuple[float, float]
 

@@ -1,14 +1,11 @@
-"""The models by name: which coefficients act between which degrees of freedom. MODELS is the table."""
+"""Models of few degrees of freedom: which coefficients act between which of them. settings.MODELS is the table."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError
-from labpipe.identify.mdof import mdof
 from labpipe.identify.model import DynamicModel, Term
 from labpipe.identify.settings import ESTIMATE, Mass
 from labpipe.identify.setup import Setup, angle_of, entry_term, given_matrices, labels
@@ -145,11 +142,3 @@ def _need_ports(setup: Setup, model: str, n_output: int) -> None:
     if len(setup.outputs) != n_output:
         hint = "name it with `output`" if n_output == 1 else "name them with `output`"
         raise ConfigError(f"{model} takes {n_output} response(s), found {labels(setup.outputs)}", hint=hint)
-
-
-MODELS: dict[str, Callable[[Setup], DynamicModel]] = {
-    "sdof": sdof,
-    "rotor-2dof": rotor_2dof,
-    "rotor-2dof-direct": rotor_2dof_direct,
-    "mdof": mdof,
-}

@@ -7,9 +7,28 @@ from dataclasses import dataclass
 from labpipe.errors import ConfigError
 from labpipe.identify.worn_settings import WORN_BEARING, WearSettings
 from labpipe.records.settings import Uncertain, setting
+from labpipe.registry import Registry
 
-MODELS = ("sdof", "rotor-2dof", "rotor-2dof-direct", "mdof", WORN_BEARING)
-ESTIMATORS = ("ls", "iv", "ml", "amplitude")
+# From the setup of a fit (ports, mass) to a model linear in its parameters; worn-bearing has a search of its own.
+MODELS = Registry(
+    "model",
+    {
+        "sdof": "labpipe.identify.models:sdof",
+        "rotor-2dof": "labpipe.identify.models:rotor_2dof",
+        "rotor-2dof-direct": "labpipe.identify.models:rotor_2dof_direct",
+        "mdof": "labpipe.identify.mdof:mdof",
+    },
+)
+# From a measured FRF, a model and the weight of lines to an Estimate.
+ESTIMATORS = Registry(
+    "estimator",
+    {
+        "ls": "labpipe.identify.regression:least_squares",
+        "iv": "labpipe.identify.instrumental:instrumental_variables",
+        "ml": "labpipe.identify.likelihood:maximum_likelihood",
+        "amplitude": "labpipe.identify.amplitude:amplitude_fit",
+    },
+)
 WEIGHTS = ("none", "noise")
 DAMPINGS = ("viscous", "proportional")
 
@@ -39,9 +58,9 @@ class Support:
 class FitSettings:
     """One fit of the pipeline's ``identify:`` section; *name* is its key there."""
 
-    model: str = setting("choice", "what is identified", choices=MODELS)
+    model: str = setting("choice", "what is identified", choices=(*MODELS, WORN_BEARING))
     mass: Mass = setting("mass", "mass that moves with the response, or `estimate`", unit="kg", default=ESTIMATE)
-    estimator: str = setting("choice", "how it is estimated", choices=ESTIMATORS, default="ml")
+    estimator: str = setting("choice", "how it is estimated", choices=tuple(ESTIMATORS), default="ml")
     input: tuple[str, ...] = setting("names", "force channel(s); default: all", default=())
     output: tuple[str, ...] = setting("names", "response channel(s); default: all the model takes", default=())
     band: tuple[float, float] | None = setting("band", "frequencies used; default: all", unit="Hz", default=None)

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from labpipe.errors import ConfigError
 from labpipe.identify.constraints import constrained
 from labpipe.identify.measured import measured_part, select_ports
-from labpipe.identify.models import MODELS
 from labpipe.identify.output_error import OutputError
-from labpipe.identify.settings import FitSettings
+from labpipe.identify.settings import MODELS, FitSettings
 from labpipe.identify.setup import Setup
 from labpipe.identify.weights import whitener
 from labpipe.records.response import FrequencyResponse

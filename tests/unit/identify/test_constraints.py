@@ -10,9 +10,8 @@ import pytest
 from labpipe.errors import ConfigError
 from labpipe.identify.constraints import constrained
 from labpipe.identify.fitting import identify
-from labpipe.identify.models import MODELS
 from labpipe.identify.proportional import ProportionalModel, proportional
-from labpipe.identify.settings import FitSettings
+from labpipe.identify.settings import MODELS, FitSettings
 from labpipe.identify.setup import Setup
 from tests.unit.identify.conftest import DAMPING, MASS
 

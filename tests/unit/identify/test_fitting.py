@@ -11,8 +11,7 @@ from scipy import stats
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.fitting import ESTIMATORS, identify, sliding_bands
 from labpipe.identify.model import DynamicModel
-from labpipe.identify.models import MODELS
-from labpipe.identify.settings import FitSettings, Sliding, Support
+from labpipe.identify.settings import MODELS, FitSettings, Sliding, Support
 from labpipe.identify.setup import Setup
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import Uncertain
