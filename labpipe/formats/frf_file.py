@@ -10,12 +10,13 @@ from labpipe.formats.table import TEXT_SUFFIXES
 from labpipe.records.response import FrequencyResponse
 from labpipe.registry import Registry
 
+MATRIX_SUFFIXES = (".mat", ".h5", ".hdf5", ".hdf")
 FRF_READERS = Registry(
     "frf-reader",
     {
         **dict.fromkeys(TEXT_SUFFIXES, "labpipe.formats.frf_csv:read_frf_csv"),
         **dict.fromkeys((".uff", ".unv", ".uf"), "labpipe.formats.uff_frf:read_frf_uff"),
-        ".mat": "labpipe.formats.mat_frf:read_frf_mat",
+        **dict.fromkeys(MATRIX_SUFFIXES, "labpipe.formats.mat_frf:read_frf_mat"),
     },
 )
 

@@ -11,11 +11,15 @@ import numpy as np
 from scipy.io import savemat
 
 from labpipe.errors import DataError
+from labpipe.formats.hdf5_variables import has_hdf5_variables, load_hdf5_variables
 from labpipe.formats.mat_file import is_hdf5, load_variables, text_of
 from labpipe.records.recording import Recording
 from labpipe.records.response import FORMS, FrequencyResponse, Port
 
 _OPTIONAL = ("covariance", "coherence")
+_MARKS = ("frequency_hz", "H", "form")
+_PORTS = tuple(f"{side}{part}" for side in ("output", "input") for part in ("s", "_dofs", "_angles_rad"))
+_KNOWN = (*_MARKS, *_PORTS, *_OPTIONAL, "covariance_dof")
 
 
 def write_frf_mat(path: Path, response: FrequencyResponse) -> None:
@@ -43,17 +47,15 @@ def _port_variables(side: str, ports: tuple[Port, ...]) -> dict[str, Any]:
 
 
 def holds_response(path: Path) -> bool:
-    """Whether a readable MATLAB file up to version 7 holds a response."""
+    """Whether a readable MATLAB or HDF5 file holds a response."""
     if is_hdf5(path):
-        return False
-    return {"frequency_hz", "H", "form"} <= load_variables(path).keys()
+        return has_hdf5_variables(path, _MARKS)
+    return set(_MARKS) <= load_variables(path).keys()
 
 
 def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
     """The response of a file as `write_frf_mat` writes it; DataError names the variable that is missing or of another size."""
-    if is_hdf5(path):
-        raise DataError("FRFs in MATLAB 7.3 files are not read", where=str(path), hint="save with -v7")
-    variables = load_variables(path)
+    variables = load_hdf5_variables(path, _KNOWN) if is_hdf5(path) else load_variables(path)
     needed = ("frequency_hz", "H", "form", "outputs", "inputs")
     missing = [key for key in needed if key not in variables]
     if missing:
@@ -97,7 +99,7 @@ def _ports(variables: dict[str, Any], side: str, path: Path) -> tuple[Port, ...]
 
 def _texts(cells: Any) -> list[str]:
     """The texts of a cell array, or of the rows of a char array."""
-    return [text_of(cell).strip() if np.asarray(cell).dtype.kind == "U" else "" for cell in np.asarray(cells).ravel()]
+    return [text_of(np.array(cell) if isinstance(cell, str) else cell).strip() for cell in np.asarray(cells).ravel()]
 
 
 def write_recording_mat(path: Path, recording: Recording) -> None:

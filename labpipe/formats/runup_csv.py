@@ -17,6 +17,7 @@ from __future__ import annotations
 import difflib
 import io
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -43,8 +44,11 @@ UNITS = {"amplitude": "m", "amplitude error": "m", "phase": "rad", "phase error"
 Array = NDArray[np.float64]
 
 
-def read_runup_csv(path: Path, name: str = "") -> RunUp:
-    """The run-up of a table; DataError names the file, the line or column, and what would be right."""
+def read_runup_csv(path: Path, name: str = "", unbalance: Mapping[str, complex] | None = None) -> RunUp:
+    """The run-up of a table; DataError names the file, the line or column, and what would be right.
+
+    *unbalance* [kg m] by plane: for a table that states none; empty for a run with nothing but its residual.
+    """
     if not path.exists():
         raise DataError("no such file", where=str(path))
     table, head = CsvTable(path), _head(path)
@@ -58,7 +62,10 @@ def read_runup_csv(path: Path, name: str = "") -> RunUp:
     try:
         response = amplitude * np.exp(1j * phase)
         own = (name or path.stem, load, speed, planes, response, *errors)
-        return RunUp(*own, _unbalances(head), _shaker(head, path), _threshold(head))
+        shaker, known = _shaker(head, path), _unbalances(head)
+        if not known and shaker is None and unbalance is not None:
+            known = dict(unbalance) or {planes[0]: 0j}
+        return RunUp(*own, known, shaker, _threshold(head))
     except DataError as error:
         raise DataError(error.what, where=error.where or str(path), hint=error.hint) from None
 

@@ -14,7 +14,7 @@ from labpipe.artefacts.response_file import SUFFIX, read_response, write_respons
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError, LabpipeError
 from labpipe.formats.frf_csv import FREQUENCY
-from labpipe.formats.frf_file import read_frf_file
+from labpipe.formats.frf_file import MATRIX_SUFFIXES, read_frf_file
 from labpipe.formats.mat_frf import holds_response
 from labpipe.formats.packed import plain_suffix
 from labpipe.formats.table import TEXT_SUFFIXES, open_table
@@ -62,7 +62,7 @@ def is_response(path: Path) -> bool:
     if not path.is_file():
         return False
     suffix = plain_suffix(path)
-    if suffix == ".mat":
+    if suffix in MATRIX_SUFFIXES:
         return holds_response(path)
     if suffix in UFF_SUFFIXES:
         return all(record.function != TIME for record in read_uff(path))
