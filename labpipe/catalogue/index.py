@@ -108,7 +108,7 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file
     except DataError as error:
         _insert(connection, "result", {"path": name, "stamp": stamp, "date": file_date, "verdict": "unreadable", "fault": error.what})
         return
-    conditions = test_conditions(identification)
+    conditions = identification.test_conditions
     dates = sorted(own[DATE] for own in conditions.values() if DATE in own)
     entry = {
         "path": name,
@@ -169,12 +169,6 @@ def _amount(text: str) -> tuple[float | None, str]:
         return si_amount(text)
     except UnitError:
         return None, ""
-
-
-def test_conditions(identification: Identification) -> dict[str, dict[str, str]]:
-    """The conditions of every test by its name, as people wrote them."""
-    listed = {test["name"]: dict(test["conditions"]) for test in identification.settings.get("tests", [])}
-    return {**listed, **{response.name: dict(response.conditions) for response in identification.responses}}
 
 
 def verdict(identification: Identification) -> str:

@@ -150,3 +150,9 @@ class Identification:
     def accepted(self) -> bool:
         """Whether every test could be evaluated and every rule holds (true without rules)."""
         return not self.failed and all(outcome.passed for outcome in self.outcomes)
+
+    @property
+    def test_conditions(self) -> dict[str, dict[str, str]]:
+        """The conditions of every test by its name, as people wrote them: as listed, and as its response had them."""
+        listed = {test["name"]: dict(test["conditions"]) for test in self.settings.get("tests", [])}
+        return {**listed, **{response.name: dict(response.conditions) for response in self.responses}}

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,19 +109,10 @@ def _ordered(values: Sequence[Value]) -> tuple[Value, ...]:
 
 def _value(result: str, identification: Identification, fit: Fit, parameter: Parameter) -> Value:
     label = f"{result}, {fit.test}" if fit.test and result else fit.test or result
-    conditions = _conditions(identification, fit.test)
+    conditions = identification.test_conditions.get(fit.test, {})
     amounts = {name: amount for name, text in conditions.items() if (amount := _amount(str(text))) is not None}
     days = (_day(str(text)) for name, text in conditions.items() if name.lower() in DATES)
     return Value(label, fit, parameter, amounts, next((day for day in days if day is not None), None))
-
-
-def _conditions(identification: Identification, test: str) -> dict[str, Any]:
-    """What was written for a test: with its response, or among the settings where the response was not kept."""
-    for response in identification.responses:
-        if response.name == test:
-            return dict(response.conditions)
-    listed: Iterable[dict[str, Any]] = identification.settings.get("tests", [])
-    return next((dict(one.get("conditions", {})) for one in listed if one.get("name") == test), {})
 
 
 def _amount(text: str) -> tuple[float, str] | None:
