@@ -14,6 +14,7 @@ from labpipe import __version__
 from labpipe.artefacts.comparison_entry import comparison_entry, read_comparison
 from labpipe.artefacts.fit_entry import complex_entry, finding_entries, fit_entry, read_complex, read_findings, read_fit
 from labpipe.artefacts.json_file import write_json
+from labpipe.artefacts.run_up_entry import read_run_ups, run_up_entry
 from labpipe.artefacts.study_entry import read_study
 from labpipe.artefacts.unbalance_entry import read_unbalance
 from labpipe.errors import DataError
@@ -42,6 +43,7 @@ def write_identification(path: Path, identification: Identification) -> None:
         "studies": [dataclasses.asdict(study) for study in identification.studies],
         "responses": [_response_entry(response) for response in identification.responses],
         **({} if identification.unbalance is None else {"unbalance": dataclasses.asdict(identification.unbalance)}),
+        **({} if identification.run_ups is None else {"run_ups": run_up_entry(identification.run_ups)}),
     }
     write_json(path, entries)
 
@@ -78,6 +80,7 @@ def _identification(entries: dict[str, Any]) -> Identification:
         comparisons=tuple(read_comparison(entry) for entry in entries.get("comparisons", [])),
         studies=tuple(read_study(entry) for entry in entries.get("studies", [])),
         unbalance=read_unbalance(entries["unbalance"]) if "unbalance" in entries else None,
+        run_ups=read_run_ups(entries["run_ups"]) if "run_ups" in entries else None,
         version=entries["labpipe"],
         failed=tuple(Failed(**entry) for entry in entries.get("failed", [])),
     )

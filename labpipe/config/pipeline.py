@@ -14,6 +14,7 @@ from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
 from labpipe.config.rotor import with_rotor
 from labpipe.config.rules import STUDY, Rule, read_rules
+from labpipe.config.run_ups import RUN_UPS, RunUpSettings, read_run_ups
 from labpipe.config.tests import Test, TestReader, read_rig
 from labpipe.config.unbalance import UNBALANCE, read_unbalance
 from labpipe.config.virtual_rig import load_virtual_rig
@@ -40,6 +41,7 @@ SECTIONS = (
     "compare",
     "study",
     "unbalance",
+    "run_ups",
     "report",
     "accept",
     "expect",
@@ -78,6 +80,7 @@ class Pipeline:
     study: StudyPlan | None = None
     comparisons: tuple[CompareSettings, ...] = ()
     unbalance: UnbalanceSettings | None = None
+    run_ups: RunUpSettings | None = None
 
     @property
     def folder(self) -> Path:
@@ -85,8 +88,9 @@ class Pipeline:
 
     @property
     def side_files(self) -> list[Path]:
-        """Tables, bearing and rotor files that the result depends on beside recordings and FRFs."""
+        """Tables, bearing and rotor files and run-ups that the result depends on beside recordings and FRFs."""
         rotors = [] if self.unbalance is None else [self.folder / self.unbalance.rotor]
+        rotors += [] if self.run_ups is None else self.run_ups.files
         return [*(calibration.path for calibration in self.calibrations), *bearing_files(self.comparisons, self.folder), *rotors]
 
 
@@ -111,12 +115,13 @@ def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
     comparisons = read_comparisons(entries.get("compare"), path.parent, faults, names)
     names = (*names, *(settings.name for settings in comparisons))
     unbalance = read_unbalance(entries.get(UNBALANCE), path.parent, faults)
-    names = (*names, *(name for name in (STUDY, UNBALANCE) if name in entries))
+    run_ups = read_run_ups(entries.get(RUN_UPS), path.parent, faults)
+    names = (*names, *(name for name in (STUDY, UNBALANCE, RUN_UPS) if name in entries))
     rules = tuple(rule for section in ("accept", "expect") for rule in read_rules(section, entries.get(section), faults, names))
     _check_whole(tree, entries, tests, frf, faults)
     faults.raise_any()
     assert report is not None
-    return Pipeline(path, _title(entries, path), tests, frf, fits, calibrations, report, rules, rig, study, comparisons, unbalance)
+    return Pipeline(path, _title(entries, path), tests, frf, fits, calibrations, report, rules, rig, study, comparisons, unbalance, run_ups)
 
 
 def _title(entries: dict[str, Marked], path: Path) -> str:
@@ -125,8 +130,8 @@ def _title(entries: dict[str, Marked], path: Path) -> str:
 
 def _check_whole(tree: Marked, entries: dict[str, Marked], tests: tuple[Test, ...], frf: FrfSettings | None, faults: Faults) -> None:
     """What only the whole file shows: something to do, and all that doing it needs."""
-    if not any(key in entries for key in ("recordings", "tests", "frfs", "calibrate", "study", UNBALANCE)):
-        faults.add(tree, "", "nothing to work on", "name recordings, tests, frfs, calibrate, study or unbalance")
+    if not any(key in entries for key in ("recordings", "tests", "frfs", "calibrate", "study", UNBALANCE, RUN_UPS)):
+        faults.add(tree, "", "nothing to work on", "name recordings, tests, frfs, calibrate, study, unbalance or run_ups")
     if "study" in entries and not (entries["identify"].content if "identify" in entries else None):
         faults.add(entries["study"], "study", "there is nothing to study", "name fits under identify")
     if any(test.recordings for test in tests) and frf is None and "frf" not in entries:

@@ -8,6 +8,7 @@ from labpipe.campaign.settings import CompareSettings
 from labpipe.config.calibration import CalibrationSettings
 from labpipe.config.pipeline import ReportSettings
 from labpipe.config.rig import ChannelSettings, RigSettings
+from labpipe.config.run_ups import RunSettings, RunUpSettings
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.unbalance import UnbalanceSettings, WearCase
 from labpipe.records.settings import Setting, settings_of
@@ -57,6 +58,7 @@ def pipeline_schema() -> dict[str, Any]:
         "identify": {"type": "object", "additionalProperties": _object(FitSettings)},
         "study": _object(StudySettings),
         "unbalance": _unbalance(),
+        "run_ups": _run_ups(),
         "calibrate": {"type": "object", "additionalProperties": _object(CalibrationSettings)},
         "compare": {"type": "object", "additionalProperties": _object(CompareSettings)},
         "report": _object(ReportSettings),
@@ -111,4 +113,15 @@ def _unbalance() -> dict[str, Any]:
     """The section `unbalance:`; its cases have names of their own."""
     section = _object(UnbalanceSettings)
     section["properties"]["cases"] = {"type": "object", "additionalProperties": _object(WearCase)}
+    return section
+
+
+def _run_ups() -> dict[str, Any]:
+    """The section `run_ups:`; its runs are a list, unbalances have the names of planes."""
+    run = _object(RunSettings)
+    unbalance = "known unbalance by plane, instead of the table's: {disc 1: 50 g.mm at 0 deg}"
+    run["properties"]["unbalance"] = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER, "description": unbalance}
+    section = _object(RunUpSettings)
+    section["properties"]["runs"] = {"type": "array", "items": run}
+    section["required"].append("runs")
     return section

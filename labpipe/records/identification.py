@@ -12,6 +12,7 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.finding import Finding
 from labpipe.records.parameter import Parameter as Parameter
 from labpipe.records.response import FrequencyResponse
+from labpipe.records.run_up_result import RunUpResult
 from labpipe.records.study import Study
 from labpipe.records.unbalance import UnbalanceRuns
 
@@ -145,6 +146,7 @@ class Identification:
     comparisons: tuple[Comparison, ...] = ()
     unbalance: UnbalanceRuns | None = None
     failed: tuple[Failed, ...] = ()
+    run_ups: RunUpResult | None = None
 
     @property
     def accepted(self) -> bool:

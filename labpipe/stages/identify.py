@@ -14,6 +14,7 @@ from labpipe.artefacts.header import SourceRef
 from labpipe.artefacts.identification_file import NAME, read_identification, write_identification
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.config.pipeline import Pipeline
+from labpipe.config.run_ups import run_ups_entry
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
@@ -25,6 +26,7 @@ from labpipe.registry import nearest
 from labpipe.stages.calibrate import calibrate
 from labpipe.stages.compare import COMPARE_PREFIX, compare_tests
 from labpipe.stages.judging import judge
+from labpipe.stages.run_ups import identify_run_ups
 from labpipe.stages.study import study
 
 
@@ -53,6 +55,7 @@ def identify_stage(
     failed = (*failed, *missing)
     studies = study(pipeline, tell, jobs)
     unbalance = None if pipeline.unbalance is None else unbalance_runs(pipeline.unbalance)
+    run_ups = None if pipeline.run_ups is None else identify_run_ups(pipeline.run_ups, output, pipeline.folder, tell)
     identification = Identification(
         fits=tuple(fits),
         title=pipeline.title,
@@ -61,10 +64,11 @@ def identify_stage(
         settings=settings,
         rig=_rig_entry(pipeline),
         responses=tuple(responses),
-        outcomes=judge(pipeline.rules, fits, studies, comparisons, unbalance, incomplete=bool(failed)),
+        outcomes=judge(pipeline.rules, fits, studies, comparisons, unbalance, run_ups, incomplete=bool(failed)),
         studies=studies,
         comparisons=comparisons,
         unbalance=unbalance,
+        run_ups=run_ups,
         version=__version__,
         failed=tuple(failed),
     )
@@ -138,6 +142,8 @@ def settings_entry(pipeline: Pipeline) -> dict[str, Any]:
         entry["study"] = {**dataclasses.asdict(pipeline.study.settings), "virtual_rig": dataclasses.asdict(pipeline.study.rig)}
     if pipeline.unbalance is not None:
         entry["unbalance"] = dataclasses.asdict(pipeline.unbalance)
+    if pipeline.run_ups is not None:
+        entry["run_ups"] = run_ups_entry(pipeline.run_ups)
     return json.loads(json.dumps(entry))  # type: ignore[no-any-return]
 
 

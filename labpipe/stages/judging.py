@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 
 from labpipe.config.rules import STUDY, Rule
+from labpipe.config.run_ups import RUN_UPS
 from labpipe.config.unbalance import UNBALANCE
 from labpipe.config.values import parse_uncertain
 from labpipe.errors import ConfigError
@@ -14,10 +15,12 @@ from labpipe.quantities import UnitError, parse_value
 from labpipe.records.comparison import Comparison
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Fit, RuleOutcome
+from labpipe.records.run_up_result import RunUpResult
 from labpipe.records.study import Study, StudyCase
 from labpipe.records.unbalance import UnbalanceRuns
 from labpipe.registry import nearest
 from labpipe.stages.judging_comparisons import comparison_outcome
+from labpipe.stages.judging_run_ups import run_up_outcome
 from labpipe.stages.judging_unbalance import unbalance_outcome
 
 _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
@@ -46,6 +49,7 @@ def judge(
     studies: Sequence[Study] = (),
     comparisons: Sequence[Comparison] = (),
     unbalance: UnbalanceRuns | None = None,
+    run_ups: RunUpResult | None = None,
     incomplete: bool = False,
 ) -> tuple[RuleOutcome, ...]:
     """The outcome of every rule; ConfigError at the rule's place when it addresses what the result does not have.
@@ -57,6 +61,8 @@ def judge(
         try:
             if unbalance is not None and rule.fit == UNBALANCE:
                 outcomes.append(unbalance_outcome(rule, unbalance, _held))
+            elif run_ups is not None and rule.fit == RUN_UPS:
+                outcomes.append(run_up_outcome(rule, run_ups, _held))
             else:
                 outcomes.append(_ruled(rule, fits, studies, comparisons))
         except ConfigError:

@@ -1,0 +1,231 @@
+"""Reading the ``run_ups:`` section of a pipeline: which run-ups of which rotor, and what is to be identified from them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labpipe.config.faults import Faults, join
+from labpipe.config.reader import read_settings
+from labpipe.config.rig import load_rig
+from labpipe.config.run_up_rotor import load_run_up_rotor
+from labpipe.errors import ConfigError
+from labpipe.marked_yaml import Marked
+from labpipe.quantities import UnitError, parse_value
+from labpipe.records.rig import Rig
+from labpipe.records.run_up_result import HELD_OUT, TRAINED
+from labpipe.records.settings import Uncertain, setting
+from labpipe.registry import nearest
+
+RUN_UPS = "run_ups"
+METHODS = ("amplitudes", "points", "joint", "process")
+METAMODELS = ("response-surface", "network", "gaussian-process", "physical")
+SEARCHES = ("pattern", "cobyqa")
+_UNBALANCE = re.compile(r"^(?P<size>.+?)(?:\s+at\s+(?P<angle>.+))?$")
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """One entry of ``run_ups.runs:``, a table or a recording; *unbalance* [kg m] by plane, complex: in place of the table's.
+
+    path, subtracted: the files with their folder; own_rig: what `rig` names.
+    """
+
+    file: str = setting("text", "table of the run-up (CSV), relative to the pipeline file", default="")
+    recording: str = setting("text", "time recording of the run-up with a tacho, instead of a table", default="")
+    rig: str = setting("text", "rig file of a raw recording; dofs name planes: disc1.x, disc1.y", default="")
+    tacho: str = setting("text", "channel with the tacho's pulses", default="")
+    pulses: int = setting("integer", "pulses of the tacho per revolution", default=1)
+    harmonics: int = setting("integer", "multiples of the speed fitted along", default=2)
+    revolutions: int = setting("integer", "revolutions of one stretch", default=20)
+    name: str = setting("text", "name of the run; default: the file's", default="")
+    role: str = setting("choice", "fits see trained runs only", choices=(TRAINED, HELD_OUT), default=TRAINED)
+    load: float | None = setting("value", "static load; default: the table's", unit="N", default=None)
+    threshold: Uncertain | None = setting("uncertain", "measured threshold of instability; default: the table's", unit="Hz", default=None)
+    subtract: str = setting("text", "run of the residual unbalance, subtracted phasor by phasor (a file of the same kind)", default="")
+    printed_critical_speed: tuple[float, ...] = setting(
+        "values", "printed elsewhere, shown for reference: measured, original, enhanced", unit="Hz", default=()
+    )
+    printed_threshold: tuple[float, ...] = setting("values", "the same of the threshold", unit="Hz", default=())
+    unbalance: tuple[tuple[str, complex], ...] = ()
+    path: Path = Path()
+    subtracted: Path | None = None
+    own_rig: Rig | None = None
+
+    def __post_init__(self) -> None:
+        if bool(self.file) == bool(self.recording):
+            raise ConfigError("one of 'file' and 'recording' is needed", hint="file: load-1.csv, or recording: run.parquet with tacho:")
+        if self.recording and not self.tacho:
+            raise ConfigError("'tacho' is missing", hint="name the channel with the tacho's pulses")
+        if self.recording and self.load is None:
+            raise ConfigError("'load' is missing", hint="a recording does not state it; for example load: 3.66 N")
+        if self.load is not None and self.load <= 0:
+            raise ConfigError("'load' must be positive")
+        if self.threshold is not None and not (self.threshold.value > 0 and self.threshold.std_error > 0):
+            raise ConfigError("'threshold' needs its uncertainty", hint="for example 2772 rpm +- 6 rpm")
+        for name in ("printed_critical_speed", "printed_threshold"):
+            if len(getattr(self, name)) not in (0, 3):
+                raise ConfigError(f"'{name}' has three values", hint="measured, original and enhanced")
+        if self.recording and min(self.pulses, self.harmonics, self.revolutions - 1) < 1:
+            raise ConfigError("'pulses' and 'harmonics' are at least 1, 'revolutions' at least 2")
+
+
+@dataclass(frozen=True)
+class RunUpSettings:
+    """The ``run_ups:`` section; *rotor_path*: the rotor file with its folder."""
+
+    rotor: str = setting("text", "rotor file with pins, relative to the pipeline file")
+    methods: tuple[str, ...] = setting("names", f"what is fitted: {', '.join(METHODS)}", default=("points", "joint"))
+    metamodels: tuple[str, ...] = setting("names", f"of the points over load and speed: {', '.join(METAMODELS)}", default=())
+    plane: str = setting("text", "plane of the critical speeds; default: the last one", default="")
+    bound: float = setting("value", "largest change of a coefficient (amplitudes, points)", unit="1", default=0.3)
+    ridge: float = setting("value", "standard deviation of that change before a run is seen (points)", unit="1", default=0.15)
+    search: str = setting("choice", "how amplitudes are fitted", choices=SEARCHES, default="pattern")
+    starts: int = setting("integer", "starts of that search at one load and speed, to show their spread", default=20)
+    seed: int = setting("integer", "of random starts and networks", default=1)
+    source: str = setting("text", "where the printed values are from", default="")
+    runs: tuple[RunSettings, ...] = ()
+    rotor_path: Path = Path()
+
+    def __post_init__(self) -> None:
+        for names, known in ((self.methods, METHODS), (self.metamodels, METAMODELS)):
+            for name in names:
+                if name not in known:
+                    raise ConfigError(f"unknown name '{name}'", hint=nearest(name, known))
+        if not (0 < self.bound < 1 and self.ridge > 0):
+            raise ConfigError("'bound' lies between 0 and 100 %, 'ridge' above 0", hint="for example bound: 30 %")
+
+    @property
+    def files(self) -> list[Path]:
+        """Every file that the result depends on."""
+        subtracted = [run.subtracted for run in self.runs if run.subtracted is not None]
+        return list(dict.fromkeys([self.rotor_path, *(run.path for run in self.runs), *subtracted]))
+
+
+def read_run_ups(node: Marked | None, folder: Path, faults: Faults) -> RunUpSettings | None:
+    """The settings with their runs; None and faults where they cannot be read, None without the section."""
+    if node is None:
+        return None
+    before = len(faults)
+    entries = faults.mapping(node, RUN_UPS)
+    plain = Marked({key: entry for key, entry in entries.items() if key != "runs"}, node.where)
+    settings = read_settings(RunUpSettings, plain, RUN_UPS, faults)
+    runs = _runs(entries.get("runs"), node, folder, faults)
+    if settings is not None:
+        _check_rotor(folder / settings.rotor, settings, entries, faults)
+        _check_wants(settings, runs, entries, faults)
+    if len(faults) > before or settings is None:
+        return None
+    return replace(settings, runs=tuple(runs), rotor_path=folder / settings.rotor)
+
+
+def _check_rotor(path: Path, settings: RunUpSettings, entries: dict[str, Marked], faults: Faults) -> None:
+    if not path.exists():
+        faults.add(entries["rotor"], "run_ups.rotor", f"no such file '{settings.rotor}'", "paths are relative to the pipeline file")
+        return
+    try:
+        rig = load_run_up_rotor(path)
+        if settings.plane:
+            rig.node(settings.plane)
+    except ConfigError as error:
+        if "plane" in entries and not error.where:
+            faults.add(entries["plane"], "run_ups.plane", error.what, error.hint)
+        else:
+            faults.merge(error)
+
+
+def _check_wants(settings: RunUpSettings, runs: list[RunSettings], entries: dict[str, Marked], faults: Faults) -> None:
+    """What only the whole section shows."""
+    if settings.metamodels and "points" not in settings.methods:
+        hint = "add points to run_ups.methods"
+        faults.add(entries["metamodels"], "run_ups.metamodels", "metamodels are fitted to the method 'points'", hint)
+    if runs and all(run.role == HELD_OUT for run in runs):
+        faults.add(entries["runs"], "run_ups.runs", "every run is held out, and nothing is left to fit", "leave out role: of some")
+
+
+def _runs(node: Marked | None, section: Marked, folder: Path, faults: Faults) -> list[RunSettings]:
+    if node is None or not isinstance(node.content, list) or not node.content:
+        faults.add(node or section, "run_ups.runs", "a list of runs is needed", "for example - {file: load-1.csv}")
+        return []
+    found: dict[str, RunSettings] = {}
+    for number, entry in enumerate(node.content, 1):
+        run = _run(entry, f"run_ups.runs.{number}", folder, faults)
+        if run is None:
+            continue
+        if run.name in found:
+            faults.add(entry, f"run_ups.runs.{number}", f"a second run named '{run.name}'", "give it a name of its own")
+        found[run.name] = run
+    return list(found.values())
+
+
+def _run(node: Marked, key: str, folder: Path, faults: Faults) -> RunSettings | None:
+    entries = faults.mapping(node, key)
+    plain = Marked({name: entry for name, entry in entries.items() if name != "unbalance"}, node.where)
+    unbalance = _unbalance(entries.get("unbalance"), join(key, "unbalance"), faults)
+    run = read_settings(RunSettings, plain, key, faults)
+    if run is None:
+        return None
+    _check_excited(run, unbalance, node, key, faults)
+    paths = {name: _path(entries, name, key, folder, faults) for name in ("file", "recording", "subtract", "rig")}
+    own_rig = None
+    if paths["rig"] is not None:
+        own_rig = _rig(paths["rig"], faults)
+    path = paths["file"] or paths["recording"] or Path()
+    name = run.name or path.name.split(".")[0]
+    return replace(run, name=name, unbalance=unbalance, path=path, subtracted=paths["subtract"], own_rig=own_rig)
+
+
+def _check_excited(run: RunSettings, unbalance: tuple[tuple[str, complex], ...], node: Marked, key: str, faults: Faults) -> None:
+    if run.recording and not unbalance:
+        faults.add(node, join(key, "unbalance"), "is missing", "a recording does not state it; for example {disc 1: 50 g.mm at 0 deg}")
+
+
+def _path(entries: dict[str, Marked], name: str, key: str, folder: Path, faults: Faults) -> Path | None:
+    if name not in entries:
+        return None
+    path = folder / entries[name].text
+    if not path.is_file():
+        faults.add(entries[name], join(key, name), f"no such file '{entries[name].text}'", "paths are relative to the pipeline file")
+    return path
+
+
+def _rig(path: Path, faults: Faults) -> Rig | None:
+    try:
+        return load_rig(path) if path.is_file() else None
+    except ConfigError as error:
+        faults.merge(error)
+        return None
+
+
+def _unbalance(node: Marked | None, key: str, faults: Faults) -> tuple[tuple[str, complex], ...]:
+    """ {disc 1: 50 g.mm at 0 deg} -> (("disc 1", 5e-5 + 0j),) [kg m]; the angle is zero unless given."""
+    found: list[tuple[str, complex]] = []
+    for plane, entry in (faults.mapping(node, key) if node is not None else {}).items():
+        match = _UNBALANCE.match(entry.text.strip())
+        try:
+            size = parse_value(match["size"] if match else entry.text, "kg.m")
+            angle = parse_value(match["angle"], "rad") if match and match["angle"] else 0.0
+        except UnitError as error:
+            faults.add_unit(entry, join(key, plane), error)
+            continue
+        found.append((plane, size * complex(np.exp(1j * angle))))
+    return tuple(found)
+
+
+def run_ups_entry(settings: RunUpSettings) -> dict[str, Any]:
+    """The settings as JSON holds them, files by the names in the pipeline file."""
+    plain = {key: value for key, value in asdict(settings).items() if key not in ("runs", "rotor_path")}
+    left_out = ("path", "subtracted", "unbalance", "own_rig")
+    runs = [
+        {
+            **{key: value for key, value in asdict(run).items() if key not in left_out},
+            "unbalance": {plane: [size.real, size.imag] for plane, size in run.unbalance},
+            "recorded_by": None if run.own_rig is None else asdict(run.own_rig),
+        }
+        for run in settings.runs
+    ]
+    return {**plain, "runs": runs}

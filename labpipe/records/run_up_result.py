@@ -1,0 +1,219 @@
+"""What run-ups gave: what was measured, what every method makes of it at every load, and how far its coefficients are determined."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from labpipe.records.finding import Finding
+from labpipe.records.parameter import Parameter
+
+TRAINED, HELD_OUT = "trained", "held-out"
+# Name of the model that nothing was fitted to: the rotor file's own bearing.
+START = "start"
+# Two-sided 95 % of a normal distribution.
+TWO_SIDED = 1.959964
+Column = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Amount:
+    """A value with its standard error, None where none can be given; SI units."""
+
+    value: float
+    std_error: float | None = None
+
+    @property
+    def ci95(self) -> tuple[float, float] | None:
+        if self.std_error is None:
+            return None
+        return self.value - TWO_SIDED * self.std_error, self.value + TWO_SIDED * self.std_error
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One direction of one plane over the speeds: phasor real + j imag (n_speed,) [m], 0-to-peak; errors where it was measured."""
+
+    plane: str
+    direction: str
+    real: Column
+    imag: Column
+    amplitude_error: Column = ()
+    phase_error: Column = ()
+
+
+@dataclass(frozen=True)
+class Cascade:
+    """Spectra of one response, block by block of a recording: speed (n_block,) [Hz], frequency (n_line,) [Hz], amplitude [m] of each."""
+
+    label: str
+    speed: Column
+    frequency: Column
+    amplitude: tuple[Column, ...]
+
+
+@dataclass(frozen=True)
+class MeasuredRun:
+    """One run-up: *load* [N], *role* (TRAINED or HELD_OUT), speed (n_speed,) [rad/s]; *excitation* and *subtracted* in words.
+
+    critical_speed, threshold [rad/s]: measured. printed_...: what a source prints (measured, original, enhanced) [Hz].
+    """
+
+    name: str
+    load: float
+    role: str
+    excitation: str
+    speed: Column
+    motions: tuple[Motion, ...]
+    critical_speed: Amount | None = None
+    threshold: Amount | None = None
+    subtracted: str = ""
+    printed_critical_speed: Column = ()
+    printed_threshold: Column = ()
+    cascades: tuple[Cascade, ...] = ()
+
+
+@dataclass(frozen=True)
+class RunPrediction:
+    """A method at the load of one *run*: critical speed and threshold [rad/s], motions over *speed* (n,) [rad/s], and coefficients.
+
+    coefficients, std_errors: eight per speed of `coefficient_speed` [rad/s] (k_xx ... c_yy); std_errors is empty where the method gives
+    none, null at a bound. *notes*: why something is missing, what a reader must know.
+    """
+
+    run: str
+    critical_speed: Amount | None
+    threshold: Amount | None
+    speed: Column = ()
+    motions: tuple[Motion, ...] = ()
+    coefficient_speed: Column = ()
+    coefficients: tuple[Column, ...] = ()
+    std_errors: tuple[Column, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """One search: objective, mesh size and evaluations by iteration, (n_iteration,) each; *capped*: whether a limit ended it."""
+
+    where: str
+    objective: Column
+    mesh: Column
+    evaluations: Column
+    capped: bool
+    best: Column = ()
+
+
+@dataclass(frozen=True)
+class StartSpread:
+    """Where several starts of one search ended: eight factors on the start values for each, and its objective."""
+
+    where: str
+    factors: tuple[Column, ...]
+    objective: Column
+
+
+@dataclass(frozen=True)
+class RunUpMethod:
+    """One way to the coefficients: its doubt, and its predictions. None where a method has no such number.
+
+    rank: unknowns that the data determine, of *unknowns*; condition: within that rank, the worst; free: combinations that no datum
+    holds, in words; parameters: what was estimated, where they are few.
+    """
+
+    name: str
+    title: str
+    verdict: str
+    predictions: tuple[RunPrediction, ...]
+    unknowns: int = 8
+    rank: int | None = None
+    condition: float | None = None
+    share_at_bound: float | None = None
+    chi2_per_datum: float | None = None
+    chi2_p: float | None = None
+    n_datum: int = 0
+    n_effective: float | None = None
+    free: tuple[str, ...] = ()
+    parameters: tuple[Parameter, ...] = ()
+    convergence: tuple[Convergence, ...] = ()
+    spreads: tuple[StartSpread, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    def prediction(self, run: str) -> RunPrediction | None:
+        return next((one for one in self.predictions if one.run == run), None)
+
+
+@dataclass(frozen=True)
+class RankRow:
+    """What a set of *data* can tell of eight coefficients at one load and speed."""
+
+    data: str
+    rank: int
+    condition: float
+    words: str
+    free: tuple[str, ...]
+    advice: str = ""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Eight coefficients over a grid: load (n_load,) [N], speed (n_speed,) [rad/s], values [coefficient][load][speed] in SI units."""
+
+    load: Column
+    speed: Column
+    values: tuple[tuple[Column, ...], ...]
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Errors of a metamodel at a load that its fit did not see: rms over its speeds of every coefficient, relative [-] (8,)."""
+
+    load: float
+    errors: Column
+    outside: bool
+
+
+@dataclass(frozen=True)
+class MetamodelResult:
+    """Coefficients over load and speed from one method's points: surface, leave-one-load-out errors, predictions, statistics in words.
+
+    *model*: what makes it anew, for rotor files.
+    """
+
+    name: str
+    title: str
+    surface: Surface
+    left_out: tuple[LeftOut, ...]
+    predictions: tuple[RunPrediction, ...]
+    remarks: tuple[str, ...] = ()
+    model: str = ""
+
+    def prediction(self, run: str) -> RunPrediction | None:
+        return next((one for one in self.predictions if one.run == run), None)
+
+
+@dataclass(frozen=True)
+class RunUpResult:
+    """All of it for one rotor; *plane*: where critical speeds are read; *source*: of the printed columns; points: rank table at *at*."""
+
+    rotor: str
+    plane: str
+    bearing: str
+    runs: tuple[MeasuredRun, ...]
+    methods: tuple[RunUpMethod, ...]
+    metamodels: tuple[MetamodelResult, ...] = ()
+    ranks: tuple[RankRow, ...] = ()
+    rank_load: float = 0.0
+    rank_speed: float = 0.0
+    measured_rank: RankRow | None = None
+    source: str = ""
+    findings: tuple[Finding, ...] = ()
+
+    def method(self, name: str) -> RunUpMethod | None:
+        return next((one for one in self.methods if one.name == name), None)
+
+    def run(self, name: str) -> MeasuredRun:
+        """KeyError with the known names on a miss."""
+        for run in self.runs:
+            if run.name == name:
+                return run
+        raise KeyError(f"no run '{name}'; known: {', '.join(run.name for run in self.runs)}")

@@ -1,0 +1,296 @@
+"""The ways to journal coefficients side by side: each with its doubt, and with what it predicts for every run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from labpipe.config.run_ups import RunUpSettings
+from labpipe.errors import FitError
+from labpipe.identify.unbalance_amplitudes import AmplitudeFit, fit_amplitudes, perfect_but_wrong
+from labpipe.identify.unbalance_film import PARAMETERS, as_eight, as_matrices
+from labpipe.identify.unbalance_joint import fit_jointly
+from labpipe.identify.unbalance_joint_result import JointFit
+from labpipe.identify.unbalance_points import PointFit, fit_points
+from labpipe.identify.unbalance_rotor import RunUpRotor
+from labpipe.identify.worn_rig import Unbalance
+from labpipe.records.parameter import Parameter
+from labpipe.records.run_up_result import START, Amount, Convergence, RunPrediction, RunUpMethod, StartSpread
+from labpipe.records.runup import RunUp
+from labpipe.records.settings import Uncertain
+from labpipe.rotors.threshold import CoefficientsAtSpeed
+from labpipe.stages.run_ups_reading import column, motions
+
+RPM = np.pi / 30
+# Step of the speeds at which curves are drawn [rad/s].
+CURVE_STEP = 25 * RPM
+# Loads are the same when they agree to a millionth.
+SAME_LOAD = 1e-6
+BEYOND = "above the last measured speed its coefficients are held, so that its threshold is extrapolated"
+ELSEWHERE = "its coefficients exist at the fitted loads only; a metamodel carries them to this one"
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class AtLoad:
+    """What a method says at one load: K and C over speed, coefficients and their errors (n_speed, 8) at the run's speeds.
+
+    critical, threshold: with their errors, where the method has them; else they are computed from *at_speed*.
+    """
+
+    at_speed: CoefficientsAtSpeed
+    coefficients: Array
+    std_error: Array | None = None
+    critical: Callable[[], Uncertain] | None = None
+    threshold: Callable[[], Uncertain | None] | None = None
+    notes: tuple[str, ...] = ()
+
+
+# The method at a run, on a rotor with that run's unbalance; None with a reason where it has nothing to say.
+Predictor = Callable[[RunUpRotor, RunUp], AtLoad | str]
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A method that has been fitted, its record without predictions, and what makes them. *fits*: points for metamodels."""
+
+    method: RunUpMethod
+    predictor: Predictor
+    points: tuple[PointFit, ...] = ()
+
+
+def solve_start(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001 (one signature for the table)
+    """The rotor file's own bearing: what the source calls the original model."""
+
+    def at(own: RunUpRotor, run: RunUp) -> AtLoad:
+        return AtLoad(own.start(run.load), as_eight(*own.start_coefficients(run.load, run.speed)))
+
+    return Solved(RunUpMethod(START, "original (start)", "not fitted", (), unknowns=0), at)
+
+
+def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
+    """(a): amplitudes alone, one search per point from the rotor file's values; the spread of many starts at one load."""
+    unbalanced = [run for run in trained if run.shaker is None]
+    fits = fit_amplitudes(rig, unbalanced, settings.bound, settings.search)
+    method = RunUpMethod(
+        "amplitudes",
+        f"(a) amplitudes, {'pattern search' if settings.search == 'pattern' else 'COBYQA'}",
+        _determined(fits),
+        (),
+        **_of_points(fits),
+        convergence=(_convergence(fits[len(fits) // 2]),),
+        spreads=_spreads(rig, unbalanced, settings),
+        remarks=(f"{perfect_but_wrong(fits)}.",),
+    )
+    return Solved(method, _points_at(fits))
+
+
+def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
+    """(b): complex amplitudes, point by point."""
+    fits = fit_points(rig, trained, settings.bound, settings.ridge)
+    held = f"a ridge of {100 * settings.ridge:g} % about the start values holds what the data do not see"
+    remark = f"{held}; its standard deviations include that doubt."
+    method = RunUpMethod("points", "(b) complex, point by point", _determined(fits), (), **_of_points(fits), remarks=(remark,))
+    return Solved(method, _points_at(fits), tuple(fits))
+
+
+def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001
+    """(c): one fit of the physical family to everything."""
+    fit = fit_jointly(rig, trained)
+    return Solved(joint_method("joint", "(c) joint physical fit", fit), _joint_at(fit))
+
+
+METHODS: dict[str, Callable[[RunUpRotor, Sequence[RunUp], RunUpSettings], Solved]] = {
+    START: solve_start,
+    "amplitudes": solve_amplitudes,
+    "points": solve_points,
+    "joint": solve_joint,
+}
+
+
+def joint_method(name: str, title: str, fit: JointFit) -> RunUpMethod:
+    """The record of a joint fit, its predictions to come."""
+    return RunUpMethod(
+        name,
+        title,
+        "rejected" if fit.rejected else "not rejected",
+        (),
+        unknowns=len(PARAMETERS),
+        rank=fit.rank,
+        condition=fit.condition,
+        share_at_bound=fit.share_at_bound,
+        chi2_per_datum=fit.chi2_per_datum,
+        chi2_p=fit.chi2_p,
+        n_datum=fit.n_datum,
+        n_effective=fit.n_effective,
+        free=fit.held_by_priors,
+        parameters=tuple(_parameter(fit, parameter) for parameter in PARAMETERS),
+    )
+
+
+def _parameter(fit: JointFit, name: str) -> Parameter:
+    found, bound = fit.parameter(name), bool(fit.at_bound[PARAMETERS.index(name)])
+    if bound:
+        return Parameter(name, found.value, "1", at_bound=True)
+    return Parameter(name, found.value, "1", found.std_error, None, Amount(found.value, found.std_error).ci95)
+
+
+def _joint_at(fit: JointFit) -> Predictor:
+    def at(own: RunUpRotor, run: RunUp) -> AtLoad:
+        there = replace(fit, rig=own)
+        eight, error = fit.coefficients(run.load, run.speed)
+        caution = fit.caution(run.load)
+        notes = (caution,) if caution else ()
+        return AtLoad(
+            fit.at_load(run.load), eight, error, lambda: there.critical_speed(run.load), lambda: there.threshold(run.load), notes
+        )
+
+    return at
+
+
+def _points_at(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> Predictor:
+    def at(_own: RunUpRotor, run: RunUp) -> AtLoad | str:
+        found = next((fit for fit in fits if abs(fit.load / run.load - 1) < SAME_LOAD), None)
+        if found is None:
+            return ELSEWHERE
+        at_speed = found.at_speed()
+        same = found.speed.shape == run.speed.shape and np.allclose(found.speed, run.speed)
+        error = found.std_error if same and isinstance(found, PointFit) else None
+        return AtLoad(at_speed, as_eight(*at_speed(run.speed)), error, notes=(BEYOND,))
+
+    return at
+
+
+def _of_points(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> dict[str, float | int | None]:
+    """What all points together say of their doubt; the worst rank and condition."""
+    chi2, datum, effective = sum(f.chi2 for f in fits), sum(f.n_datum for f in fits), sum(f.n_effective for f in fits)
+    left = datum - effective
+    shares = np.concatenate([np.asarray(fit.at_bound).ravel() for fit in fits])
+    return {
+        "rank": int(min(fit.rank.min() for fit in fits)),
+        "condition": float(max(fit.condition.max() for fit in fits)),
+        "share_at_bound": float(np.mean(shares)),
+        "chi2_per_datum": chi2 / left if left > 0.5 else None,
+        "chi2_p": float(chdtrc(left, chi2)) if left > 0.5 else None,
+        "n_datum": datum,
+        "n_effective": float(effective),
+    }
+
+
+def _determined(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> str:
+    return "determined" if min(int(fit.rank.min()) for fit in fits) == 8 else "not determined"
+
+
+def _convergence(fit: AmplitudeFit) -> Convergence:
+    """Of the point whose search took longest."""
+    point = int(np.argmax(fit.evaluations))
+    rows = fit.history.of(point)
+    evaluations = np.diff(rows.evaluations[:, 0], prepend=0)
+    best = fit.coefficients[point] / fit.start[point]
+    where = f"{fit.load:.3g} N, {fit.speed[point] / RPM:.0f} rpm"
+    parts = (column(values) for values in (rows.objective[:, 0], rows.mesh[:, 0], evaluations))
+    return Convergence(where, *parts, bool(fit.capped[point]), column(best))
+
+
+def _spreads(rig: RunUpRotor, runs: Sequence[RunUp], settings: RunUpSettings) -> tuple[StartSpread, ...]:
+    """Where the starts end at the load in the middle: at the speed of the largest response and at the highest."""
+    if settings.starts < 2:
+        return ()
+    loads = sorted({run.load for run in runs})
+    middle = loads[len(loads) // 2]
+    (fit,) = fit_amplitudes(
+        rig, [run for run in runs if run.load == middle], settings.bound, settings.search, settings.starts, settings.seed
+    )
+    points = dict.fromkeys([int(np.argmax(fit.measured)), fit.speed.size - 1])
+    found = []
+    for point in points:
+        spread = fit.spread(point)
+        where = f"{fit.load:.3g} N, {spread.speed / RPM:.0f} rpm"
+        # The relative misfit of the amplitudes says more than the sum of their squares.
+        misfit = np.sqrt(spread.objective / spread.measured)
+        found.append(StartSpread(where, tuple(column(row) for row in spread.factors), column(misfit)))
+    return tuple(found)
+
+
+def with_unbalance_of(rig: RunUpRotor, run: RunUp) -> RunUpRotor:
+    """The rotor under a run's unbalance, itself where that is the file's own."""
+    known = rig.known_unbalance
+    same = run.shaker is not None or (
+        run.unbalance.keys() == known.keys() and all(abs(size - known[plane]) <= 1e-9 * abs(size) for plane, size in run.unbalance.items())
+    )
+    if same:
+        return rig
+    amounts = tuple(Unbalance(rig.node(plane), abs(size), float(np.angle(size))) for plane, size in run.unbalance.items())
+    return replace(rig, unbalances=amounts)
+
+
+def predict(own: RunUpRotor, run: RunUp, found: AtLoad | str, plane: str, curves: bool = True) -> RunPrediction:
+    """A method's record for one run: what cannot be given is said in its notes. *own*: the rotor under the run's unbalance."""
+    if isinstance(found, str):
+        return RunPrediction(run.name, None, None, notes=(found,))
+    notes = list(found.notes)
+    critical = _tried(lambda: _critical(own, found, plane), "no critical speed", notes) if run.shaker is None else None
+    threshold = _tried(lambda: _threshold(own, found), "no threshold", notes)
+    speed = _drawn_speeds(run, threshold)
+    motion = motions(run.planes, _curve(own, run, found, speed)) if curves else ()
+    return RunPrediction(
+        run.name,
+        critical,
+        threshold,
+        column(speed) if curves else (),
+        motion,
+        column(run.speed),
+        tuple(column(row) for row in found.coefficients),
+        () if found.std_error is None else tuple(column(row) for row in found.std_error),
+        tuple(notes),
+    )
+
+
+def _tried(give: Callable[[], Amount | None], what: str, notes: list[str]) -> Amount | None:
+    try:
+        return give()
+    except FitError as error:
+        notes.append(f"{what}: {error.what}")
+        return None
+
+
+def _critical(own: RunUpRotor, found: AtLoad, plane: str) -> Amount:
+    if found.critical is not None and plane in ("", own.plane_names[-1]):
+        known = found.critical()
+        return Amount(known.value, known.std_error)
+    return Amount(own.critical_speed(found.at_speed, plane))
+
+
+def _threshold(own: RunUpRotor, found: AtLoad) -> Amount | None:
+    if found.threshold is not None:
+        known = found.threshold()
+        return None if known is None else Amount(known.value, known.std_error)
+    value = own.threshold(found.at_speed)
+    return None if value is None else Amount(value)
+
+
+def _drawn_speeds(run: RunUp, threshold: Amount | None) -> Array:
+    """Over the run's speeds, up to the predicted threshold: beyond there is no steady motion."""
+    last = float(run.speed[-1]) if threshold is None else min(float(run.speed[-1]), threshold.value)
+    return np.linspace(run.speed[0], max(last, run.speed[0]), max(2, round((last - run.speed[0]) / CURVE_STEP) + 1))
+
+
+def _curve(own: RunUpRotor, run: RunUp, found: AtLoad, speed: Array) -> NDArray[np.complexfloating]:
+    shape = (speed.size, len(run.planes), 2)
+    bare = replace(run, speed=speed, response=np.ones(shape) + 0j, amplitude_error=np.ones(shape), phase_error=np.ones(shape))
+    return np.asarray(own.excited(bare).response(*found.at_speed(speed)).reshape(shape))
+
+
+def through(at_speed: CoefficientsAtSpeed, run: RunUp, notes: tuple[str, ...] = ()) -> AtLoad:
+    """Coefficients known as a function of speed alone."""
+    return AtLoad(at_speed, as_eight(*at_speed(run.speed)), notes=notes)
+
+
+def of_eight(eight: Callable[[Array], Array]) -> CoefficientsAtSpeed:
+    """K and C over speed from eight coefficients (n_speed, 8) over speed."""
+    return lambda speed: as_matrices(eight(speed))
