@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,13 @@ REFERENCE_SPEED = 50 * np.pi
 MOST_REFITS = 12
 
 Array = NDArray[np.floating]
+
+
+class CoefficientFamily(Protocol):
+    """Coefficients over load and speed with parameters."""
+
+    def coefficients_and_slopes(self, values: Array, load: Array, speed: Array) -> tuple[Array, Array]: ...
+    def at_load(self, values: Array, load: float) -> CoefficientsAtSpeed: ...
 
 
 @dataclass(frozen=True)
@@ -88,8 +96,8 @@ class JointProblem:
         return residual, np.array([row[1] for row in rows]).reshape(-1, len(PARAMETERS))
 
 
-def threshold_row(rig: RunUpRotor, family: FilmFamily, values: Array, load: float, measured: Uncertain) -> tuple[float, Array]:
-    """(Omega_th - Omega_meas) / s and its slopes (12,): d Omega_th = -d growth / (d growth / d Omega) at the threshold itself.
+def threshold_row(rig: RunUpRotor, family: CoefficientFamily, values: Array, load: float, measured: Uncertain) -> tuple[float, Array]:
+    """(Omega_th - Omega_meas) / s and its slopes (n_parameter,): d Omega_th = -d growth / (d growth / d Omega) at the threshold itself.
 
     FitError where the search from the measured speed finds none.
     """
@@ -117,13 +125,18 @@ def nearby_threshold(rig: RunUpRotor, coefficients: CoefficientsAtSpeed, start: 
     raise FitError("the computed threshold of instability is far from the measured one", hint="check load, unit of speed and rotor file")
 
 
+def family_about(rig: RunUpRotor, groups: Iterable[LoadRuns]) -> FilmFamily:
+    """The family about the rotor file's bearing, its slopes about the middle of the loads."""
+    return FilmFamily(rig.place.bearing, REFERENCE_SPEED, float(np.exp(np.mean([np.log(group.load) for group in groups]))))
+
+
 def fit_jointly(rig: RunUpRotor, runs: Iterable[RunUp], use_thresholds: bool = True) -> JointFit:
     """The twelve parameters from all runs; parameters that run into their bounds (`BOUND`) stay there and have no standard error.
 
     FitError when no minimum is found.
     """
     groups = tuple(runs_by_load(rig, runs))
-    family = FilmFamily(rig.place.bearing, REFERENCE_SPEED, float(np.exp(np.mean([np.log(group.load) for group in groups]))))
+    family = family_about(rig, groups)
     measured = tuple((group.load, run.run.threshold) for group in groups for run in group.runs if run.run.threshold is not None)
     n = len(PARAMETERS)
     problem = JointProblem(rig, family, groups, measured if use_thresholds else (), np.ones(n, bool), np.zeros(n))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from labpipe.identify.unbalance_amplitudes import displacement_slopes
 from labpipe.identify.unbalance_film import as_matrices
 from labpipe.identify.unbalance_joint import nearby_threshold
-from labpipe.identify.unbalance_joint_result import LOAD_SLACK, JointFit
+from labpipe.identify.unbalance_joint_result import LOAD_SLACK
 from labpipe.identify.unbalance_process_field import ProcessFamily, SquaredExponential, places_of
 from labpipe.identify.unbalance_rotor import RunUpRotor, largest_displacement
 from labpipe.records.settings import Uncertain
@@ -24,7 +24,7 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class ProcessFit:
-    """Parameters *values* and *covariance* (n_parameter, n_parameter) of the *family*; *joint*: the fit it began from.
+    """Parameters *values* and *covariance* (n_parameter, n_parameter) of the *family*; *loads* [N]: those of the fit.
 
     chi2, n_datum: of responses and thresholds; n_effective: parameters that the data determine against the priors; rank, condition: of
     the data, in units of the priors; n_determined: combinations that the data say more about than the priors do.
@@ -32,7 +32,7 @@ class ProcessFit:
 
     rig: RunUpRotor
     family: ProcessFamily
-    joint: JointFit
+    loads: tuple[float, ...]
     values: Array
     covariance: Array
     chi2: float
@@ -42,11 +42,6 @@ class ProcessFit:
     condition: float
     n_determined: int
     steps: int
-
-    @property
-    def loads(self) -> tuple[float, ...]:
-        """Loads [N] of the fit."""
-        return self.joint.loads
 
     @property
     def kernel(self) -> SquaredExponential:
