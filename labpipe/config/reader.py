@@ -13,6 +13,9 @@ from labpipe.records.settings import Setting, settings_of
 
 Owner = TypeVar("Owner")
 
+# Stands in a new project where nobody but the user knows; see stages/scaffold.py.
+DECIDE = "DECIDE"
+
 
 def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **given: Any) -> Owner | None:
     """An instance of the settings dataclass *owner* from the mapping *node*; None and faults where it cannot be read.
@@ -40,7 +43,10 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
 
 
 def read_setting(node: Marked, setting: Setting, key: str, faults: Faults) -> Any:
-    """One value of the setting's kind; None and a fault where it cannot be read."""
+    """One value of the setting's kind; None and a fault where it cannot be read or is still to be decided."""
+    if node.text == DECIDE:
+        faults.add(node, key, "is still to be decided", setting.help)
+        return None
     if setting.kind == "section":
         assert setting.section is not None
         return read_settings(setting.section, node, key, faults)

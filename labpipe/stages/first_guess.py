@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.config.reader import DECIDE
 from labpipe.config.rig import DEFAULT_ROLES
 from labpipe.formats.table import Table
 from labpipe.quantities import QUANTITIES, UnitError, parse_unit
 
-# Stands where nobody but the user knows; no quantity and no unit has this name, so labpipe refuses it with its line.
-DECIDE = "DECIDE"
 # Rows that are looked at; more do not tell more.
 MOST_ROWS = 1 << 21
 # A column whose steps are all alike to this is a time axis.

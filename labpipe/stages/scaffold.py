@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.config.reader import DECIDE
 from labpipe.config.rig import time_scale
 from labpipe.errors import DataError
 from labpipe.formats.table import Table, open_table
@@ -19,7 +20,7 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.signals.first_look import Excitation, look
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
-from labpipe.stages.first_guess import DECIDE, GuessedChannel, first_rows, guess_channels, time_columns
+from labpipe.stages.first_guess import GuessedChannel, first_rows, guess_channels, time_columns
 from labpipe.stages.frf import is_response, load_response
 
 MARK = "# <- decide:"

@@ -12,8 +12,9 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from labpipe.config.pipeline import load_pipeline
+from labpipe.config.reader import DECIDE
 from labpipe.stages.examples import examples
-from labpipe.stages.first_guess import DECIDE, guess_channels, time_columns
+from labpipe.stages.first_guess import guess_channels, time_columns
 from labpipe.stages.scaffold import MARK
 
 RATE, PERIOD, REPEATS = 1000.0, 1000, 6
@@ -99,7 +100,8 @@ def test_a_mat_file_needs_its_units(tmp_path: Path, labpipe) -> None:
     ended = labpipe("init", tmp_path / "rig", tmp_path / "run.mat")
     assert ended.code == 0 and "to be decided" in ended.out
     ended = labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out")
-    assert ended.code == 2 and "DECIDE" in ended.err and "rig.yaml" in ended.err
+    assert ended.code == 2 and ended.err.count("is still to be decided") == 2
+    assert "rig.yaml:4" in ended.err and "rig.yaml:5" in ended.err
     decide(tmp_path / "rig", {"force.unit": "N", "probe_y.unit": "V, sensitivity: 8 V/mm"})
     assert_found(tmp_path / "rig", labpipe)
 

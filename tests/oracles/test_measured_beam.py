@@ -10,9 +10,9 @@ import pytest
 from scipy.io import loadmat
 
 import labpipe
+from labpipe.config.reader import DECIDE
 from labpipe.formats.table import open_table
 from labpipe.records.response import FrequencyResponse, Port
-from labpipe.stages.first_guess import DECIDE
 from labpipe.stages.scaffold import scaffold
 
 
