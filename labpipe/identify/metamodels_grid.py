@@ -1,0 +1,116 @@
+"""Coefficients on a grid of loads and speeds: what metamodels are fitted to, and the coordinates that they are fitted in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import DataError
+
+# Loads that agree to this part of themselves are one.
+SAME_LOAD = 1e-6
+
+Array = NDArray[np.floating]
+
+
+class Fitted(Protocol):
+    """Coefficients (n_speed, 8) of one load at some speeds."""
+
+    @property
+    def load(self) -> float: ...
+    @property
+    def speed(self) -> Array: ...
+    @property
+    def coefficients(self) -> Array: ...
+
+
+class Queried(Protocol):
+    """A fit that is asked for coefficients (n_speed, 8) and their errors at any load and speed."""
+
+    def coefficients(self, load: float, speed: Array) -> tuple[Array, Array]: ...
+
+
+@dataclass(frozen=True)
+class Grid:
+    """load [N] and speed [rad/s] (n_point,), eight (n_point, 8) [N/m, N s/m]; DataError where they do not fit together."""
+
+    load: Array
+    speed: Array
+    eight: Array
+
+    def __post_init__(self) -> None:
+        n = np.size(self.load)
+        if np.shape(self.load) != np.shape(self.speed) or np.shape(self.eight) != (n, 8) or n == 0:
+            raise DataError("a metamodel needs one load, one speed and eight coefficients per point")
+        if not (np.all(np.isfinite(self.eight)) and np.all(np.asarray(self.load) > 0) and np.all(np.asarray(self.speed) > 0)):
+            raise DataError("loads and speeds of a metamodel are positive and its coefficients finite")
+
+    @classmethod
+    def of(cls, fits: Iterable[Fitted]) -> Grid:
+        """From one fit per load, such as a PointFit or an AmplitudeFit."""
+        found = list(fits)
+        if not found:
+            raise DataError("there is no fit to make a metamodel of")
+        load = np.concatenate([np.full(fit.speed.size, fit.load) for fit in found])
+        return cls(load, np.concatenate([fit.speed for fit in found]), np.concatenate([fit.coefficients for fit in found]))
+
+    @classmethod
+    def sampled(cls, fit: Queried, loads: Iterable[float], speed: Array) -> Grid:
+        """From a fit that knows any load, such as a JointFit or a ProcessFit, at *loads* [N] and *speed* (n_speed,) [rad/s]."""
+        parts = [(np.full(np.size(speed), load), np.asarray(speed), fit.coefficients(load, speed)[0]) for load in loads]
+        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    @property
+    def loads(self) -> tuple[float, ...]:
+        """Its different loads [N], rising."""
+        found: list[float] = []
+        for load in np.sort(self.load).tolist():
+            if not found or load > found[-1] * (1 + SAME_LOAD):
+                found.append(load)
+        return tuple(found)
+
+    def _at(self, load: float) -> NDArray[np.bool_]:
+        return np.abs(self.load / load - 1) <= SAME_LOAD
+
+    def only(self, load: float) -> Grid:
+        """The points of one load."""
+        chosen = self._at(load)
+        return Grid(self.load[chosen], self.speed[chosen], self.eight[chosen])
+
+    def without(self, load: float) -> Grid:
+        """The points of all other loads."""
+        chosen = ~self._at(load)
+        return Grid(self.load[chosen], self.speed[chosen], self.eight[chosen])
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Lowest and highest *loads* [N] and *speeds* [rad/s] of a grid; places are coded to -1 to 1 between them."""
+
+    loads: tuple[float, float]
+    speeds: tuple[float, float]
+
+    @classmethod
+    def of(cls, grid: Grid) -> Extent:
+        ends = [(float(np.min(one)), float(np.max(one))) for one in (grid.load, grid.speed)]
+        return cls(ends[0], ends[1])
+
+    def coded(self, load: Array | float, speed: Array) -> Array:
+        """(n_point, 2)."""
+        columns = []
+        for places, (low, high) in ((load, self.loads), (speed, self.speeds)):
+            half = (high - low) / 2 or 1.0
+            columns.append((np.asarray(places, np.float64) - (low + high) / 2) / half)
+        return np.stack(np.broadcast_arrays(*columns), axis=-1).reshape(-1, 2)
+
+    def to_entries(self) -> dict[str, Any]:
+        return {"loads": list(self.loads), "speeds": list(self.speeds)}
+
+    @classmethod
+    def from_entries(cls, entries: Mapping[str, Any]) -> Extent:
+        (first, last), (low, high) = entries["loads"], entries["speeds"]
+        return cls((float(first), float(last)), (float(low), float(high)))
