@@ -41,6 +41,7 @@ identify:
 compare:
   rise: {kind: trend, fit: direct, parameter: k, over: preload}
 accept: {direct.gof: ">= 0.9"}
+report: {formats: [md]}
 """
 PRELOADS = (100, 200, 300, 400)
 
@@ -111,7 +112,7 @@ def test_one_bad_recording_fails_alone(project: Path, labpipe) -> None:
     assert [failed["name"] for failed in result["failed"]] == ["300N-up"]
     assert {fit["test"] for fit in result["fits"]} == {"100N-up", "200N-up", "400N-up"}
     assert [comparison["name"] for comparison in result["comparisons"]] == ["rise"]
-    report = (project / "out/report.html").read_text()
+    report = (project / "out/report.md").read_text()
     assert "INCOMPLETE" in report and "300N-up" in report
     # Put right, only the bad one is done; the others are left as they are.
     before = stamps(project / "out")
