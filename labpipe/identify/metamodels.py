@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -122,9 +123,9 @@ def leave_one_load_out(
     for load in grid.loads:
         kept = grid.without(load) if len(grid.loads) > 1 else grid
         for kind in kinds:
-            rows.append(_left_out(kind, grid, load, lambda kind=kind, kept=kept: fit_metamodel(kind, kept, seed)))
+            rows.append(_left_out(kind, grid, load, partial(fit_metamodel, kind, kept, seed)))
         if physical is not None:
-            rows.append(_left_out(PhysicalFit.kind, grid, load, lambda load=load: physical(load)))
+            rows.append(_left_out(PhysicalFit.kind, grid, load, partial(physical, load)))
     return rows
 
 

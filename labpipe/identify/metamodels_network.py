@@ -31,7 +31,7 @@ Layers = tuple[Array, Array, Array, Array]
 
 @dataclass(frozen=True)
 class Network:
-    """*repeats*: layers of each; middle, deviation (8,) [N/m, N s/m] of the outputs; n_converged: repeats whose training ended by itself."""
+    """*repeats*: layers of each; middle, deviation (8,) [N/m, N s/m] of the outputs; n_converged: repeats that ended by themselves."""
 
     extent: Extent
     repeats: tuple[Layers, ...]

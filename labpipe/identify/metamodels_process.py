@@ -29,7 +29,7 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class GaussianProcess:
-    """grid: what it was fitted to; hyper (8, 4): a, l_w, l_s, n of every coefficient; factors, weights: of the covariance, by coefficient."""
+    """grid: what it was fitted to; hyper (8, 4): a, l_w, l_s, n of every coefficient; factors, weights: of their covariances."""
 
     grid: Grid
     extent: Extent
@@ -83,13 +83,13 @@ def fit_process(grid: Grid, seed: int = 0) -> GaussianProcess:  # noqa: ARG001 o
 def _likeliest(coded: Array, scaled: Array) -> Array:
     median, deviation = (np.array(column) for column in zip(*HYPER, strict=True))
 
-    def cost(parts: Array) -> float:
+    def cost(parts: NDArray[np.float64]) -> float:
         factor = _factor(coded, median * np.exp(deviation * parts))
         whitened = linalg.solve_triangular(factor, scaled, lower=True)
         return float((whitened @ whitened + parts @ parts) / 2 + np.sum(np.log(np.diag(factor))))
 
-    simplex = np.concatenate([np.zeros((1, 4)), np.eye(4)])
-    found = optimize.minimize(cost, np.zeros(4), method="Nelder-Mead", options={"initial_simplex": simplex, **SEARCH})
+    options: Any = {"initial_simplex": np.concatenate([np.zeros((1, 4)), np.eye(4)]), **SEARCH}
+    found = optimize.minimize(cost, np.zeros(4), method="Nelder-Mead", options=options)
     return np.asarray(median * np.exp(deviation * found.x))
 
 

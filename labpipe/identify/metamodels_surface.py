@@ -83,8 +83,8 @@ class ResponseSurface:
 
     @classmethod
     def from_entries(cls, entries: Mapping[str, Any]) -> ResponseSurface:
-        arrays = (np.array(entries[name], np.float64) for name in ("beta", "inverse", "spread", "r2", "press", "total"))
-        return cls(Extent.from_entries(entries), *arrays, int(entries["n_point"]))
+        arrays = {name: np.array(entries[name], np.float64) for name in ("beta", "inverse", "spread", "r2", "press", "total")}
+        return cls(extent=Extent.from_entries(entries), n_point=int(entries["n_point"]), **arrays)
 
 
 def fit_surface(grid: Grid, seed: int = 0) -> ResponseSurface:  # noqa: ARG001 one signature for all kinds

@@ -1,14 +1,16 @@
 """Compass search within bounds: many small problems side by side, each polled along its axes on a mesh that halves or doubles.
 
 Generalised pattern search (Torczon 1997; Lewis and Torczon 1999 for bounds): from the best point x so far the 2 n neighbours x +- m e_i
-are asked, all of them; the lowest one that is lower than x becomes x and the mesh m doubles, otherwise m halves. Neighbours beyond a bound are moved onto
-it. Without gradients, and without any statement on how well the minimum is determined. COBYQA of scipy is the alternative by name.
+are asked, all of them; the lowest one that is lower than x becomes x and the mesh m doubles, otherwise m halves. Neighbours beyond a
+bound are moved onto it. Without gradients, and without any statement on how well the minimum is determined. COBYQA of scipy is the
+alternative by name.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,18 +26,19 @@ Objective = Callable[[Array, NDArray[np.intp]], Array]
 
 @dataclass(frozen=True)
 class SearchLimits:
-    """When a search begins and ends; meshes are parts of the box's width."""
+    """When a search begins and ends; meshes are parts of the box's width, *enough* is a part of the objective at the start."""
 
     first_mesh: float = 0.25
     smallest_mesh: float = 1e-4
     largest_mesh: float = 0.5
     most_evaluations: int = 4000
+    enough: float = 1e-9
 
     def __post_init__(self) -> None:
         if not 0 < self.smallest_mesh <= self.first_mesh <= self.largest_mesh <= 1:
             raise ConfigError("meshes of a pattern search rise: smallest, first, largest, up to 1", hint="for example 1e-4, 0.25, 0.5")
-        if self.most_evaluations < 1:
-            raise ConfigError(f"most_evaluations is at least 1, not {self.most_evaluations}")
+        if self.most_evaluations < 1 or not 0 <= self.enough < 1:
+            raise ConfigError("a search needs one evaluation or more, and enough is a part of the first objective")
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ class SearchHistory:
 class SearchResult:
     """The lowest points (n_problem, n_parameter) that were found; objective, mesh, evaluations (n_problem,).
 
-    capped (n_problem,): ended by the cap on evaluations, not by the mesh.
+    capped (n_problem,): ended by the cap on evaluations, neither by the mesh nor by an objective that is low enough.
     """
 
     values: Array
@@ -81,10 +84,12 @@ def compass_search(objective: Objective, start: Array, lower: Array, upper: Arra
     n_problem, n_parameter = values.shape
     everyone = np.arange(n_problem)
     lowest = objective(values[None], everyone)[0]
+    enough = limits.enough * lowest
     mesh, evaluations = np.full(n_problem, limits.first_mesh), np.ones(n_problem, np.intp)
     rows = [(evaluations.copy(), lowest.copy(), mesh.copy())]
     compass = np.concatenate([np.eye(n_parameter), -np.eye(n_parameter)])[:, None, :]
-    while (going := everyone[(mesh >= limits.smallest_mesh) & (evaluations < limits.most_evaluations)]).size:
+    unfinished = np.full(n_problem, True)
+    while (going := everyone[unfinished & (evaluations < limits.most_evaluations)]).size:
         trial = values[going] + compass * (mesh[going, None] * width[going])
         trial = np.clip(trial, lower[going], upper[going])
         found = objective(trial, going)
@@ -95,9 +100,10 @@ def compass_search(objective: Objective, start: Array, lower: Array, upper: Arra
         lowest[going[better]] = least[better]
         mesh[going] = np.where(better, np.minimum(2 * mesh[going], limits.largest_mesh), mesh[going] / 2)
         evaluations[going] += 2 * n_parameter
+        unfinished = (mesh >= limits.smallest_mesh) & (lowest > enough)
         rows.append((evaluations.copy(), lowest.copy(), mesh.copy()))
     history = SearchHistory(*(np.array(column) for column in zip(*rows, strict=True)))
-    return SearchResult(values, lowest, mesh, evaluations, mesh >= limits.smallest_mesh, history)
+    return SearchResult(values, lowest, mesh, evaluations, unfinished, history)
 
 
 def cobyqa_search(objective: Objective, start: Array, lower: Array, upper: Array, limits: SearchLimits | None = None) -> SearchResult:
@@ -133,13 +139,14 @@ def _trace(objective: Objective, problem: int, start: Array, lower: Array, width
     asked: list[float] = []
     number = np.array([problem])
 
-    def scaled(parts: Array) -> float:
+    def scaled(parts: NDArray[np.float64]) -> float:
         inside = np.clip(parts, 0, 1)
         points.append(inside)
         asked.append(float(objective((lower + inside * width)[None, None], number)[0, 0]))
         return asked[-1] / (asked[0] or 1.0)
 
-    options = {"initial_tr_radius": limits.first_mesh, "final_tr_radius": limits.smallest_mesh, "maxfev": limits.most_evaluations}
+    radii = {"initial_tr_radius": limits.first_mesh, "final_tr_radius": limits.smallest_mesh}
+    options: Any = {**radii, "maxfev": limits.most_evaluations, "f_target": limits.enough}
     bounds = optimize.Bounds(np.zeros(start.size), np.ones(start.size))
     try:
         ended = optimize.minimize(scaled, (start - lower) / width, method="COBYQA", bounds=bounds, options=options)
@@ -147,7 +154,7 @@ def _trace(objective: Objective, problem: int, start: Array, lower: Array, width
         if "Unknown solver" not in str(error):
             raise
         raise ConfigError("this scipy has no COBYQA", hint="install scipy 1.14 or newer, or search by method: pattern") from error
-    return _Trace(np.array(points), np.array(asked), len(asked) >= limits.most_evaluations and not ended.success)
+    return _Trace(np.array(points), np.array(asked), not ended.success)
 
 
 SEARCHES = {"pattern": compass_search, "cobyqa": cobyqa_search}

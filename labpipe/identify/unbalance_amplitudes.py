@@ -96,7 +96,8 @@ class AmplitudeFit:
 
     def spread(self, point: int) -> StartSpread:
         """What the starts reach at one of the speeds."""
-        return StartSpread(self.load, float(self.speed[point]), self.factors[:, point], self.objectives[:, point], float(self.measured[point]))
+        speed, measured = float(self.speed[point]), float(self.measured[point])
+        return StartSpread(self.load, speed, self.factors[:, point], self.objectives[:, point], measured)
 
     @property
     def statement(self) -> str:
@@ -110,7 +111,7 @@ class AmplitudeFit:
 
 @dataclass(frozen=True)
 class StartSpread:
-    """Several starts at one *load* [N] and *speed* [rad/s]: factors (n_start, 8), objective (n_start,), *measured*: sum of squares [m^2]."""
+    """Several starts at a *load* [N] and *speed* [rad/s]: factors (n_start, 8), objective (n_start,), sum of squares *measured* [m^2]."""
 
     load: float
     speed: float

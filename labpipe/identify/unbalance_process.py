@@ -187,23 +187,24 @@ def _rows_by_place(problem: ProcessProblem, values: Array, eight: Array) -> list
         residual, slopes = group.residual_and_slopes(own)
         rows += [(one, slope * here) for one, slope, here in zip(residual, slopes, own, strict=True)]
         first += group.speed.size
-    basis = problem.family.field.weights  # b b^+ is the identity on z: a slope by z is one by ln coefficients times b
+    field = problem.family.field
     for number, (load, measured) in enumerate(problem.thresholds):
-        residual, by_parameter = threshold_row(problem.rig, problem.family, values, load, measured)
-        place = problem.family.field.basis(problem.family.field.places[[first + number]])[0]
-        by_field = by_parameter[len(PARAMETERS) :].reshape(8, basis.shape[1])
-        rows.append((np.array([residual]), (by_field @ place / (place @ place))[None]))
+        threshold, by_parameter = threshold_row(problem.rig, problem.family, values, load, measured)
+        # A slope by z is the slope by ln coefficients times b.
+        place = field.basis(field.places[[first + number]])[0]
+        by_z = by_parameter[len(PARAMETERS) :].reshape(8, field.n_mode)
+        rows.append((np.array([threshold]), (by_z @ place / (place @ place))[None]))
     return rows
 
 
 def _likeliest(data: LinearData, places: Array, ranges: Array) -> SquaredExponential:
     median, deviation = (np.array(column) for column in zip(*HYPER, strict=True))
 
-    def cost(parts: Array) -> float:
+    def cost(parts: NDArray[np.float64]) -> float:
         field = SmoothField.of(_kernel(np.log(median) + deviation * parts, ranges), places)
         return float(parts @ parts) / 2 - data.log_likelihood(field)
 
-    options: dict[str, Any] = {"initial_simplex": np.concatenate([np.zeros((1, 3)), np.eye(3)]), **SEARCH}
+    options: Any = {"initial_simplex": np.concatenate([np.zeros((1, 3)), np.eye(3)]), **SEARCH}
     found = optimize.minimize(cost, np.zeros(3), method="Nelder-Mead", options=options)
     likeliest = _kernel(np.log(median) + deviation * found.x, ranges)
     return SquaredExponential(likeliest.size, CAUTION * likeliest.load, CAUTION * likeliest.speed)

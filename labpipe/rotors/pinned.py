@@ -87,7 +87,7 @@ class CondensedRotor:
     without: ComplexArray
     carried: ComplexArray
 
-    def at(self, chosen: Array) -> CondensedRotor:
+    def at(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> CondensedRotor:
         """Some of the speeds, by index or mask."""
         return CondensedRotor(*(getattr(self, name)[chosen] for name in ("speed", "at_bearing", "force", "without", "carried")))
 
