@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,11 +10,13 @@ from pathlib import Path
 from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
 from labpipe.config.rotor import LISTS, DampingSettings, _entries, _materials, _rotor, _tried
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, DataError, LabpipeError
+from labpipe.identify.metamodels import Metamodel, from_entries
 from labpipe.identify.unbalance_rotor import RunUpRotor
 from labpipe.identify.worn_rig import BearingPlace, Unbalance
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.records.settings import setting
+from labpipe.registry import nearest
 from labpipe.simulate.unbalance_rig import VirtualUnbalanceRig
 
 OWN_LISTS = ("elements", "discs", "sleeves", "bearings", "unbalances")
@@ -26,6 +29,7 @@ class PinnedSettings:
 
     name: str = setting("text", "name of the rotor, as the report shows it", default="")
     description: str = setting("text", "what a reader should know of the rotor", default="")
+    coefficients: str = setting("text", "FILE#NAME: journal coefficients identified before, instead of the film's own", default="")
 
 
 def load_run_up_rotor(path: Path, overrides: Iterable[str] = ()) -> RunUpRotor:
@@ -34,14 +38,14 @@ def load_run_up_rotor(path: Path, overrides: Iterable[str] = ()) -> RunUpRotor:
     for assignment in overrides:
         set_entry(tree, assignment)
     faults = Faults()
-    rig = read_run_up_rotor(tree, path.stem, faults)
+    rig = read_run_up_rotor(tree, path.stem, faults, path.parent)
     faults.raise_any()
     assert rig is not None
     return rig
 
 
-def read_run_up_rotor(tree: Marked, stem: str, faults: Faults) -> RunUpRotor | None:
-    """The rotor of a marked tree; None and faults where it cannot be read."""
+def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Path()) -> RunUpRotor | None:
+    """The rotor of a marked tree, files it names relative to *folder*; None and faults where it cannot be read."""
     before = len(faults)
     entries = faults.mapping(tree, "")
     plain = Marked({key: entry for key, entry in entries.items() if key not in SECTIONS}, tree.where)
@@ -56,13 +60,42 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults) -> RunUpRotor | N
         faults.add(entries["bearings"], "bearings", "a rotor between pins runs on one journal bearing")
     materials = _materials(entries.get("materials"), faults)
     damping = read_settings(DampingSettings, entries["damping"], "damping", faults) if "damping" in entries else DampingSettings()
+    tabulated = read_coefficients(known.coefficients, folder, entries["coefficients"], faults) if known and known.coefficients else None
     rotor = None if len(faults) > before else _rotor(lists, materials, damping, tree, faults)
     if rotor is None or known is None or len(faults) > before:
         return None
     bearing = lists["bearings"][0][1]
     place = BearingPlace(bearing.name or "bearing", bearing.node, bearing.bearing())
     unbalances = tuple(Unbalance(one.node, one.size, one.phase) for _, one in lists["unbalances"])
-    return _tried(lambda: RunUpRotor(known.name or stem, rotor, pins, place, planes, unbalances), tree, "", faults)
+    return _tried(lambda: RunUpRotor(known.name or stem, rotor, pins, place, planes, unbalances, tabulated), tree, "", faults)
+
+
+def read_coefficients(named: str, folder: Path, node: Marked, faults: Faults) -> Metamodel | None:
+    """The metamodel NAME of a JSON file's metamodels:, both named as FILE#NAME; None and a fault where there is none."""
+    file, mark, name = named.rpartition("#")
+    if not (file and mark and name):
+        faults.add(node, "coefficients", f"'{named}' is not FILE#NAME", "for example coefficients: metamodels.json#physical")
+        return None
+    try:
+        return _metamodel(folder / file, name)
+    except LabpipeError as error:
+        faults.add(node, "coefficients", error.what, error.hint)
+        return None
+
+
+def _metamodel(path: Path, name: str) -> Metamodel:
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ConfigError(f"no such file '{path}'", hint="paths are relative to the file that names them") from error
+    except (OSError, ValueError) as error:
+        raise DataError(f"'{path}' cannot be read as JSON: {error}") from error
+    known = entries.get("metamodels") if isinstance(entries, dict) else None
+    if not isinstance(known, dict):
+        raise DataError(f"'{path}' holds no metamodels", hint="name the file that an identification of journal coefficients wrote")
+    if name not in known:
+        raise ConfigError(f"no metamodel '{name}' in '{path}'", hint=nearest(name, known))
+    return from_entries(known[name])
 
 
 def _nodes(node: Marked | None, key: str, faults: Faults) -> tuple[int, ...]:

@@ -42,6 +42,11 @@ class Network:
 
     kind: ClassVar[str] = "network"
 
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Range of speeds [rad/s] that it holds for."""
+        return self.extent.speeds
+
     def each(self, load: Array | float, speed: Array) -> Array:
         """What every repeat predicts, (n_repeat, n_point, 8)."""
         coded = self.extent.coded(load, speed)

@@ -32,6 +32,11 @@ class PhysicalFit:
 
     kind: ClassVar[str] = "physical"
 
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Range of speeds [rad/s] that it holds for: all, as far as the film's table goes."""
+        return (0.0, float("inf"))
+
     @classmethod
     def of(cls, fit: JointFit, speeds: tuple[float, float]) -> PhysicalFit:
         """Of a joint fit to run-ups between two *speeds* [rad/s]."""

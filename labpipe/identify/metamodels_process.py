@@ -39,6 +39,11 @@ class GaussianProcess:
 
     kind: ClassVar[str] = "process"
 
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Range of speeds [rad/s] that it holds for."""
+        return self.extent.speeds
+
     @classmethod
     def of(cls, grid: Grid, hyper: Array) -> GaussianProcess:
         extent = Extent.of(grid)

@@ -43,6 +43,11 @@ class ResponseSurface:
     kind: ClassVar[str] = "surface"
 
     @property
+    def speeds(self) -> tuple[float, float]:
+        """Range of speeds [rad/s] that it holds for."""
+        return self.extent.speeds
+
+    @property
     def std_errors(self) -> Array:
         """Of beta (6, 8)."""
         return np.sqrt(np.diag(self.inverse))[:, None] * self.spread

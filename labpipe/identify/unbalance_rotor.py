@@ -8,12 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.bearings.journal_curve import journal_curve, sommerfeld_number
 from labpipe.errors import ConfigError, DataError, FitError
+from labpipe.identify.unbalance_film import as_matrices
 from labpipe.identify.worn_rig import BearingPlace, Unbalance
 from labpipe.records.runup import DIRECTIONS, RunUp
 from labpipe.registry import nearest
@@ -30,9 +32,22 @@ Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 
 
+class TabulatedCoefficients(Protocol):
+    """The eight coefficients (n_point, 8) over load [N] and speed [rad/s], such as a metamodel gives them."""
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Range of speeds [rad/s] that they hold for."""
+        ...
+
+    def predict(self, load: Array | float, speed: Array) -> Array: ...
+
+
 @dataclass(frozen=True)
 class RunUpRotor:
     """A rotor file with pins: *pins* and *planes* (name, node) sit on nodes of the *rotor*; *unbalances*: the known ones.
+
+    *tabulated*: journal coefficients that take the place of the film's own; beyond their speeds they stay what they are at the end.
 
     ConfigError where something sits on no node or outside the pins, or two planes have one name.
     """
@@ -43,6 +58,7 @@ class RunUpRotor:
     place: BearingPlace
     planes: tuple[tuple[str, int], ...]
     unbalances: tuple[Unbalance, ...] = ()
+    tabulated: TabulatedCoefficients | None = None
 
     def __post_init__(self) -> None:
         if not self.planes:
@@ -110,8 +126,10 @@ class RunUpRotor:
         return condensed_rotor(self.pinned, self.place.node, frequency, forces, nodes, run.speed)
 
     def start_coefficients(self, load: float, speed: Array) -> tuple[Array, Array]:
-        """K [N/m] and C [N s/m], (n_speed, 2, 2), from the Sommerfeld number of the rotor file's bearing."""
+        """K [N/m] and C [N s/m], (n_speed, 2, 2), from the Sommerfeld number of the rotor file's bearing, or as *tabulated*."""
         bearing, speed = self.place.bearing, np.asarray(speed, np.float64)
+        if self.tabulated is not None:
+            return as_matrices(self.tabulated.predict(load, np.clip(speed, *self.tabulated.speeds)))
         curve = journal_curve(bearing.length / bearing.diameter, bearing.groove_width)
         found = curve.coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
         scale = load / bearing.clearance

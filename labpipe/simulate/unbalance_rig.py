@@ -157,9 +157,8 @@ def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
         thinner = (1 + virtual.viscosity_error) * (1 - virtual.heating * np.minimum(np.asarray(speed) / highest, 1.2) ** 2)
         # The viscosity enters through the Sommerfeld number alone, so speeds may be scaled in its place, and damping scaled back.
         bearing = replace(own, clearance=clearance, groove_width=virtual.groove_width)
-        stiffness, damping = replace(virtual.known, place=replace(virtual.known.place, bearing=bearing)).start_coefficients(
-            load, np.asarray(speed) * thinner
-        )
+        rig = replace(virtual.known, place=replace(virtual.known.place, bearing=bearing), tabulated=None)
+        stiffness, damping = rig.start_coefficients(load, np.asarray(speed) * thinner)
         return stiffness, damping * thinner[..., None, None]
 
     return coefficients
