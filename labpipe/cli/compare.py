@@ -10,8 +10,9 @@ import click
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.catalogue.differences import LEVEL, Difference, differences
 from labpipe.cli import options
-from labpipe.cli.columns import echo_table, value_cells
+from labpipe.cli.columns import echo_table
 from labpipe.formats.rows_csv import write_rows
+from labpipe.quantities import display_unit, to_display
 from labpipe.records.identification import Identification
 
 
@@ -41,8 +42,11 @@ def _result(path: Path) -> Identification:
 
 
 def _cells(one: Difference) -> tuple[str, ...]:
-    first, _, unit = value_cells(one.first, None, one.unit)
-    second, *_ = value_cells(one.second, None, one.unit)
-    change, error, _ = value_cells(one.second - one.first, one.std_error, one.unit)
+    """A row in one unit, the one that suits the first value; a difference has no zero of its own (degC)."""
+    unit = display_unit(one.unit, one.first)
+    first, second, change = (to_display(value, unit) for value in (one.first, one.second, one.second - one.first))
+    change -= to_display(0.0, unit)
+    error = "" if one.std_error is None else f"{to_display(one.std_error, unit) - to_display(0.0, unit):.2g}"
     p_value = "" if one.p_value is None else f"{one.p_value:.2g}"
-    return one.fit, one.test, one.parameter, first, second, change, error, unit, p_value, "differs" if one.differs else ""
+    numbers = f"{first:.6g}", f"{second:.6g}", f"{change:.4g}", error, "" if unit == "1" else unit
+    return one.fit, one.test, one.parameter, *numbers, p_value, "differs" if one.differs else ""

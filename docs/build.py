@@ -1,0 +1,102 @@
+"""Build the documentation site into docs/site: run the pipelines whose figures the pages show, generate the reference, call mkdocs.
+
+    python docs/build.py            all; what is up to date in out/docs is not computed again
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from html import escape
+from pathlib import Path
+
+DOCS = Path(__file__).parent
+ROOT = DOCS.parent
+sys.path.insert(0, str(DOCS))
+WORK = ROOT / "out/docs"
+PAGES = WORK / "pages"
+FIGURE = re.compile(r"^\{\{ figure ([\w.-]+) \| (.+) \}\}$", re.MULTILINE)
+# Where a page shows figures of less work than the pipeline as it is shipped, it says so.
+SOURCE = re.compile(r"^\{\{ source ([\w./-]+) \}\}$", re.MULTILINE)
+LANGUAGES = {".py": "python", ".yaml": "yaml"}
+OPTIONS = {"three-dof": ["--set", "study.repeats=40", "--set", "study.thresholds=false"]}
+
+
+class Results:
+    """The figures of the shipped pipelines, each pipeline run once."""
+
+    def __init__(self) -> None:
+        self._figures: dict[str, list] = {}
+
+    def figures(self, name: str) -> list:
+        """The figures of a pipeline's report, in their order."""
+        if name not in self._figures:
+            from labpipe.artefacts.identification_file import read_identification
+            from labpipe.report.build import build
+            from labpipe.report.document import Figure
+
+            document = build(read_identification(ran(name) / "identification.json"))
+            self._figures[name] = [block for section in document.sections for block in section.blocks if isinstance(block, Figure)]
+        return self._figures[name]
+
+    def html(self, name: str, words: str, up: str) -> str:
+        """The first figure whose caption holds *words*, as HTML that names its file; the file is written."""
+        from labpipe.report.drawing import svg_text
+
+        found = [n for n, figure in enumerate(self.figures(name), 1) if words.lower() in figure.caption.lower()]
+        if not found:
+            captions = "\n  ".join(figure.caption for figure in self.figures(name))
+            raise SystemExit(f"{name} has no figure whose caption holds '{words}':\n  {captions}")
+        figure = self.figures(name)[found[0] - 1]
+        target = PAGES / "figures" / f"{name}-{found[0]}.svg"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(svg_text(figure.drawing, outlined=True), encoding="utf-8")
+        image = f'<img src="{up}figures/{target.name}" alt="{escape(figure.alternative)}" loading="lazy">'
+        return f"<figure>{image}<figcaption>{escape(figure.caption)}</figcaption></figure>"
+
+
+def ran(name: str) -> Path:
+    """The folder with the result of a shipped pipeline, run unless it is up to date."""
+    from labpipe.cli.main import run_command
+
+    folder = WORK / "runs" / name
+    print(f"run {name}", flush=True)
+    code = run_command(["run", str(ROOT / "pipelines" / f"{name}.yaml"), "-o", str(folder), "-q", *OPTIONS.get(name, [])])
+    # Fewer repeats than shipped may fail rules about their statistics.
+    if code > (1 if name in OPTIONS else 0):
+        raise SystemExit(f"pipelines/{name}.yaml ended with {code}")
+    return folder
+
+
+def source_block(found: re.Match[str]) -> str:
+    """A file of docs as a block of code, under its name."""
+    path = DOCS / found[1]
+    return f"`docs/{found[1]}`:\n\n```{LANGUAGES[path.suffix]}\n{path.read_text(encoding='utf-8')}```"
+
+
+def write_pages(target: Path, figure: Callable[[str, str, str], str]) -> None:
+    """The pages with their figures (name of a pipeline, words of a caption, way up -> HTML) and the generated reference, in *target*."""
+    from reference import reference_pages
+
+    shutil.copytree(DOCS / "pages", target)
+    for path in sorted(target.rglob("*.md")):
+        up = "../" * (len(path.relative_to(target).parts) - 1)
+        text = FIGURE.sub(lambda found, up=up: figure(found[1], found[2], up), path.read_text(encoding="utf-8"))
+        path.write_text(SOURCE.sub(source_block, text), encoding="utf-8")
+    (target / "reference").mkdir()
+    for name, text in reference_pages().items():
+        (target / "reference" / f"{name}.md").write_text(text, encoding="utf-8")
+
+
+def main() -> int:
+    shutil.rmtree(PAGES, ignore_errors=True)
+    write_pages(PAGES, Results().html)
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--clean", "-f", str(DOCS / "mkdocs.yml")]
+    return subprocess.run(command, check=False).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""What a package can add to labpipe: a reader, an estimator, a bearing model."""

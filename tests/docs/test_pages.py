@@ -1,0 +1,128 @@
+"""The documentation: every command of every page runs and prints what is shown, its YAML and Python are valid, the pages fetch nothing.
+
+Runs whose report no page shows are made without one, the study of minutes with few repeats; commands marked `parse` in the page
+(a cluster's address, half a minute of work that tests/cli runs) are held against the options of their command only.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import yaml
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGES = sorted((DOCS / "pages").rglob("*.md"))
+# Commands for a shell, and where they are run.
+SHELL = {
+    "dask scheduler": "tests/cli/test_many_tests.py, on loopback",
+    "dask worker tcp://10.0.0.1:8786 --nthreads 1": "tests/cli/test_many_tests.py, on loopback",
+    "pip install ./docs/plugin": "the plug-in's entry points are written here as pip writes them",
+    "labpipe check -j 0 pipelines/*.yaml": ".ci/run",
+}
+
+
+def module(name: str) -> ModuleType:
+    """A module of docs, which is no package."""
+    if f"docs_{name}" not in sys.modules:
+        spec = importlib.util.spec_from_file_location(f"docs_{name}", DOCS / f"{name}.py")
+        assert spec is not None and spec.loader is not None
+        sys.modules[f"docs_{name}"] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[f"docs_{name}"])
+    return sys.modules[f"docs_{name}"]
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+console = module("console")
+WITH_COMMANDS = [page for page in PAGES if list(console.commands(page.read_text(encoding="utf-8")))]
+
+
+@pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.stem)
+def test_the_commands_of_a_page_run_as_shown(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    console.scratch(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    for command in console.commands(page.read_text(encoding="utf-8")):
+        code, printed = console.run(console.without_report(command))
+        assert code == command.code, (command.words, printed)
+        assert not console.differs(command.shown, printed), (command.words, printed)
+
+
+def test_most_pages_hold_commands() -> None:
+    assert {page.stem for page in PAGES} - {page.stem for page in WITH_COMMANDS} == {"statistics", "notebook"}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_shell_commands_are_known(page: Path) -> None:
+    for block in blocks(page.read_text(encoding="utf-8"), "sh"):
+        for line in block.strip().splitlines():
+            assert line in SHELL, line
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_yaml_shown_has_the_keys_that_are_read(page: Path) -> None:
+    from labpipe.config.pipeline import SECTIONS
+
+    for block in blocks(page.read_text(encoding="utf-8"), "yaml"):
+        assert set(yaml.safe_load(block)) <= set(SECTIONS), block
+
+
+def test_the_notebook_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    names: dict[str, object] = {}
+    for code in blocks((DOCS / "pages/how-to/notebook.md").read_text(encoding="utf-8"), "python"):
+        exec(code, names)
+    assert capsys.readouterr().out == "k = 134.50 kN/m +- 0.01\n"
+    assert bytes(names["html"]).startswith(b"<!DOCTYPE html>")
+
+
+def test_every_code_of_a_finding_is_explained() -> None:
+    reference = module("reference")
+    assert reference.codes() == set(reference.explained())
+
+
+def test_the_reference_names_every_key_and_command() -> None:
+    from labpipe.cli.main import COMMANDS
+    from labpipe.identify.settings import FitSettings
+    from labpipe.records.settings import settings_of
+
+    pages = module("reference").reference_pages()
+    assert all(f"## {name}\n" in pages["commands"] for name in COMMANDS)
+    assert all(f"| `{key}` |" in pages["pipeline"] for key in settings_of(FitSettings))
+    assert "| `k` |" not in pages["rig"] and "| `sensitivity` |" in pages["rig"]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The built site, its figures left out: those need minutes."""
+    pytest.importorskip("mkdocs")
+    folder = tmp_path_factory.mktemp("docs")
+    build = module("build")
+    build.write_pages(folder / "pages", lambda name, words, up: f"<figure><figcaption>{words}</figcaption></figure>")
+    config = (DOCS / "mkdocs.yml").read_text(encoding="utf-8").replace("../out/docs/pages", str(folder / "pages"))
+    (folder / "mkdocs.yml").write_text(config.replace("site_dir: site", f"site_dir: {folder / 'site'}"), encoding="utf-8")
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "-f", str(folder / "mkdocs.yml")]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    return folder / "site"
+
+
+def test_all_pages_are_built_and_linked(site: Path) -> None:
+    """mkdocs --strict ends with an error at a link or heading that is not there, and at a page that no menu names."""
+    built = {path.relative_to(site).with_suffix("").as_posix() for path in site.rglob("*.html")} - {"404"}
+    written = {path.relative_to(DOCS / "pages").with_suffix("").as_posix() for path in PAGES}
+    assert built == written | {f"reference/{name}" for name in module("reference").reference_pages()}
+
+
+def test_the_pages_fetch_nothing_from_elsewhere(site: Path) -> None:
+    fetching = re.compile(r"<(?:script|link|img|iframe|source)\b[^>]*\b(?:src|href)=[\"']?((?:https?:)?//[^\"'> ]+)")
+    for path in site.rglob("*.html"):
+        assert not fetching.findall(path.read_text(encoding="utf-8")), path
+    for path in site.rglob("*.css"):
+        assert not re.findall(r"(?:url\(|@import)\s*[\"']?(?:https?:)?//", path.read_text(encoding="utf-8")), path
