@@ -80,7 +80,8 @@ class RunUpSettings:
 
     rotor: str = setting("text", "rotor file with pins, relative to the pipeline file")
     methods: tuple[str, ...] = setting("names", f"what is fitted: {', '.join(METHODS)}", default=("points", "joint"))
-    metamodels: tuple[str, ...] = setting("names", f"of the points over load and speed: {', '.join(METAMODELS)}", default=())
+    metamodels: tuple[str, ...] = setting("names", f"of coefficients over load and speed: {', '.join(METAMODELS)}", default=())
+    metamodels_of: str = setting("choice", "the method whose coefficients they are fitted to", choices=METHODS, default="points")
     plane: str = setting("text", "plane of the critical speeds; default: the last one", default="")
     bound: float = setting("value", "largest change of a coefficient (amplitudes, points)", unit="1", default=0.3)
     ridge: float = setting("value", "standard deviation of that change before a run is seen (points)", unit="1", default=0.15)
@@ -140,9 +141,10 @@ def _check_rotor(path: Path, settings: RunUpSettings, entries: dict[str, Marked]
 
 def _check_wants(settings: RunUpSettings, runs: list[RunSettings], entries: dict[str, Marked], faults: Faults) -> None:
     """What only the whole section shows."""
-    if settings.metamodels and "points" not in settings.methods:
-        hint = "add points to run_ups.methods"
-        faults.add(entries["metamodels"], "run_ups.metamodels", "metamodels are fitted to the method 'points'", hint)
+    needed = {settings.metamodels_of} | ({"joint"} if "physical" in settings.metamodels else set()) if settings.metamodels else set()
+    for name in sorted(needed - set(settings.methods)):
+        hint = f"add {name} to run_ups.methods"
+        faults.add(entries["metamodels"], "run_ups.metamodels", f"metamodels need the method '{name}', which is not wanted", hint)
     if runs and all(run.role == HELD_OUT for run in runs):
         faults.add(entries["runs"], "run_ups.runs", "every run is held out, and nothing is left to fit", "leave out role: of some")
 

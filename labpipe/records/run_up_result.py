@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from labpipe.records.finding import Finding
 from labpipe.records.parameter import Parameter
@@ -165,18 +166,22 @@ class Surface:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Errors of a metamodel at a load that its fit did not see: rms over its speeds of every coefficient, relative [-] (8,)."""
+    """Errors of a metamodel at a load that its fit did not see: rms over its speeds of every coefficient, relative [-] (8,).
+
+    outside: the load lies beyond the others; *failed*: why there was no fit.
+    """
 
     load: float
     errors: Column
     outside: bool
+    failed: str = ""
 
 
 @dataclass(frozen=True)
 class MetamodelResult:
     """Coefficients over load and speed from one method's points: surface, leave-one-load-out errors, predictions, statistics in words.
 
-    *model*: what makes it anew, for rotor files.
+    *model*: entries that make it anew.
     """
 
     name: str
@@ -185,7 +190,7 @@ class MetamodelResult:
     left_out: tuple[LeftOut, ...]
     predictions: tuple[RunPrediction, ...]
     remarks: tuple[str, ...] = ()
-    model: str = ""
+    model: dict[str, Any] = field(default_factory=dict)
 
     def prediction(self, run: str) -> RunPrediction | None:
         return next((one for one in self.predictions if one.run == run), None)
@@ -193,7 +198,11 @@ class MetamodelResult:
 
 @dataclass(frozen=True)
 class RunUpResult:
-    """All of it for one rotor; *plane*: where critical speeds are read; *source*: of the printed columns; points: rank table at *at*."""
+    """All of it for one rotor; *plane*: where critical speeds are read; *source*: of the printed columns.
+
+    metamodels_of: the method whose coefficients they were fitted to; ranks: at rank_load [N] and rank_speed [rad/s]; measured_rank: of the
+    runs there.
+    """
 
     rotor: str
     plane: str
@@ -201,6 +210,7 @@ class RunUpResult:
     runs: tuple[MeasuredRun, ...]
     methods: tuple[RunUpMethod, ...]
     metamodels: tuple[MetamodelResult, ...] = ()
+    metamodels_of: str = ""
     ranks: tuple[RankRow, ...] = ()
     rank_load: float = 0.0
     rank_speed: float = 0.0

@@ -15,6 +15,7 @@ from labpipe.report.cover import cover_facts
 from labpipe.report.document import Block, Code, Document, Paragraph, Section, Table
 from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figure
 from labpipe.report.rotor_drawing import rotor_figures
+from labpipe.report.run_up import run_up_sections
 from labpipe.report.spectral_figures import spectral_blocks
 from labpipe.report.study import study_blocks
 from labpipe.report.unbalance import unbalance_blocks
@@ -35,6 +36,7 @@ def build(identification: Identification) -> Document:
         *([Section("Notes", notes)] if (notes := _notes(identification)) else []),
         *(Section(f"Comparison: {each.name}", comparison_blocks(each, identification.responses)) for each in identification.comparisons),
         *([] if (runs := identification.unbalance) is None else [Section(f"Unbalance: {runs.rotor}", unbalance_blocks(runs))]),
+        *([] if identification.run_ups is None else run_up_sections(identification.run_ups)),
         *(Section(f"Study: {study.rig}", study_blocks(study)) for study in identification.studies),
         *(Section(f"Result: {_series_title(fits)}", _result(fits)) for fits in series),
         *([Section("Measurement", _measurement(identification))] if identification.responses else []),
@@ -117,6 +119,9 @@ def _all_findings(identification: Identification, level: str) -> dict[str, list[
     for comparison in identification.comparisons:
         for finding in of_level(level, comparison.findings):
             found.setdefault(finding.code, []).append((comparison.name, finding))
+    if identification.run_ups is not None:
+        for finding in of_level(level, identification.run_ups.findings):
+            found.setdefault(finding.code, []).append(("run-ups", finding))
     return found
 
 
@@ -257,13 +262,15 @@ def _rig(identification: Identification) -> tuple[Block, ...]:
     rows = tuple((test or "test", key, str(value)) for test, entry in conditions.items() for key, value in entry.items())
     if rows:
         blocks.append(Table(("test", "condition", "value"), rows, "Test conditions"))
+    if not blocks and identification.run_ups is not None:
+        return (Paragraph(f"Run-ups of {identification.run_ups.rotor}, {identification.run_ups.bearing}; each run's conditions above."),)
     return tuple(blocks) or (Paragraph("The FRFs were given as they are; no rig file was named."),)
 
 
 def _provenance(identification: Identification) -> tuple[Block, ...]:
     rows = tuple((source["path"], source["sha256"]) for source in identification.sources)
     repeat = f"To repeat: labpipe {identification.version}, `labpipe run {identification.pipeline} -o DIR` over files with these checksums."
-    settings = {key: value for key, value in identification.settings.items() if key in ("frf", "identify", "calibrate")}
+    settings = {key: value for key, value in identification.settings.items() if key in ("frf", "identify", "calibrate", "run_ups")}
     return (
         Table(("source file", "SHA-256"), rows, "Source files"),
         Paragraph(repeat),

@@ -16,6 +16,7 @@ from labpipe.identify.unbalance_rotor import RunUpRotor
 from labpipe.records.finding import Finding, note
 from labpipe.records.run_up_result import HELD_OUT, START, TRAINED, MeasuredRun, RankRow, RunPrediction, RunUpMethod, RunUpResult
 from labpipe.records.runup import RunUp
+from labpipe.stages.run_ups_metamodels import metamodels
 from labpipe.stages.run_ups_methods import METHODS, RPM, Predictor, Solved, predict, with_unbalance_of
 from labpipe.stages.run_ups_reading import ReadRun, measured_run, read_run
 
@@ -34,6 +35,8 @@ def identify_run_ups(settings: RunUpSettings, output: OutputFolder, folder: Path
         tell(f"run-ups   {name}")
         solved.append(_solved(name, rig, trained, settings))
     methods = [_with_predictions(one, rig, runs, settings.plane) for one in solved]
+    if settings.metamodels:
+        tell("run-ups   metamodels")
     ranks = _ranks(rig, trained)
     result = RunUpResult(
         rig.name,
@@ -41,6 +44,8 @@ def identify_run_ups(settings: RunUpSettings, output: OutputFolder, folder: Path
         _bearing_words(rig),
         tuple(record for record, _ in measured),
         tuple(methods),
+        metamodels(settings, rig, trained, runs, solved),
+        next((one.title for one in methods if settings.metamodels and one.name == settings.metamodels_of), ""),
         **ranks,
         source=settings.source,
     )
@@ -115,7 +120,7 @@ def _doubts(method: RunUpMethod, runs: Sequence[MeasuredRun]) -> list[Finding]:
         found.append(Finding("at-bound", f"{method.title}: {', '.join(bound)} at the bound: the rotor file describes another bearing."))
     for run in runs:
         told = method.prediction(run.name)
-        if run.role == HELD_OUT and told is not None and method.parameters and told.notes:
+        if run.role == HELD_OUT and told is not None and told.notes and method.verdict in ("rejected", "not rejected"):
             found.append(Finding("extrapolated", f"{method.title}, {run.name}: {'; '.join(told.notes)}."))
     return found
 
@@ -127,4 +132,4 @@ def _advice(result: RunUpResult) -> list[Finding]:
     where = f"under {result.rank_load:.3g} N at {result.rank_speed / RPM:.0f} rpm"
     fewest = f"the runs {where} determine {result.measured_rank.rank} of 8 coefficients"
     advice = next((row.advice for row in result.ranks if row.advice), "")
-    return [note("experiment", f"{fewest}; {advice}.")]
+    return [note("experiment", f"{fewest}; {advice}")]

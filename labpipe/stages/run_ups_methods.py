@@ -12,10 +12,12 @@ from scipy.special import chdtrc
 from labpipe.config.run_ups import RunUpSettings
 from labpipe.errors import FitError
 from labpipe.identify.unbalance_amplitudes import AmplitudeFit, fit_amplitudes, perfect_but_wrong
-from labpipe.identify.unbalance_film import PARAMETERS, as_eight, as_matrices
+from labpipe.identify.unbalance_film import PARAMETERS, as_eight
 from labpipe.identify.unbalance_joint import fit_jointly
-from labpipe.identify.unbalance_joint_result import JointFit
+from labpipe.identify.unbalance_joint_result import REJECTED, JointFit
 from labpipe.identify.unbalance_points import PointFit, fit_points
+from labpipe.identify.unbalance_process import fit_with_process
+from labpipe.identify.unbalance_process_result import ProcessFit
 from labpipe.identify.unbalance_rotor import RunUpRotor
 from labpipe.identify.worn_rig import Unbalance
 from labpipe.records.parameter import Parameter
@@ -27,10 +29,13 @@ from labpipe.stages.run_ups_reading import column, motions
 
 RPM = np.pi / 30
 # Step of the speeds at which curves are drawn [rad/s].
-CURVE_STEP = 25 * RPM
+CURVE_STEP = 40 * RPM
+# About a peak, where the phasor turns fast: step [rad/s] and points to either side.
+PEAK_STEP, PEAK_POINTS = 8 * RPM, 16
 # Loads are the same when they agree to a millionth.
 SAME_LOAD = 1e-6
 BEYOND = "above the last measured speed its coefficients are held, so that its threshold is extrapolated"
+STABLE = "no threshold below 6000 rpm"
 ELSEWHERE = "its coefficients exist at the fitted loads only; a metamodel carries them to this one"
 
 Array = NDArray[np.floating]
@@ -57,11 +62,15 @@ Predictor = Callable[[RunUpRotor, RunUp], AtLoad | str]
 
 @dataclass(frozen=True)
 class Solved:
-    """A method that has been fitted, its record without predictions, and what makes them. *fits*: points for metamodels."""
+    """A method that has been fitted: its record without predictions, what makes them, and what metamodels can be made of.
+
+    fits: one per load, at measured speeds only; anywhere: a fit that knows any load.
+    """
 
     method: RunUpMethod
     predictor: Predictor
-    points: tuple[PointFit, ...] = ()
+    fits: tuple[PointFit | AmplitudeFit, ...] = ()
+    anywhere: JointFit | ProcessFit | None = None
 
 
 def solve_start(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001 (one signature for the table)
@@ -85,9 +94,9 @@ def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpS
         **_of_points(fits),
         convergence=(_convergence(fits[len(fits) // 2]),),
         spreads=_spreads(rig, unbalanced, settings),
-        remarks=(f"{perfect_but_wrong(fits)}.",),
+        remarks=(f"{perfect_but_wrong(fits)}.", *_capped(fits)),
     )
-    return Solved(method, _points_at(fits))
+    return Solved(method, _points_at(fits), tuple(fits))
 
 
 def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
@@ -102,7 +111,30 @@ def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSetti
 def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001
     """(c): one fit of the physical family to everything."""
     fit = fit_jointly(rig, trained)
-    return Solved(joint_method("joint", "(c) joint physical fit", fit), _joint_at(fit))
+    return Solved(joint_method("joint", "(c) joint physical fit", fit), _joint_at(fit), anywhere=fit)
+
+
+def solve_process(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001
+    """(d): the joint fit times smooth factors."""
+    joint = fit_jointly(rig, trained)
+    fit = fit_with_process(rig, trained, joint)
+    left = fit.n_datum - fit.n_effective
+    p_value = float(chdtrc(left, fit.chi2))
+    method = RunUpMethod(
+        "process",
+        "(d) joint fit with factors",
+        "rejected" if p_value < REJECTED else "not rejected",
+        (),
+        unknowns=int(fit.values.size),
+        rank=fit.n_determined,
+        condition=fit.condition,
+        chi2_per_datum=fit.chi2_per_datum,
+        chi2_p=p_value,
+        n_datum=fit.n_datum,
+        n_effective=fit.n_effective,
+        remarks=(f"{fit.statement}.",),
+    )
+    return Solved(method, _joint_at(fit), anywhere=fit)
 
 
 METHODS: dict[str, Callable[[RunUpRotor, Sequence[RunUp], RunUpSettings], Solved]] = {
@@ -110,6 +142,7 @@ METHODS: dict[str, Callable[[RunUpRotor, Sequence[RunUp], RunUpSettings], Solved
     "amplitudes": solve_amplitudes,
     "points": solve_points,
     "joint": solve_joint,
+    "process": solve_process,
 }
 
 
@@ -140,7 +173,7 @@ def _parameter(fit: JointFit, name: str) -> Parameter:
     return Parameter(name, found.value, "1", found.std_error, None, Amount(found.value, found.std_error).ci95)
 
 
-def _joint_at(fit: JointFit) -> Predictor:
+def _joint_at(fit: JointFit | ProcessFit) -> Predictor:
     def at(own: RunUpRotor, run: RunUp) -> AtLoad:
         there = replace(fit, rig=own)
         eight, error = fit.coefficients(run.load, run.speed)
@@ -184,6 +217,12 @@ def _of_points(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> dict[str, f
 
 def _determined(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> str:
     return "determined" if min(int(fit.rank.min()) for fit in fits) == 8 else "not determined"
+
+
+def _capped(fits: Sequence[AmplitudeFit]) -> list[str]:
+    capped, most = sum(int(fit.capped.sum()) for fit in fits), max(int(fit.evaluations.max()) for fit in fits)
+    every = sum(fit.speed.size for fit in fits)
+    return [f"{capped} of {every} searches ended at the cap of {most} evaluations, not by their mesh."] if capped else []
 
 
 def _convergence(fit: AmplitudeFit) -> Convergence:
@@ -235,8 +274,10 @@ def predict(own: RunUpRotor, run: RunUp, found: AtLoad | str, plane: str, curves
         return RunPrediction(run.name, None, None, notes=(found,))
     notes = list(found.notes)
     critical = _tried(lambda: _critical(own, found, plane), "no critical speed", notes) if run.shaker is None else None
+    before = len(notes)
     threshold = _tried(lambda: _threshold(own, found), "no threshold", notes)
-    speed = _drawn_speeds(run, threshold)
+    notes += [STABLE] if threshold is None and len(notes) == before else []
+    speed = _drawn_speeds(run, threshold, critical)
     motion = motions(run.planes, _curve(own, run, found, speed)) if curves else ()
     return RunPrediction(
         run.name,
@@ -274,10 +315,14 @@ def _threshold(own: RunUpRotor, found: AtLoad) -> Amount | None:
     return None if value is None else Amount(value)
 
 
-def _drawn_speeds(run: RunUp, threshold: Amount | None) -> Array:
-    """Over the run's speeds, up to the predicted threshold: beyond there is no steady motion."""
+def _drawn_speeds(run: RunUp, threshold: Amount | None, critical: Amount | None) -> Array:
+    """Over the run's speeds, closer about the peak, up to the predicted threshold: beyond there is no steady motion."""
     last = float(run.speed[-1]) if threshold is None else min(float(run.speed[-1]), threshold.value)
-    return np.linspace(run.speed[0], max(last, run.speed[0]), max(2, round((last - run.speed[0]) / CURVE_STEP) + 1))
+    speed = np.linspace(run.speed[0], max(last, run.speed[0]), max(2, round((last - run.speed[0]) / CURVE_STEP) + 1))
+    if critical is None:
+        return speed
+    about = critical.value + np.arange(-PEAK_POINTS, PEAK_POINTS + 1) * PEAK_STEP
+    return np.union1d(speed, about[(about > speed[0]) & (about < speed[-1])])
 
 
 def _curve(own: RunUpRotor, run: RunUp, found: AtLoad, speed: Array) -> NDArray[np.complexfloating]:
@@ -286,11 +331,3 @@ def _curve(own: RunUpRotor, run: RunUp, found: AtLoad, speed: Array) -> NDArray[
     return np.asarray(own.excited(bare).response(*found.at_speed(speed)).reshape(shape))
 
 
-def through(at_speed: CoefficientsAtSpeed, run: RunUp, notes: tuple[str, ...] = ()) -> AtLoad:
-    """Coefficients known as a function of speed alone."""
-    return AtLoad(at_speed, as_eight(*at_speed(run.speed)), notes=notes)
-
-
-def of_eight(eight: Callable[[Array], Array]) -> CoefficientsAtSpeed:
-    """K and C over speed from eight coefficients (n_speed, 8) over speed."""
-    return lambda speed: as_matrices(eight(speed))

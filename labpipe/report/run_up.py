@@ -1,0 +1,80 @@
+"""Run-ups as people read them: what was measured, what each method predicts, how far its coefficients are known, and their pictures."""
+
+from __future__ import annotations
+
+from labpipe.records.run_up_result import HELD_OUT, RunUpResult
+from labpipe.report.document import Block, Paragraph, Section
+from labpipe.report.run_up_coefficients import coefficient_figure, convergence_figure, spread_figure, surface_figures
+from labpipe.report.run_up_figures import best_method, bode_figure, cascade_figure, orbit_figure, polar_figure, speeds_figure
+from labpipe.report.run_up_tables import (
+    coefficient_table,
+    doubt_blocks,
+    left_out_table,
+    measured_table,
+    parameter_table,
+    speed_blocks,
+)
+
+FRAME = (
+    "x lies along the static load, y a quarter turn further with the spin. The critical speed is that of the largest displacement on the "
+    "orbit, read between the measured speeds; the threshold is the onset speed of instability."
+)
+
+
+def run_up_sections(result: RunUpResult) -> tuple[Section, ...]:
+    """The sections of a report, in the order in which they are asked for."""
+    return (
+        Section(f"Run-ups: {result.rotor}", _measured(result)),
+        Section("Critical speed and threshold", (speeds_figure(result), *speed_blocks(result), *_cautions(result))),
+        Section("How far the coefficients are determined", _doubt(result)),
+        Section("Journal coefficients", _coefficients(result)),
+        *([Section("Metamodels", _metamodels(result))] if result.metamodels else []),
+        Section("Response of every run", tuple(bode_figure(result, run) for run in result.runs)),
+    )
+
+
+def _measured(result: RunUpResult) -> tuple[Block, ...]:
+    method = best_method(result)
+    words = f"{result.rotor}, on its {result.bearing}. {FRAME}"
+    cascades = [cascade_figure(run, one) for run in result.runs for one in run.cascades]
+    return (Paragraph(words), measured_table(result), polar_figure(result, method), orbit_figure(result, method), *cascades)
+
+
+def _cautions(result: RunUpResult) -> tuple[Block, ...]:
+    """What limits a prediction, beside its number; what could not be predicted, and why."""
+    told: dict[str, list[str]] = {}
+    for method in result.methods:
+        for one in method.predictions:
+            for words in one.notes:
+                told.setdefault(f"{method.title}: {words}", []).append(one.run)
+    held = {run.name for run in result.runs if run.role == HELD_OUT}
+    return tuple(
+        Paragraph(f"{words} ({', '.join(runs)}).", "warning" if held & set(runs) and "outside the loads" in words else "note")
+        for words, runs in told.items()
+    )
+
+
+def _doubt(result: RunUpResult) -> tuple[Block, ...]:
+    searches: list[Block] = []
+    for method in result.methods:
+        searches += [convergence_figure(method, one) for one in method.convergence]
+        searches += [spread_figure(method, one) for one in method.spreads]
+    return (*doubt_blocks(result), *searches)
+
+
+def _coefficients(result: RunUpResult) -> tuple[Block, ...]:
+    method = best_method(result)
+    blocks: list[Block] = [] if method is None or not method.parameters else [parameter_table(method)]
+    for run in result.runs:
+        blocks.append(coefficient_figure(result, run))
+        table = None if method is None else coefficient_table(method, run)
+        blocks += [] if table is None else [table]
+    return tuple(blocks)
+
+
+def _metamodels(result: RunUpResult) -> tuple[Block, ...]:
+    blocks: list[Block] = [left_out_table(result.metamodels)]
+    for model in result.metamodels:
+        blocks += [Paragraph(f"{model.title}: {' '.join(model.remarks)}")] if model.remarks else []
+        blocks += surface_figures(model)
+    return tuple(blocks)

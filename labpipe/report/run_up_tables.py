@@ -1,0 +1,223 @@
+"""Run-ups as tables: what was measured, critical and threshold speeds of every method beside it, and how far coefficients are known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from labpipe.records.run_up_result import (
+    HELD_OUT,
+    TWO_SIDED,
+    Amount,
+    MeasuredRun,
+    MetamodelResult,
+    RunPrediction,
+    RunUpMethod,
+    RunUpResult,
+)
+from labpipe.report.document import Block, Paragraph, Table
+from labpipe.report.wording import rounded
+
+RPM = 30 / np.pi
+NAMES = ("k_xx", "k_xy", "k_yx", "k_yy", "c_xx", "c_xy", "c_yx", "c_yy")
+KINDS = {"critical_speed": "Critical speed", "threshold": "Threshold speed of instability"}
+DIFFERENCES = (
+    "Differences are relative to the measurement; in brackets by the source's rule, relative to the larger of the two. "
+    "* differs from the measurement by more than both standard errors explain (95 %)."
+)
+ADVICE_WORDS = (
+    "A round shaft under any unbalance moves its journal along one and the same vector, so that a second unbalance run adds no rank; a run "
+    "under a shaker, whose force does not turn with the shaft, does."
+)
+# Rows of the table of coefficients: as many speeds.
+MOST_SPEEDS = 7
+
+
+def rpm_text(amount: Amount | None) -> str:
+    """A speed with its standard error."""
+    if amount is None or not math.isfinite(amount.value):
+        return "none"
+    if amount.std_error is None:
+        return f"{RPM * amount.value:.1f}"
+    return f"{rounded(RPM * amount.value, RPM * amount.std_error)} ± {RPM * amount.std_error:.2g}"
+
+
+def measured_table(result: RunUpResult) -> Table:
+    """Every run with what was set, and what was read off."""
+    header = ("run", "load [N]", "role", "known unbalance or force", "speeds [rpm]", "critical speed [rpm]", "threshold [rpm]")
+    rows = tuple(_measured_row(run) for run in result.runs)
+    caption = f"Run-ups as measured; critical speed: largest displacement at {result.plane}; ± is one standard error"
+    return Table(header, rows, caption, (1, 5, 6))
+
+
+def _measured_row(run: MeasuredRun) -> tuple[str, ...]:
+    speeds = f"{len(run.speed)} from {RPM * run.speed[0]:.0f} to {RPM * run.speed[-1]:.0f}"
+    excitation = run.excitation + (f"; less '{run.subtracted}'" if run.subtracted else "")
+    return (run.name, f"{run.load:.4g}", run.role, excitation, speeds, rpm_text(run.critical_speed), rpm_text(run.threshold))
+
+
+def speed_blocks(result: RunUpResult) -> tuple[Block, ...]:
+    """Critical speeds and thresholds of every method beside the measurement, then what a source prints."""
+    blocks: list[Block] = []
+    for item, title in KINDS.items():
+        blocks.append(_speed_table(result, item, f"{title} [rpm]: measured, and by every method"))
+        if result.metamodels:
+            caption = f"{title} [rpm] with coefficients of metamodels, from {result.metamodels_of} at the trained loads"
+            blocks.append(_speed_table(result, item, caption, result.metamodels))
+    blocks.append(Paragraph(DIFFERENCES))
+    for item, title in KINDS.items():
+        blocks.extend(_printed_table(result, item, title))
+    return tuple(blocks)
+
+
+def _speed_table(result: RunUpResult, item: str, caption: str, models: Sequence[MetamodelResult] = ()) -> Table:
+    columns: Sequence[RunUpMethod | MetamodelResult] = models or result.methods
+    header = ("run", "load [N]", "measured", *(column.title for column in columns))
+    rows = []
+    for run in result.runs:
+        measured: Amount | None = getattr(run, item)
+        cells = (_told(column.prediction(run.name), item, measured) for column in columns)
+        rows.append((_run_name(run), f"{run.load:.4g}", rpm_text(measured), *cells))
+    # What holds two numbers is text: it may wrap, so that all methods fit side by side.
+    return Table(header, tuple(rows), caption, (1,))
+
+
+def _run_name(run: MeasuredRun) -> str:
+    return run.name if run.role != HELD_OUT or HELD_OUT in run.name else f"{run.name} ({HELD_OUT})"
+
+
+def _told(prediction: RunPrediction | None, item: str, measured: Amount | None) -> str:
+    amount: Amount | None = None if prediction is None else getattr(prediction, item)
+    if amount is None:
+        return "none"
+    text = rpm_text(amount)
+    return text if measured is None else f"{text}{_mark(amount, measured)}: {both_differences(amount.value, measured.value)}"
+
+
+def _mark(amount: Amount, measured: Amount) -> str:
+    if amount.std_error is None or measured.std_error is None:
+        return ""
+    return "*" if abs(amount.value - measured.value) > TWO_SIDED * math.hypot(amount.std_error, measured.std_error) else ""
+
+
+def both_differences(predicted: float, measured: float) -> str:
+    """ "+2.15 % (2.10 %)": relative to the measurement, and by the source's rule, relative to the larger of the two."""
+    own, rule = (predicted - measured) / measured, abs(predicted - measured) / max(abs(predicted), abs(measured))
+    return f"{100 * own:+.2f} % ({100 * rule:.2f} %)"
+
+
+def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
+    """Columns of the source, in its own figures."""
+    rows = []
+    for run in result.runs:
+        printed = getattr(run, f"printed_{item}")
+        if not printed:
+            continue
+        measured, original, enhanced = (60 * value for value in printed)
+        differences = (both_differences(value, measured) for value in (original, enhanced))
+        shown = [f"{value:.6g}: {told}" for value, told in zip((original, enhanced), differences, strict=True)]
+        rows.append((_run_name(run), f"{run.load:.4g}", f"{measured:.6g}", *shown))
+    if not rows:
+        return []
+    caption = f"{title} [rpm] as printed in {result.source or 'a source'}: for reference; no targets, since its rig is another one"
+    return [Table(("run", "load [N]", "measured there", "original there", "enhanced there"), tuple(rows), caption, (1, 2, 3, 4))]
+
+
+def doubt_blocks(result: RunUpResult) -> tuple[Block, ...]:
+    """Rank, condition, bounds and chi-square of every method; what is not seen, in words; what to measure."""
+    fitted = [method for method in result.methods if method.rank is not None]
+    header = ("method", "verdict", "rank", "condition", "on a bound", "data", "of these used up", "chi² per datum")
+    rows = tuple(_doubt_row(method) for method in fitted)
+    blocks: list[Block] = [Table(header, rows, "How far the methods are determined by the data", (3, 4, 5, 6))]
+    for method in fitted:
+        words = [*method.remarks, *([f"Held by the priors alone: {'; '.join(method.free)} (logarithms)."] if method.free else [])]
+        if words:
+            blocks.append(Paragraph(f"{method.title}: {' '.join(words)}"))
+    blocks.extend(_rank_blocks(result))
+    return tuple(blocks)
+
+
+def _doubt_row(method: RunUpMethod) -> tuple[str, ...]:
+    per_point = " per point" if method.unknowns == 8 else ""
+    return (
+        method.title,
+        method.verdict,
+        f"{method.rank} of {method.unknowns}{per_point}",
+        "" if method.condition is None else f"{method.condition:.3g}",
+        "" if method.share_at_bound is None else f"{100 * method.share_at_bound:.0f} %",
+        str(method.n_datum),
+        "" if method.n_effective is None else f"{method.n_effective:.0f}",
+        "no datum left" if method.chi2_per_datum is None else f"{method.chi2_per_datum:.2f} (p = {method.chi2_p or 0.0:.2g})",
+    )
+
+
+def _rank_blocks(result: RunUpResult) -> list[Block]:
+    """What kinds of data could tell, and which combinations they leave free."""
+    if not result.ranks:
+        return []
+    where = f"{result.rank_load:.3g} N and {RPM * result.rank_speed:.0f} rpm"
+    rows = tuple((row.data, f"{row.rank} of 8", f"{row.condition:.3g}", row.words) for row in result.ranks)
+    table = Table(("data", "rank", "condition", "what is seen"), rows, f"What run-ups can tell of eight coefficients, at {where}", (1, 2))
+    blocks: list[Block] = [table, Paragraph(f"Advice: {ADVICE_WORDS}", "note")]
+    own = result.measured_rank
+    if own is not None and own.free:
+        free = tuple((str(number), words) for number, words in enumerate(own.free, 1))
+        caption = f"Combinations that the runs at hand ({own.data}) leave free at {where}, in parts of the coefficients' own sizes"
+        blocks.append(Table(("no.", "combination"), free, caption, (0,)))
+    return blocks
+
+
+def parameter_table(method: RunUpMethod) -> Table:
+    """The physical parameters of a joint fit: factors on the rotor file's values, exponents for the slopes."""
+    rows = []
+    for one in method.parameters:
+        interval = "at bound" if one.ci95 is None else f"{one.ci95[0]:.3f} to {one.ci95[1]:.3f}"
+        kind = "exponent" if one.name.startswith("viscosity_") else "factor"
+        error = "none" if one.std_error is None else f"{one.std_error:.2g}"
+        rows.append((one.name, kind, rounded(one.value, one.std_error), error, interval))
+    caption = f"{method.title}: posterior values with their standard deviations, as factors on the rotor file's bearing"
+    return Table(("parameter", "kind", "value", "std. deviation", "95 % interval"), tuple(rows), caption, (2, 3, 4))
+
+
+def coefficient_table(method: RunUpMethod, run: MeasuredRun) -> Table | None:
+    """The eight coefficients of a method at some of a run's speeds, with their standard deviations."""
+    told = method.prediction(run.name)
+    if told is None or not told.coefficients:
+        return None
+    n = len(told.coefficient_speed)
+    chosen = dict.fromkeys(np.linspace(0, n - 1, min(n, MOST_SPEEDS)).round().astype(int).tolist())
+    rows = tuple((f"{RPM * told.coefficient_speed[place]:.0f}", *_eight(told, place)) for place in chosen)
+    units = tuple(f"{name} [{'kN/m' if name.startswith('k') else 'N s/m'}]" for name in NAMES)
+    caption = f"{method.title}: coefficients at {run.load:.4g} N ({run.name}), ± one standard deviation; every speed in identification.json"
+    return Table(("speed [rpm]", *units), rows, caption, tuple(range(9)))
+
+
+def _eight(told: RunPrediction, place: int) -> list[str]:
+    cells = []
+    for number, value in enumerate(told.coefficients[place]):
+        scale = 1e-3 if number < 4 else 1.0
+        error = told.std_errors[place][number] if told.std_errors else None
+        cells.append(_with_deviation(scale * value, None if error is None else scale * error))
+    return cells
+
+
+def _with_deviation(value: float, error: float | None) -> str:
+    if error is None:
+        return f"{value:.4g}"
+    return f"{rounded(value, error)} ± {error:.2g}" if math.isfinite(error) else f"{value:.4g} at bound"
+
+
+def left_out_table(models: Sequence[MetamodelResult]) -> Table:
+    """Errors of every metamodel at loads that its fit did not see."""
+    loads = dict.fromkeys(left.load for model in models for left in model.left_out)
+    rows = []
+    for model in models:
+        for left in model.left_out:
+            errors = [f"{100 * error:.1f}" for error in left.errors]
+            whole = 100 * float(np.sqrt(np.mean(np.square(left.errors))))
+            where = "outside" if left.outside else "between"
+            rows.append((model.title, f"{left.load:.4g}", where, *errors, f"{whole:.1f}"))
+    caption = f"Leave-one-load-out: rms error over the speeds [%] at each of {len(loads)} loads, of fits to the others"
+    return Table(("metamodel", "load [N]", "of the others", *NAMES, "all"), tuple(rows), caption, tuple(range(3, 12)))
