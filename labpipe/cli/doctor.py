@@ -16,7 +16,10 @@ import click
 from labpipe import __version__
 
 # What only one ability needs, by the distribution's name: the module, and what is missing without it.
-OPTIONAL = {"distributed": ("distributed", "labpipe run --cluster: pip install 'labpipe[cluster]'")}
+OPTIONAL = {
+    "distributed": ("distributed", "labpipe run --cluster: pip install 'labpipe[cluster]'"),
+    "scikit-learn": ("sklearn", "networks as metamodels of journal coefficients: pip install 'labpipe[networks]'"),
+}
 MODULES = {"PyYAML": "yaml", "fpdf2": "fpdf", "npTDMS": "nptdms"}
 
 
