@@ -29,7 +29,7 @@ from labpipe.records.identification import RuleOutcome
 def check(pipelines: tuple[Path, ...], jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
     """Run each PIPELINE from scratch and compare with its expect: and accept: rules; exit code 1 when one fails."""
     failed = 0
-    for path, outcomes in zip(pipelines, _checked(pipelines, overrides, jobs, quiet, verbose), strict=True):
+    for path, outcomes in _checked(pipelines, overrides, jobs, quiet, verbose):
         wrong = [outcome for outcome in outcomes if not outcome.passed]
         failed += len(wrong)
         if not quiet:
@@ -41,25 +41,28 @@ def check(pipelines: tuple[Path, ...], jobs: int, overrides: tuple[str, ...], qu
 
 def _checked(
     pipelines: Sequence[Path], overrides: tuple[str, ...], jobs: int, quiet: bool, verbose: bool
-) -> Iterator[tuple[RuleOutcome, ...]]:
-    """The outcomes of each pipeline, in their order."""
+) -> Iterator[tuple[Path, tuple[RuleOutcome, ...]]]:
+    """The outcomes of each pipeline, in their order; side by side those with a study come last, since a study takes all processors."""
+    work = partial(outcomes_of, overrides=overrides, quiet=quiet, verbose=verbose)
     processes = min(jobs or os.cpu_count() or 1, len(pipelines))
     if processes == 1:
-        yield from map(partial(outcomes_of, overrides=overrides, quiet=quiet, verbose=verbose, processes=0), pipelines)
+        yield from zip(pipelines, map(work, pipelines), strict=True)
         return
-    work = partial(outcomes_of, overrides=overrides, quiet=quiet, verbose=verbose, processes=1)
+    studies = [path for path in pipelines if load_pipeline(path, overrides).study is not None]
+    others = [path for path in pipelines if path not in studies]
     with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
         try:
-            yield from pool.map(work, pipelines)
+            yield from zip(others, pool.map(work, others), strict=True)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
+    yield from zip(studies, map(work, studies), strict=True)
 
 
-def outcomes_of(path: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool, processes: int) -> tuple[RuleOutcome, ...]:
-    """The outcomes of a pipeline's rules; DataError when one of its tests fails. *processes*: of a study, 0 for one per processor."""
+def outcomes_of(path: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> tuple[RuleOutcome, ...]:
+    """The outcomes of a pipeline's rules; DataError when one of its tests fails."""
     pipeline = load_pipeline(path, overrides)
-    manner = Manner(options.teller(quiet, verbose), processes=processes)
+    manner = Manner(options.teller(quiet, verbose))
     with tempfile.TemporaryDirectory() as scratch, output_folder(Path(scratch) / "out") as folder:
         identification = run(pipeline, folder, manner)
     for one in identification.failed:
