@@ -81,7 +81,7 @@ class RunUpSettings:
     rotor: str = setting("text", "rotor file with pins, relative to the pipeline file")
     methods: tuple[str, ...] = setting("names", f"what is fitted: {', '.join(METHODS)}", default=("points", "joint"))
     metamodels: tuple[str, ...] = setting("names", f"of coefficients over load and speed: {', '.join(METAMODELS)}", default=())
-    metamodels_of: str = setting("choice", "the method whose coefficients they are fitted to", choices=METHODS, default="points")
+    metamodels_of: str = setting("choice", "the method whose coefficients they are fitted to", choices=METHODS, default="joint")
     plane: str = setting("text", "plane of the critical speeds; default: the last one", default="")
     bound: float = setting("value", "largest change of a coefficient (amplitudes, points)", unit="1", default=0.3)
     ridge: float = setting("value", "standard deviation of that change before a run is seen (points)", unit="1", default=0.15)

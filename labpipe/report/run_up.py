@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from labpipe.records.run_up_result import HELD_OUT, RunUpResult
+from collections.abc import Sequence
+
+from labpipe.records.run_up_result import HELD_OUT, MetamodelResult, RunUpMethod, RunUpResult
 from labpipe.report.document import Block, Paragraph, Section
 from labpipe.report.run_up_coefficients import coefficient_figure, convergence_figure, spread_figure, surface_figures
 from labpipe.report.run_up_figures import best_method, bode_figure, cascade_figure, orbit_figure, polar_figure, speeds_figure
@@ -42,16 +44,22 @@ def _measured(result: RunUpResult) -> tuple[Block, ...]:
 
 def _cautions(result: RunUpResult) -> tuple[Block, ...]:
     """What limits a prediction, beside its number; what could not be predicted, and why."""
-    told: dict[str, list[str]] = {}
-    for method in result.methods:
-        for one in method.predictions:
-            for words in one.notes:
-                told.setdefault(f"{method.title}: {words}", []).append(one.run)
+    told = _told(result.methods)
     held = {run.name for run in result.runs if run.role == HELD_OUT}
     return tuple(
         Paragraph(f"{words} ({', '.join(runs)}).", "warning" if held & set(runs) and "outside the loads" in words else "note")
         for words, runs in told.items()
     )
+
+
+def _told(owners: Sequence[RunUpMethod | MetamodelResult]) -> dict[str, list[str]]:
+    """Every note once, with the runs that it is about."""
+    told: dict[str, list[str]] = {}
+    for owner in owners:
+        for one in owner.predictions:
+            for words in one.notes:
+                told.setdefault(f"{owner.title}: {words}", []).append(one.run)
+    return told
 
 
 def _doubt(result: RunUpResult) -> tuple[Block, ...]:
@@ -73,7 +81,12 @@ def _coefficients(result: RunUpResult) -> tuple[Block, ...]:
 
 
 def _metamodels(result: RunUpResult) -> tuple[Block, ...]:
-    blocks: list[Block] = [left_out_table(result.metamodels)]
+    basis = (
+        f"Fitted to the coefficients of {result.metamodels_of} at the trained loads; the physical fit is (c) itself. A metamodel is no "
+        "better than what it is made of: a small error at a load left out says that coefficients are smooth, not that they are right."
+    )
+    blocks: list[Block] = [Paragraph(basis), left_out_table(result.metamodels)]
+    blocks += [Paragraph(f"{words} ({', '.join(runs)}).", "note") for words, runs in _told(result.metamodels).items()]
     for model in result.metamodels:
         blocks += [Paragraph(f"{model.title}: {' '.join(model.remarks)}")] if model.remarks else []
         blocks += surface_figures(model)

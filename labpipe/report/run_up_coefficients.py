@@ -123,5 +123,7 @@ def _surfaces(model: MetamodelResult, first: int, what: str) -> Figure:
             axes.tick_params(labelsize=7, pad=1)
             axes.view_init(elev=24, azim=-125)
         canvas.subplots_adjust(left=0.02, right=0.95, bottom=0.05, top=0.95, wspace=0.12, hspace=0.16)
-    caption = f"{model.title}: {what} coefficients over load and speed."
+    fitted = [left.load for left in model.left_out]
+    beyond = f"; beyond {min(fitted):.3g} to {max(fitted):.3g} N carried on" if fitted and max(fitted) < 0.99 * load.max() else ""
+    caption = f"{model.title[:1].upper()}{model.title[1:]}: {what} coefficients over load and speed{beyond}."
     return Figure(canvas, caption, f"Surfaces of the four {what} coefficients over load and speed by the {model.title}")

@@ -124,6 +124,8 @@ def polar_figure(result: RunUpResult, method: RunUpMethod | None) -> Figure:
     with mpl.rc_context(STYLE):
         canvas, grid = panelled(rows, 2, 3.3 * rows + 0.6)
         panels = grid.reshape(-1)
+        for axes in grid[-1]:
+            axes.set_xlabel("real part [um]")
         for number, (axes, motion) in enumerate(zip(panels, motions, strict=False)):
             for place, run in enumerate(result.runs):
                 colour = COLOURS[place % len(COLOURS)]
@@ -135,7 +137,6 @@ def polar_figure(result: RunUpResult, method: RunUpMethod | None) -> Figure:
                     axes.plot(curve.real, curve.imag, "-", color=colour, linewidth=0.9, label=f"{run.name} computed")
             axes.set_aspect("equal", adjustable="datalim")
             axes.set_title(f"{motion.plane}, {motion.direction}", fontsize=9)
-            axes.set_xlabel("real part [um]")
             axes.set_ylabel("imaginary part [um]")
         legend_above(canvas, panels[0], 4)
     lines = "" if method is None else f"; lines: {method.title}"

@@ -22,6 +22,10 @@ from labpipe.report.wording import rounded
 
 RPM = 30 / np.pi
 NAMES = ("k_xx", "k_xy", "k_yx", "k_yy", "c_xx", "c_xy", "c_yx", "c_yy")
+# Names of columns: all of them stand side by side.
+SHORT = {"start": "original", "amplitudes": "(a) amplitudes", "points": "(b) points", "joint": "(c) joint", "process": "(d) factors"}
+# A space at which no line breaks.
+FIXED = "\N{NO-BREAK SPACE}"
 KINDS = {"critical_speed": "Critical speed", "threshold": "Threshold speed of instability"}
 DIFFERENCES = (
     "Differences are relative to the measurement; in brackets by the source's rule, relative to the larger of the two. "
@@ -41,7 +45,12 @@ def rpm_text(amount: Amount | None) -> str:
         return "none"
     if amount.std_error is None:
         return f"{RPM * amount.value:.1f}"
-    return f"{rounded(RPM * amount.value, RPM * amount.std_error)} ± {RPM * amount.std_error:.2g}"
+    return f"{rounded(RPM * amount.value, RPM * amount.std_error)} ± {error_text(RPM * amount.std_error)}"
+
+
+def error_text(error: float) -> str:
+    """Two digits, and no power of ten where a plain number does."""
+    return f"{error:.0f}" if 10 <= error < 1e6 else f"{error:.2g}"
 
 
 def measured_table(result: RunUpResult) -> Table:
@@ -74,18 +83,19 @@ def speed_blocks(result: RunUpResult) -> tuple[Block, ...]:
 
 def _speed_table(result: RunUpResult, item: str, caption: str, models: Sequence[MetamodelResult] = ()) -> Table:
     columns: Sequence[RunUpMethod | MetamodelResult] = models or result.methods
-    header = ("run", "load [N]", "measured", *(column.title for column in columns))
+    header = ("run", "measured", *(SHORT.get(column.name, column.name) for column in columns))
     rows = []
     for run in result.runs:
         measured: Amount | None = getattr(run, item)
         cells = (_told(column.prediction(run.name), item, measured) for column in columns)
-        rows.append((_run_name(run), f"{run.load:.4g}", rpm_text(measured), *cells))
+        rows.append((_run_name(run), rpm_text(measured).replace(" ", FIXED), *cells))
     # What holds two numbers is text: it may wrap, so that all methods fit side by side.
-    return Table(header, tuple(rows), caption, (1,))
+    return Table(header, tuple(rows), caption)
 
 
 def _run_name(run: MeasuredRun) -> str:
-    return run.name if run.role != HELD_OUT or HELD_OUT in run.name else f"{run.name} ({HELD_OUT})"
+    held = f", {HELD_OUT}" if run.role == HELD_OUT and HELD_OUT not in run.name else ""
+    return f"{run.name}, {run.load:.4g} N{held}".replace(" N", f"{FIXED}N")
 
 
 def _told(prediction: RunPrediction | None, item: str, measured: Amount | None) -> str:
@@ -93,7 +103,11 @@ def _told(prediction: RunPrediction | None, item: str, measured: Amount | None) 
     if amount is None:
         return "none"
     text = rpm_text(amount)
-    return text if measured is None else f"{text}{_mark(amount, measured)}: {both_differences(amount.value, measured.value)}"
+    if measured is None:
+        return text
+    value = f"{text}{_mark(amount, measured)}".replace(" ", FIXED)
+    own, rule = both_differences(amount.value, measured.value).split(" (")
+    return f"{value} {own.replace(' ', FIXED)} ({rule.replace(' ', FIXED)}"
 
 
 def _mark(amount: Amount, measured: Amount) -> str:
@@ -118,11 +132,11 @@ def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
         measured, original, enhanced = (60 * value for value in printed)
         differences = (both_differences(value, measured) for value in (original, enhanced))
         shown = [f"{value:.6g}: {told}" for value, told in zip((original, enhanced), differences, strict=True)]
-        rows.append((_run_name(run), f"{run.load:.4g}", f"{measured:.6g}", *shown))
+        rows.append((_run_name(run), f"{measured:.6g}", *shown))
     if not rows:
         return []
     caption = f"{title} [rpm] as printed in {result.source or 'a source'}: for reference; no targets, since its rig is another one"
-    return [Table(("run", "load [N]", "measured there", "original there", "enhanced there"), tuple(rows), caption, (1, 2, 3, 4))]
+    return [Table(("run", "measured there", "original there", "enhanced there"), tuple(rows), caption, (1, 2, 3))]
 
 
 def doubt_blocks(result: RunUpResult) -> tuple[Block, ...]:
@@ -176,7 +190,7 @@ def parameter_table(method: RunUpMethod) -> Table:
         interval = "at bound" if one.ci95 is None else f"{one.ci95[0]:.3f} to {one.ci95[1]:.3f}"
         kind = "exponent" if one.name.startswith("viscosity_") else "factor"
         error = "none" if one.std_error is None else f"{one.std_error:.2g}"
-        rows.append((one.name, kind, rounded(one.value, one.std_error), error, interval))
+        rows.append((one.name, kind, f"{one.value:.3f}", error, interval))
     caption = f"{method.title}: posterior values with their standard deviations, as factors on the rotor file's bearing"
     return Table(("parameter", "kind", "value", "std. deviation", "95 % interval"), tuple(rows), caption, (2, 3, 4))
 
@@ -206,7 +220,7 @@ def _eight(told: RunPrediction, place: int) -> list[str]:
 def _with_deviation(value: float, error: float | None) -> str:
     if error is None:
         return f"{value:.4g}"
-    return f"{rounded(value, error)} ± {error:.2g}" if math.isfinite(error) else f"{value:.4g} at bound"
+    return f"{rounded(value, error)} ± {error_text(error)}" if math.isfinite(error) else f"{value:.4g} at bound"
 
 
 def left_out_table(models: Sequence[MetamodelResult]) -> Table:
