@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 
@@ -10,6 +11,7 @@ import click
 from labpipe.quantities import display_unit, to_display
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.identification import Fit, Identification, Parameter
+from labpipe.records.run_up_result import MeasuredRun, RunPrediction, RunUpResult
 from labpipe.records.study import Study
 from labpipe.report.wording import threshold_text
 
@@ -36,6 +38,8 @@ def echo_identification(identification: Identification, quiet: bool) -> None:
         click.echo(f"{comparison.name}: {comparison.statement}")
     for study in identification.studies:
         _echo_study(study)
+    if identification.run_ups is not None:
+        _echo_run_ups(identification.run_ups)
     for outcome in identification.outcomes:
         mark = _coloured("passed", "green") if outcome.passed else _coloured("FAILED", "red")
         click.echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {_found(outcome.value)})")
@@ -55,6 +59,26 @@ def _echo_study(study: Study) -> None:
         )
     for threshold in study.thresholds:
         click.echo(f"  {threshold_text(threshold, study.share)}")
+
+
+def _echo_run_ups(result: RunUpResult) -> None:
+    """Critical and threshold speed of every run, measured and by every method, in rpm; then how far each method is determined."""
+    click.echo(f"run-ups of {result.rotor}: critical speed / threshold [rpm]")
+    names = ["measured", *(method.name for method in result.methods)]
+    click.echo(f"  {'run':<12}{'load [N]':>9}" + "".join(f"{name:>17}" for name in names))
+    for run in result.runs:
+        told = [run, *(method.prediction(run.name) for method in result.methods)]
+        click.echo(f"  {run.name:<12}{run.load:>9.4g}" + "".join(f"{_speeds(one):>17}" for one in told))
+    for method in result.methods:
+        if method.rank is not None:
+            chi2 = "" if method.chi2_per_datum is None else f", chi2 per datum {method.chi2_per_datum:.2f}"
+            click.echo(f"  {method.title}: {method.verdict}, rank {method.rank} of {method.unknowns}{chi2}")
+    _echo_findings([result.findings], "rotors")
+
+
+def _speeds(one: MeasuredRun | RunPrediction | None) -> str:
+    known = () if one is None else (one.critical_speed, one.threshold)
+    return " / ".join("-" if speed is None else f"{speed.value * 30 / math.pi:.0f}" for speed in known) or "-"
 
 
 def _found(value: float | str | None) -> str:

@@ -47,7 +47,7 @@ def panelled(rows: int, columns: int, height: float, **kwargs: Any) -> tuple[Can
 def legend_above(canvas: Canvas, axes: Axes, columns: int) -> None:
     """The names of one panel above all of them."""
     handles, labels = axes.get_legend_handles_labels()
-    canvas.legend(handles, labels, ncols=columns, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 1.0))
+    canvas.legend(handles, labels, ncols=columns, fontsize=7 if len(labels) > 8 else 8, loc="upper center", bbox_to_anchor=(0.5, 1.0))
 
 
 def look(method: RunUpMethod) -> dict[str, object]:
@@ -138,7 +138,7 @@ def polar_figure(result: RunUpResult, method: RunUpMethod | None) -> Figure:
             axes.set_aspect("equal", adjustable="datalim")
             axes.set_title(f"{motion.plane}, {motion.direction}", fontsize=9)
             axes.set_ylabel("imaginary part [um]")
-        legend_above(canvas, panels[0], 4)
+        legend_above(canvas, panels[0], 5)
     lines = "" if method is None else f"; lines: {method.title}"
     return Figure(canvas, f"Polar plots of all runs, 0-to-peak; dots: measured{lines}.", "Polar plots of every plane and direction")
 

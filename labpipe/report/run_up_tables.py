@@ -50,7 +50,7 @@ def rpm_text(amount: Amount | None) -> str:
 
 def error_text(error: float) -> str:
     """Two digits, and no power of ten where a plain number does."""
-    return f"{error:.0f}" if 10 <= error < 1e6 else f"{error:.2g}"
+    return f"{error:.0f}" if 10 <= error < 1e6 else f"{error:#.2g}"
 
 
 def measured_table(result: RunUpResult) -> Table:
@@ -88,7 +88,7 @@ def _speed_table(result: RunUpResult, item: str, caption: str, models: Sequence[
     for run in result.runs:
         measured: Amount | None = getattr(run, item)
         cells = (_told(column.prediction(run.name), item, measured) for column in columns)
-        rows.append((_run_name(run), rpm_text(measured).replace(" ", FIXED), *cells))
+        rows.append((_run_name(run), "none" if measured is None else f"{rpm_text(measured)} rpm".replace(" ", FIXED), *cells))
     # What holds two numbers is text: it may wrap, so that all methods fit side by side.
     return Table(header, tuple(rows), caption)
 
@@ -107,7 +107,7 @@ def _told(prediction: RunPrediction | None, item: str, measured: Amount | None) 
         return text
     value = f"{text}{_mark(amount, measured)}".replace(" ", FIXED)
     own, rule = both_differences(amount.value, measured.value).split(" (")
-    return f"{value} {own.replace(' ', FIXED)} ({rule.replace(' ', FIXED)}"
+    return f"{value}: {own.replace(' ', FIXED)} ({rule.replace(' ', FIXED)}"
 
 
 def _mark(amount: Amount, measured: Amount) -> str:
