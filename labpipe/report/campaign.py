@@ -176,7 +176,7 @@ def _slope_unit(trend: Trend) -> str:
     if "[" not in label:
         return unit_text(trend.series.values[0].parameter.unit)
     below = label.rpartition("[")[2].rstrip("]")
-    return f"({trend.series.unit})/({below})" if "/" in trend.series.unit else f"{trend.series.unit}/{below}"
+    return f"{trend.series.unit} per {below}" if "/" in trend.series.unit else f"{trend.series.unit}/{below}"
 
 
 def _blocks(one: CoefficientSeries, own: _Differences) -> tuple[Block, ...]:

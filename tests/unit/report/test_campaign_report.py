@@ -63,7 +63,7 @@ def test_a_stiffness_that_rises_with_preload_is_a_trend_with_its_slope() -> None
     assert {row[1]: row[7] for row in trends.rows}["date"] == "yes"
     day = next(row for row in trends.rows if row[1] == "date")
     # 2000 N/m a day, in kN/m.
-    assert float(day[2]) == pytest.approx(2.0, abs=1e-3) and day[3] == "(kN/m)/(d)"
+    assert float(day[2]) == pytest.approx(2.0, abs=1e-3) and day[3] == "kN/m per d"
 
 
 def test_two_results_are_one_test_of_their_difference() -> None:
