@@ -54,8 +54,8 @@ class Minimum:
     steps: int
 
 
-def minimise(problem: SquareSum, start: NDArray[np.floating]) -> Minimum:
-    """Levenberg-Marquardt from *start*."""
+def minimise(problem: SquareSum, start: NDArray[np.floating], near: float = 0.0) -> Minimum:
+    """Levenberg-Marquardt from *start*; *near*: distance to the minimum in standard errors (residual per equation) that will do."""
     values, damping = start, 1e-3
     rounding = ROUNDING * problem.size
     for steps in range(MAX_ITERATIONS):
@@ -63,7 +63,7 @@ def minimise(problem: SquareSum, start: NDArray[np.floating]) -> Minimum:
         scale = np.linalg.norm(jacobian, axis=0)
         scaled = jacobian / scale
         left, size = _explained(scaled, residual), float(np.linalg.norm(residual))
-        if left <= max(GRADIENT_TOLERANCE * size, rounding):
+        if left <= max(GRADIENT_TOLERANCE * size, rounding, near * size / np.sqrt(residual.size)):
             return Minimum(values, True, steps)
         step, damping = _damped_step(problem, values, residual, scaled, scale, damping)
         if step is None:

@@ -34,6 +34,8 @@ LEAST_SLOPE = 1e-4
 # Reference of the slopes of the viscosity.
 REFERENCE_SPEED = 50 * np.pi
 MOST_REFITS = 12
+# Distance to a minimum, in standard errors, that does where the steps get small too slowly: a bearing far outside the family.
+NEAR = 0.05
 
 Array = NDArray[np.floating]
 
@@ -142,6 +144,8 @@ def fit_jointly(rig: RunUpRotor, runs: Iterable[RunUp], use_thresholds: bool = T
     problem = JointProblem(rig, family, groups, measured if use_thresholds else (), np.ones(n, bool), np.zeros(n))
     for _ in range(MOST_REFITS):
         minimum = minimise(problem, problem.values(problem.fixed[problem.free])[problem.free])
+        if not minimum.converged:
+            minimum = minimise(problem, minimum.values, NEAR)
         if not minimum.converged:
             break
         values = problem.values(minimum.values)

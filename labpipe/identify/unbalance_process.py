@@ -30,6 +30,8 @@ from labpipe.records.settings import Uncertain
 # Medians and standard deviations of the logarithms of size, and of the lengths as parts of the ranges of load and speed.
 HYPER = ((0.15, 0.5), (0.8, 0.4), (0.4, 0.4))
 ROUNDS = 2
+# Distance to a minimum, in standard errors, that does not matter: curved valleys are crept along.
+NEAR = 0.02
 # Lengths are shortened by this: four combinations of eight are seen, and theirs are not all. On virtual rigs with arbitrary smooth factors
 # the coefficients come out nearer to the truth by a tenth to a third, and their intervals hold it; without it they are too narrow.
 CAUTION = 0.7
@@ -126,7 +128,7 @@ def _kernel(logarithms: Array, ranges: Array) -> SquaredExponential:
 
 
 def _minimum(problem: ProcessProblem, start: Array) -> tuple[Array, int]:
-    found = minimise(problem, start)
+    found = minimise(problem, start, NEAR)
     if not found.converged:
         raise FitError("no minimum of the fit with smooth factors was found", hint="check unbalance, phases, standard errors, rotor file")
     return found.values, found.steps
