@@ -29,7 +29,7 @@ class PinnedSettings:
 
     name: str = setting("text", "name of the rotor, as the report shows it", default="")
     description: str = setting("text", "what a reader should know of the rotor", default="")
-    coefficients: str = setting("text", "FILE#NAME: journal coefficients identified before, instead of the film's own", default="")
+    coefficients: str = setting("text", "FILE#NAME: a metamodel of an identification.json, instead of the film", default="")
 
 
 def load_run_up_rotor(path: Path, overrides: Iterable[str] = ()) -> RunUpRotor:
@@ -42,6 +42,13 @@ def load_run_up_rotor(path: Path, overrides: Iterable[str] = ()) -> RunUpRotor:
     faults.raise_any()
     assert rig is not None
     return rig
+
+
+def files_of(path: Path) -> tuple[Path, ...]:
+    """The rotor file and the one that its coefficients come from: everything that the rotor depends on."""
+    entries = load_marked(path).content
+    named = entries["coefficients"].content if isinstance(entries, dict) and "coefficients" in entries else None
+    return (path, path.parent / named.rpartition("#")[0]) if isinstance(named, str) else (path,)
 
 
 def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Path()) -> RunUpRotor | None:
@@ -71,10 +78,10 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
 
 
 def read_coefficients(named: str, folder: Path, node: Marked, faults: Faults) -> Metamodel | None:
-    """The metamodel NAME of a JSON file's metamodels:, both named as FILE#NAME; None and a fault where there is none."""
+    """The metamodel NAME of an identification of run-ups, named as FILE#NAME; None and a fault where there is none."""
     file, mark, name = named.rpartition("#")
     if not (file and mark and name):
-        faults.add(node, "coefficients", f"'{named}' is not FILE#NAME", "for example coefficients: metamodels.json#physical")
+        faults.add(node, "coefficients", f"'{named}' is not FILE#NAME", "for example identification.json#physical")
         return None
     try:
         return _metamodel(folder / file, name)
@@ -90,9 +97,12 @@ def _metamodel(path: Path, name: str) -> Metamodel:
         raise ConfigError(f"no such file '{path}'", hint="paths are relative to the file that names them") from error
     except (OSError, ValueError) as error:
         raise DataError(f"'{path}' cannot be read as JSON: {error}") from error
-    known = entries.get("metamodels") if isinstance(entries, dict) else None
-    if not isinstance(known, dict):
-        raise DataError(f"'{path}' holds no metamodels", hint="name the file that an identification of journal coefficients wrote")
+    try:
+        known = {str(one["name"]): one["model"] for one in entries["run_ups"]["metamodels"]}
+    except (KeyError, TypeError):
+        known = {}
+    if not known:
+        raise DataError(f"'{path}' holds no metamodels", hint="name the identification.json of run-ups whose section asks for metamodels:")
     if name not in known:
         raise ConfigError(f"no metamodel '{name}' in '{path}'", hint=nearest(name, known))
     return from_entries(known[name])

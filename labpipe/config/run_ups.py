@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
 from labpipe.config.rig import load_rig
-from labpipe.config.run_up_rotor import load_run_up_rotor
+from labpipe.config.run_up_rotor import files_of, load_run_up_rotor
 from labpipe.errors import ConfigError
 from labpipe.marked_yaml import Marked
 from labpipe.quantities import UnitError, parse_value
@@ -25,7 +24,6 @@ RUN_UPS = "run_ups"
 METHODS = ("amplitudes", "points", "joint", "process")
 METAMODELS = ("response-surface", "network", "gaussian-process", "physical")
 SEARCHES = ("pattern", "cobyqa")
-_UNBALANCE = re.compile(r"^(?P<size>.+?)(?:\s+at\s+(?P<angle>.+))?$")
 
 
 @dataclass(frozen=True)
@@ -104,7 +102,7 @@ class RunUpSettings:
     def files(self) -> list[Path]:
         """Every file that the result depends on."""
         subtracted = [run.subtracted for run in self.runs if run.subtracted is not None]
-        return list(dict.fromkeys([self.rotor_path, *(run.path for run in self.runs), *subtracted]))
+        return list(dict.fromkeys([*files_of(self.rotor_path), *(run.path for run in self.runs), *subtracted]))
 
 
 def read_run_ups(node: Marked | None, folder: Path, faults: Faults) -> RunUpSettings | None:
@@ -207,15 +205,18 @@ def _unbalance(node: Marked | None, key: str, faults: Faults) -> tuple[tuple[str
     """ {disc 1: 50 g.mm at 0 deg} -> (("disc 1", 5e-5 + 0j),) [kg m]; the angle is zero unless given."""
     found: list[tuple[str, complex]] = []
     for plane, entry in (faults.mapping(node, key) if node is not None else {}).items():
-        match = _UNBALANCE.match(entry.text.strip())
         try:
-            size = parse_value(match["size"] if match else entry.text, "kg.m")
-            angle = parse_value(match["angle"], "rad") if match and match["angle"] else 0.0
+            found.append((plane, parse_unbalance(entry.text)))
         except UnitError as error:
             faults.add_unit(entry, join(key, plane), error)
-            continue
-        found.append((plane, size * complex(np.exp(1j * angle))))
     return tuple(found)
+
+
+def parse_unbalance(text: str) -> complex:
+    """ "50 g.mm at 60 deg" in kg m, complex with its angle, which is zero unless given; UnitError where it cannot be read."""
+    size_text, _, angle_text = (part.strip() for part in text.partition(" at "))
+    size = parse_value(size_text, "kg.m")
+    return size * complex(np.exp(1j * (parse_value(angle_text, "rad") if angle_text else 0.0)))
 
 
 def run_ups_entry(settings: RunUpSettings) -> dict[str, Any]:

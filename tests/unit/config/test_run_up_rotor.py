@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from labpipe.config.rotor import load_rotor
-from labpipe.config.run_up_rotor import load_run_up_rotor
+from labpipe.config.run_up_rotor import files_of, load_run_up_rotor
 from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.errors import ConfigError
+from labpipe.identify.metamodels_grid import Grid
+from labpipe.identify.metamodels_surface import ResponseSurface, fit_surface
+from labpipe.identify.unbalance_film import as_eight
 
 
 @pytest.fixture
@@ -56,6 +60,65 @@ def test_faults_are_named_with_their_place(tmp_path: Path, text: str, old: str, 
     with pytest.raises(ConfigError, match=said) as caught:
         load_run_up_rotor(path)
     assert f"{path}:" in str(caught.value)
+
+
+def with_coefficients(tmp_path: Path, text: str, entries: object, named: str = "identification.json#surface") -> Path:
+    """A rotor file that names a metamodel in a file of these entries."""
+    (tmp_path / "identification.json").write_text(json.dumps(entries))
+    path = tmp_path / "rotor.yaml"
+    path.write_text(f"{text}\ncoefficients: {named}\n")
+    return path
+
+
+def surface() -> tuple[ResponseSurface, dict[str, object]]:
+    """A surface over 4 to 10 N and 60 to 240 rad/s, and an identification that holds it."""
+    load, speed = np.repeat([4.0, 6.0, 10.0], 4), np.tile([60.0, 120.0, 180.0, 240.0], 3)
+    eight = np.tile([4e4, 2e4, -1e4, 3e4, 200, 50, 50, 150], (12, 1)) * (load / 6 + speed / 300)[:, None]
+    model = fit_surface(Grid(load, speed, eight))
+    return model, {"run_ups": {"metamodels": [{"name": "surface", "model": model.to_entries()}]}}
+
+
+def test_coefficients_identified_before_take_the_place_of_the_film(tmp_path: Path, text: str, root: Path) -> None:
+    model, entries = surface()
+    path = with_coefficients(tmp_path, text, entries)
+    rig = load_run_up_rotor(path)
+    speed = np.array([70.0, 200.0, 300.0])
+    eight = as_eight(*rig.start_coefficients(7.0, speed))
+    np.testing.assert_allclose(eight[:2], model.predict(7.0, speed[:2]))
+    # Beyond the measured speeds the coefficients are held.
+    np.testing.assert_allclose(eight[2], model.predict(7.0, np.array([240.0]))[0])
+    film = load_run_up_rotor(root / "configs/rotors/falah.yaml")
+    assert np.all(eight[0] != as_eight(*film.start_coefficients(7.0, speed))[0])
+    assert rig.critical_speed(rig.start(7.0)) != film.critical_speed(film.start(7.0))
+    assert files_of(path) == (path, tmp_path / "identification.json")
+    assert files_of(root / "configs/rotors/falah.yaml") == (root / "configs/rotors/falah.yaml",)
+
+
+@pytest.mark.parametrize(
+    ("entries", "named", "said"),
+    [
+        ({}, "nowhere.json#surface", "no such file"),
+        ({}, "identification.json", "is not FILE#NAME"),
+        ({}, "identification.json#surface", "holds no metamodels"),
+        ([1], "identification.json#surface", "holds no metamodels"),
+        ({"run_ups": {"metamodels": [{"name": "surface", "model": {"kind": "surface"}}]}}, "identification.json#surface", "are damaged"),
+        ({"run_ups": {"metamodels": [{"name": "surface", "model": {}}]}}, "identification.json#surfaces", "did you mean 'surface'"),
+    ],
+)
+def test_coefficients_that_cannot_be_read_are_faults_at_their_place(
+    tmp_path: Path, text: str, entries: object, named: str, said: str
+) -> None:
+    path = with_coefficients(tmp_path, text, entries, named)
+    with pytest.raises(ConfigError, match=said) as caught:
+        load_run_up_rotor(path)
+    assert f"{path}:" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_no_json_is_said(tmp_path: Path, text: str) -> None:
+    path = with_coefficients(tmp_path, text, {})
+    (tmp_path / "identification.json").write_text("{")
+    with pytest.raises(ConfigError, match="cannot be read as JSON"):
+        load_run_up_rotor(path)
 
 
 def test_where_a_rotor_in_journal_bearings_is_needed_pins_are_said(root: Path) -> None:
