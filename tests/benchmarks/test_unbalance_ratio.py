@@ -10,8 +10,11 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from labpipe.bearings.journal_curve import journal_curve
+from labpipe.identify.metamodels import Grid, fit_metamodel
+from labpipe.identify.unbalance_amplitudes import fit_amplitudes
 from labpipe.identify.unbalance_joint import fit_jointly
 from labpipe.identify.unbalance_points import fit_points
+from labpipe.identify.unbalance_process import fit_with_process
 from labpipe.rotors.pinned import unbalance_forces
 from labpipe.rotors.threshold import Stability
 from tests.unit.identify.unbalance_cases import RIG, trained
@@ -78,6 +81,28 @@ def test_identification_in_run_ups(capsys) -> None:  # type: ignore[no-untyped-d
     unit = max(run_up, 1e-3)
     assert points < 4000 * unit
     assert joint < 12000 * unit
+
+
+def test_amplitudes_smooth_factors_and_metamodels_in_run_ups(capsys) -> None:  # type: ignore[no-untyped-def]
+    """Goal where a run-up takes 1 ms: (a) 30 s for four loads and 27 speeds, 30 000 run-ups of 1 ms; the others have none."""
+    run_up = run_up_seconds()
+    runs = trained("factors")
+    joint = fit_jointly(RIG, runs)
+    grid = Grid.sampled(joint, joint.loads, runs[1].speed)
+    seconds = {
+        "amplitudes, one start": wall_seconds(lambda: fit_amplitudes(RIG, runs), 3),
+        "amplitudes, twenty starts": wall_seconds(lambda: fit_amplitudes(RIG, runs, starts=20), 1),
+        "smooth factors": wall_seconds(lambda: fit_with_process(RIG, runs, joint), 1),
+        "response surface": wall_seconds(lambda: fit_metamodel("surface", grid), 5),
+        "Gaussian process": wall_seconds(lambda: fit_metamodel("process", grid), 1),
+    }
+    with capsys.disabled():
+        print(f"\nrun-up {1e3 * run_up:.3f} ms")
+        for name, taken in seconds.items():
+            print(f"{name}: {1e3 * taken:.1f} ms = {taken / run_up:.0f} run-ups")
+    unit = max(run_up, 1e-3)
+    assert seconds["amplitudes, one start"] < 30_000 * unit
+    assert seconds["amplitudes, twenty starts"] < 4 * 30_000 * unit
 
 
 def test_the_table_of_a_grooved_bearing(capsys) -> None:  # type: ignore[no-untyped-def]
