@@ -57,14 +57,15 @@ SIGNATURE = Table(("tested by", "date", "signature"), (("\n\n", "\n\n", "\n\n"),
 
 @dataclass(frozen=True)
 class Document:
-    """The whole report; *cover*: what a first page says, (what, which) in its order. It ends with a place to sign."""
+    """The whole report; *cover*: what a first page says, (what, which) in its order. It ends with a place to sign, where *to_sign*."""
 
     title: str
     subtitle: str
     sections: tuple[Section, ...]
     cover: tuple[tuple[str, str], ...] = ()
+    to_sign: bool = True
 
     @property
     def signed(self) -> tuple[Section, ...]:
         """The sections with the place to sign last, for formats without a cover."""
-        return (*self.sections, Section("Signature", (SIGNATURE,)))
+        return (*self.sections, Section("Signature", (SIGNATURE,))) if self.to_sign else self.sections

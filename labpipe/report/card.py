@@ -1,0 +1,162 @@
+"""The card of a file: what it says of itself, levels, what is wrong with it, and a small plot of every channel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import MultipleLocator
+
+from labpipe import __version__
+from labpipe.records.finding import Finding
+from labpipe.records.overview import ChannelOverview, Overview
+from labpipe.records.response import FORMS, FrequencyResponse, Port
+from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
+from labpipe.report.drawing import COLOURS, STYLE
+from labpipe.report.figures import WIDTH, logarithmic, response_figure, stacked_axes
+from labpipe.report.spectral_figures import spectral_blocks
+
+# Height of a channel's two plots side by side [in].
+HEIGHT = 2.1
+# Lines of a spectrum this far below its largest are rounding, and would only stretch the axis.
+DEEPEST = 1e-7
+
+
+def recording_card(seen: Overview) -> Document:
+    """The card of a recording or a raw file."""
+    sections = (
+        Section("The file", _facts(seen)),
+        Section("Findings", _findings(seen.findings, "No gaps, no clipping, no channel that stands still.")),
+        *([] if seen.contradictions is None else [Section("Against the rig file", _contradictions(seen.contradictions))]),
+        Section("Levels", (_levels(seen.plotted),)),
+        Section("Channels", tuple(channel_figure(channel, seen) for channel in seen.plotted)),
+    )
+    return Document(seen.file, f"{seen.kind[0].upper()}{seen.kind[1:]}, seen by labpipe {__version__}", sections, to_sign=False)
+
+
+def response_card(response: FrequencyResponse, file: str) -> Document:
+    """The card of a file that holds FRFs."""
+    sections = (
+        Section("The file", _response_facts(response, file)),
+        Section("Findings", _findings(response.findings, "The file carries no warnings.")),
+        Section("Frequency response", (response_figure(response), phase_figure(response), *spectral_blocks(response))),
+    )
+    return Document(file, f"Frequency response, seen by labpipe {__version__}", sections, to_sign=False)
+
+
+def _facts(seen: Overview) -> tuple[Block, ...]:
+    length = "not known" if seen.sample_rate is None else f"{seen.n_sample / seen.sample_rate:.6g} s"
+    rate = seen.rate if seen.sample_rate is None or "Hz" in seen.rate else f"{seen.sample_rate:g} Hz ({seen.rate})"
+    rows = [("samples per channel", str(seen.n_sample)), ("rate", rate), ("length", length)]
+    if seen.time:
+        rows.append(("time column", seen.time))
+    about = any(channel.about for channel in seen.channels)
+    header = ("channel", "unit", *(["role and direction"] if about else []))
+    channels = tuple((one.name, one.unit or "not stated", *([one.about] if about else [])) for one in seen.plotted)
+    return Table(("what", "which"), tuple(rows), "What the file says of itself"), Table(header, channels, "Channels")
+
+
+def _response_facts(response: FrequencyResponse, file: str) -> tuple[Block, ...]:
+    frequency = response.frequency
+    known = [name for name in ("covariance", "coherence") if getattr(response, name) is not None]
+    rows = (
+        ("file", file),
+        ("form", f"{response.form} [{FORMS[response.form]}]"),
+        ("lines", f"{frequency.size}, {frequency[0]:g} to {frequency[-1]:g} Hz"),
+        ("averages", "not stated" if response.averages is None else f"{response.averages:.4g}"),
+        ("doubt", " and ".join(known) or "neither covariance nor coherence: ml needs one, ls does not"),
+    )
+    ports = tuple(_port(what, port) for what, some in (("response", response.outputs), ("force", response.inputs)) for port in some)
+    return (
+        Table(("what", "which"), rows, "What the file says of itself"),
+        Table(("kind", "label", "dof", "angle [deg]"), ports, "Rows and columns of the matrix", (3,)),
+    )
+
+
+def _port(what: str, port: Port) -> tuple[str, ...]:
+    return what, port.label, port.dof, "" if port.angle is None else f"{np.degrees(port.angle):g}"
+
+
+def _findings(findings: Sequence[Finding], nothing: str) -> tuple[Block, ...]:
+    if not findings:
+        return (Paragraph(nothing, "passed"),)
+    return tuple(Paragraph(f"{finding.code}: {finding.message}", finding.level) for finding in findings)
+
+
+def _contradictions(told: Sequence[str]) -> tuple[Block, ...]:
+    if not told:
+        return (Paragraph("File and rig file agree in columns, units and rate.", "passed"),)
+    return tuple(Paragraph(one, "failed") for one in told)
+
+
+def _levels(channels: Sequence[ChannelOverview]) -> Table:
+    rows = tuple(
+        (one.label, *(f"{value:.5g}" for value in (one.minimum, one.maximum, one.mean, one.rms)), _crest(one)) for one in channels
+    )
+    header = ("channel", "min", "max", "mean", "rms (ac)", "peak / rms")
+    return Table(header, rows, "Levels, in the unit of the channel; rms is about the mean", (1, 2, 3, 4, 5))
+
+
+def _crest(one: ChannelOverview) -> str:
+    """Crest factor about the mean; many noise-like signals have 4, hits far more, a sine 1.41."""
+    peak = max(one.maximum - one.mean, one.mean - one.minimum)
+    return f"{peak / one.rms:.3g}" if one.rms > 0 else ""
+
+
+def channel_figure(channel: ChannelOverview, seen: Overview) -> Figure:
+    """Envelope over time beside the spectrum of one channel."""
+    rate = seen.sample_rate
+    with mpl.rc_context(STYLE):
+        canvas = Canvas(figsize=(WIDTH, HEIGHT), layout="constrained")
+        left, right = canvas.subplots(1, 2)
+        _envelope(left, channel, rate)
+        _spectrum(right, channel, rate)
+    stretch = f", smallest and largest of every {channel.envelope.step} samples" if channel.envelope.step > 1 else ""
+    blocks = channel.spectrum.blocks
+    averaged = f"mean of {blocks} block{'s' if blocks > 1 else ''}" if blocks else "no block without gaps"
+    caption = f"{channel.label}: the signal over time{stretch}; its spectrum, {averaged}."
+    return Figure(canvas, caption, f"{channel.label} over time and its spectrum")
+
+
+def _envelope(axes: Axes, channel: ChannelOverview, rate: float | None) -> None:
+    """One line up and down through the ends of every stretch; the samples themselves where stretches are single samples."""
+    envelope = channel.envelope
+    starts = np.arange(envelope.low.size) * envelope.step / (rate or 1.0)
+    if envelope.step == 1:
+        axes.plot(starts, envelope.low, color=COLOURS[0], linewidth=0.8, label="signal")
+    else:
+        both = np.column_stack([envelope.low, envelope.high]).reshape(-1)
+        axes.plot(np.repeat(starts, 2), both, color=COLOURS[0], linewidth=0.6, label="signal")
+    axes.set_xlabel("time [s]" if rate else "sample")
+    axes.set_ylabel(channel.label)
+
+
+def _spectrum(axes: Axes, channel: ChannelOverview, rate: float | None) -> None:
+    spectrum = channel.spectrum
+    largest = float(np.max(spectrum.density, initial=0.0))
+    axes.set_xlabel("frequency [Hz]" if rate else "frequency [cycles per sample]")
+    axes.set_ylabel(f"{channel.unit or 'unit'}/Hz^0.5" if rate else "root of the density")
+    if largest > 0:
+        axes.plot(spectrum.frequency, np.maximum(spectrum.density, DEEPEST * largest), color=COLOURS[1], linewidth=0.8, label="spectrum")
+        logarithmic(axes)
+    else:
+        axes.plot(spectrum.frequency, spectrum.density, color=COLOURS[1], linewidth=0.8, label="spectrum")
+
+
+def phase_figure(response: FrequencyResponse) -> Figure:
+    """The phase of every element over frequency."""
+    with mpl.rc_context(STYLE):
+        canvas, (axes,) = stacked_axes(1, 2.4)
+        for o, output in enumerate(response.outputs):
+            for i, port in enumerate(response.inputs):
+                phase = np.degrees(np.angle(response.matrix[:, o, i]))
+                axes.plot(response.frequency, phase, ".", markersize=2, label=f"{output.label}/{port.label}")
+        axes.set_ylim(-185, 185)
+        axes.yaxis.set_major_locator(MultipleLocator(90))
+        axes.set_ylabel("phase [deg]")
+        axes.set_xlabel("frequency [Hz]")
+        axes.legend(ncols=4, fontsize=8)
+    return Figure(canvas, f"Phase of the {response.form}.", f"Phase of the {response.form} over frequency")

@@ -1,0 +1,115 @@
+"""inspect: a file as it lies on disk -> its overview: what it says of itself, levels, envelope, spectrum, what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.artefacts.recording_file import StoredRecording, open_recording
+from labpipe.artefacts.writing import output_file
+from labpipe.config.rig import time_scale
+from labpipe.errors import DataError
+from labpipe.formats.table import open_table
+from labpipe.records.overview import ChannelOverview, Overview
+from labpipe.records.response import FrequencyResponse
+from labpipe.records.rig import Rig
+from labpipe.signals.overview import EnvelopeTrack, SpectrumTrack
+from labpipe.signals.screening import ChannelScreen, TimeAxisScreen
+from labpipe.stages.frf import is_response, load_response
+from labpipe.stages.ingest import contradictions, is_recording
+from labpipe.stages.report import format_of
+
+BLOCK = 1 << 16
+TIME_NAMES = ("t", "time", "zeit")
+
+
+def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse:
+    """The overview of a recording or a raw file, or the response that a file holds; DataError for one that cannot be read.
+
+    Recordings and tables are read once, block by block; what is kept does not grow with their length.
+    """
+    if is_response(file):
+        return load_response(file)
+    if file.is_file() and is_recording(file):
+        return _of_recording(open_recording(file))
+    return _of_table(file, rig)
+
+
+def write_card(seen: Overview | FrequencyResponse, file: str, path: Path) -> None:
+    """The card of a file as a document; the format follows from the ending of *path* (.html, .pdf, .md)."""
+    from labpipe.report.card import recording_card, response_card
+    from labpipe.report.render import DOCUMENTS
+
+    document = response_card(seen, file) if isinstance(seen, FrequencyResponse) else recording_card(seen)
+    content: bytes = DOCUMENTS.load(format_of(path))(document)
+    with output_file(path) as target:
+        target.write_bytes(content)
+
+
+class _Look:
+    """Levels, envelope and spectrum of the channels of one file, fed with blocks (n, n_channel)."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.screen = ChannelScreen(names)
+        self._names = tuple(names)
+        self._envelopes, self._spectra = EnvelopeTrack(len(names)), SpectrumTrack(len(names))
+
+    def add(self, block: NDArray[np.floating]) -> None:
+        self.screen.add(block)
+        self._envelopes.add(block)
+        self._spectra.add(block)
+
+    def channels(self, units: Sequence[str], about: Sequence[str], sample_rate: float | None) -> tuple[ChannelOverview, ...]:
+        screen = self.screen
+        levels = np.column_stack([screen.minimum, screen.maximum, screen.mean, screen.rms]).tolist()
+        tracks = zip(self._envelopes.envelopes(), self._spectra.spectra(sample_rate), strict=True)
+        rows = zip(self._names, units, about, levels, tracks, strict=True)
+        return tuple(ChannelOverview(name, unit, words, *own, *track) for name, unit, words, own, track in rows)
+
+
+def _of_recording(recording: StoredRecording) -> Overview:
+    look = _Look([channel.name for channel in recording.channels])
+    for block in recording.blocks(BLOCK):
+        look.add(block)
+    rate = recording.sample_rate
+    words = f"{rate:g} Hz, {recording.n_sample / rate:g} s"
+    about = [f"{channel.role} {channel.dof}" for channel in recording.channels]
+    channels = look.channels([channel.unit for channel in recording.channels], about, rate)
+    return Overview(recording.name, "calibrated recording", recording.n_sample, rate, words, channels, recording.findings)
+
+
+def _of_table(file: Path, rig: Rig | None) -> Overview:
+    """A raw file: the rate it states itself, or that of a column which is a time."""
+    table = open_table(file)
+    names = list(dict.fromkeys(table.columns))
+    times = [name for name in names if name.split("[")[0].split("(")[0].strip().lower() in TIME_NAMES]
+    look, time = _Look(names), TimeAxisScreen(times[0]) if times else None
+    rate, words = table.sample_rate, "no time column; the rig file gives the rate"
+    try:
+        for chunk in table.chunks(names):
+            look.add(chunk)
+            if time is not None:
+                time.add(chunk[:, names.index(times[0])])
+        if rate is not None:
+            words = f"{rate:g} Hz"
+        elif time is not None:
+            per_unit = time.sample_rate()
+            rate, words = per_unit / time_scale(times[0]), f"{per_unit:g} samples per unit of '{times[0]}'"
+    except DataError as error:
+        error.where = error.where or str(file)
+        raise
+    if rate is None and rig is not None:
+        rate = rig.sample_rate
+    channels = look.channels([table.units.get(name, "") for name in names], [_role(name, rig) for name in names], rate)
+    against = None if rig is None else tuple(str(one) for one in contradictions(table, rig))
+    time_name = times[0] if times else ""
+    return Overview(file.name, "raw file", look.screen.n_sample, rate, words, channels, look.screen.findings(), time_name, against)
+
+
+def _role(column: str, rig: Rig | None) -> str:
+    """What the rig file says of a column: channel, role and dof."""
+    found = [one.channel for one in (rig.channels if rig is not None else ()) if one.column == column]
+    return ", ".join(f"{channel.name}: {channel.role} {channel.dof}" for channel in found)
