@@ -9,10 +9,12 @@ import click
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
 from labpipe.config.rig import load_rig
+from labpipe.config.run_ups import parse_unbalance
 from labpipe.errors import ConfigError
 from labpipe.quantities import QUANTITIES, UnitError, parse_value, to_display
 from labpipe.spectra.settings import ShaftLines
 from labpipe.stages.orders import Clearance, told, track_run, write_tracked
+from labpipe.stages.orders import save_run_up as table_of
 
 
 @click.command()
@@ -27,6 +29,9 @@ from labpipe.stages.orders import Clearance, told, track_run, write_tracked
 @click.option("--revolutions", type=click.IntRange(min=2), default=20, show_default=True, help="Revolutions of one stretch.")
 @click.option("--gap", help="Radial gap of the bearings, e.g. '0.45 mm'; orbits are held against it.")
 @click.option("--limit", default="20 %", show_default=True, help="Share of the gap beyond which an orbit is told.")
+@click.option("--save-run-up", type=options.PATH, help="Also a run-up table (CSV), as `run_ups:` of a pipeline reads it.")
+@click.option("--load", help="Static load on the bearing, for that table, e.g. '3.66 N'.")
+@click.option("--unbalance", multiple=True, metavar="PLANE=SIZE", help="Known unbalance, for that table: 'disc 1=50 g.mm at 0 deg'.")
 @options.quiet
 def orders(
     recording: Path,
@@ -40,6 +45,9 @@ def orders(
     revolutions: int,
     gap: str | None,
     limit: str,
+    save_run_up: Path | None,
+    load: str | None,
+    unbalance: tuple[str, ...],
     quiet: bool,
 ) -> None:
     """Track an order of the shaft speed: amplitude and phase over the run, whole motion, orbits, forward and backward.
@@ -52,10 +60,12 @@ def orders(
     if order <= 0:
         raise ConfigError("--order must be positive")
     lines = ShaftLines(_value("--speed", speed, "Hz"), tacho, pulses, harmonics)
+    stated = None if save_run_up is None else _stated(load, unbalance)
     rig = None if rig_path is None else load_rig(rig_path)
     with output_folder(output) as folder:
         run = track_run(recording, rig, lines, order, revolutions, folder, _clearance(gap, limit))
         names = write_tracked(run, folder)
+        speeds = 0 if save_run_up is None or stated is None else table_of(run, save_run_up, *stated)
     if quiet:
         return
     between = f"{run.speeds.min():.4g}-{run.speeds.max():.4g} rpm"
@@ -64,7 +74,22 @@ def orders(
     unit = known.display_unit if known else "SI"
     for row in told(run, unit, lambda value: to_display(value, unit) if known else value):
         click.echo(f"  {row}")
-    click.echo(f"written to {output}: {', '.join(names)}")
+    click.echo(f"written to {output}: {', '.join(names)}" + (f"; {save_run_up}, {speeds} speeds" if speeds else ""))
+
+
+def _stated(load: str | None, unbalance: tuple[str, ...]) -> tuple[float, dict[str, complex]]:
+    """What a recording does not say of a run-up; ConfigError where it is missing."""
+    newtons = _value("--load", load, "N")
+    if newtons is None or not unbalance:
+        raise ConfigError("--save-run-up needs --load and --unbalance", hint="--load '3.66 N' --unbalance 'disc 1=50 g.mm at 0 deg'")
+    found = {}
+    for text in unbalance:
+        plane, _, size = text.partition("=")
+        try:
+            found[plane.strip()] = parse_unbalance(size.strip())
+        except UnitError as error:
+            raise ConfigError(f"--unbalance {text}: {error.what}", hint=error.hint) from None
+    return newtons, found
 
 
 def _clearance(gap: str | None, limit: str) -> Clearance | None:

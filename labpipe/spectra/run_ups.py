@@ -24,8 +24,8 @@ def run_up_of(
 ) -> RunUp:
     """The run-up of a tracked order, stretch by stretch, its errors those of the stretches: sqrt(variance / 2), over |X| for the phase.
 
-    x and y are the rig file's; x must lie along the load. *planes*: the rotor's names for the track's, in order. DataError without a
-    plane, or where two stretches have one speed.
+    x and y are the rig file's; x must lie along the load. *planes*: the rotor's names for the track's, in order. Stretches whose speeds
+    agree to SAME_SPEED are one point: a run in steps dwells at each. DataError without a plane, or where the speed does not change.
     """
     if not track.planes:
         hint = "name dofs in the rig file, for example disc1.x and disc1.y"
@@ -34,12 +34,26 @@ def run_up_of(
     if len(names) != len(track.planes):
         raise DataError(f"recording '{name}' has {len(track.planes)} planes, {len(names)} are named", hint=", ".join(names))
     response, deviation = _in_planes(track)
-    speed = 2 * np.pi * np.asarray(track.speed)
-    order = np.argsort(speed, kind="stable")
-    if np.any(np.diff(speed[order]) <= 0):
-        raise DataError(f"recording '{name}' holds stretches of one and the same speed", hint="a run-up needs a speed that changes")
+    speed, response, deviation = _by_speed(2 * np.pi * np.asarray(track.speed), response, deviation)
+    if speed.size < 2:
+        raise DataError(f"recording '{name}' holds one and the same speed", hint="a run-up needs a speed that changes")
     size = np.maximum(np.abs(response), np.finfo(float).tiny)
-    return RunUp(name, load, speed[order], names, response[order], deviation[order], (deviation / size)[order], dict(unbalance))
+    return RunUp(name, load, speed, names, response, deviation, deviation / size, dict(unbalance))
+
+
+def _by_speed(speed: Array, response: ComplexArray, deviation: Array) -> tuple[Array, ComplexArray, Array]:
+    """Stretches in the order of their speeds, those of one speed averaged with the inverse of their variances."""
+    order = np.argsort(speed, kind="stable")
+    group, first = np.zeros(speed.size, np.intp), speed[order[0]]
+    for place, one in enumerate(speed[order]):
+        new = one > first * (1 + SAME_SPEED)
+        first = one if new else first
+        group[place] = group[max(place - 1, 0)] + int(new)
+    starts = np.flatnonzero(np.diff(group, prepend=-1))
+    weight = deviation[order] ** -2.0
+    total = np.add.reduceat(weight, starts)
+    means = np.add.reduceat(weight * response[order], starts) / total
+    return np.add.reduceat(speed[order], starts) / np.diff([*starts, speed.size]), means, total**-0.5
 
 
 def _in_planes(track: OrderTrack) -> tuple[ComplexArray, Array]:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.artefacts.writing import OutputFolder
+from labpipe.artefacts.writing import OutputFolder, output_file
 from labpipe.errors import ConfigError
+from labpipe.formats.runup_csv import write_runup_csv
 from labpipe.records.rig import Rig
 from labpipe.spectra.orders import OrderTrack, plane_track, track_order
+from labpipe.spectra.run_ups import run_up_of
 from labpipe.spectra.settings import ShaftLines
 from labpipe.stages.ingest import ingest, is_recording
 
@@ -86,6 +88,16 @@ def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
     for name, figure in figures.items():
         output.write_path(name).write_text(svg_text(figure.drawing), encoding="utf-8")
     return ["orders.csv", *figures]
+
+
+def save_run_up(run: TrackedRun, path: Path, load: float, unbalance: Mapping[str, complex]) -> int:
+    """The order 1 of every plane as a run-up table, complete or absent; the number of its speeds. ConfigError for another order."""
+    if run.track.order != 1:
+        raise ConfigError(f"a run-up is of order 1, not {run.track.order:g}", hint="leave --order out")
+    found = run_up_of(run.track, run.name, load, unbalance)
+    with output_file(path) as target:
+        write_runup_csv(target, found)
+    return found.n_speed
 
 
 def told(run: TrackedRun, unit: str, shown: Callable[[float], float]) -> list[str]:

@@ -66,13 +66,24 @@ def test_a_steady_recording_is_no_run_up() -> None:
     tacho = np.where((25 * time) % 1.0 < 0.5, 5.0, 0.0)
     steady = Recording(sweep(1.0).channels, np.column_stack([np.real(X * turn), np.real(Y * turn), tacho]), RATE, "steady")
     track = track_order(steady, ShaftLines(speed=25.0))
-    same = replace(track, speed=np.full(track.time.size, 25.0))
     with pytest.raises(DataError, match="one and the same speed"):
-        run_up_of(same, "steady", 5.0, {"disc 1": 1e-5 + 0j})
+        run_up_of(track, "steady", 5.0, {"disc 1": 1e-5 + 0j})
     with pytest.raises(DataError, match="no plane"):
         run_up_of(replace(track, planes=()), "steady", 5.0, {"disc 1": 1e-5 + 0j})
     with pytest.raises(DataError, match="1 planes, 2 are named"):
         run_up_of(replace(track, speed=25 + track.time), "steady", 5.0, {"disc 1": 1e-5 + 0j}, ("disc 1", "disc 2"))
+
+
+def test_stretches_of_one_speed_are_one_point(rng: np.random.Generator) -> None:
+    """A run in steps: the weighted mean by hand, its variance the inverse of the summed inverses."""
+    track = track_order(sweep(rng=rng), LINES)
+    n = track.time.size
+    steps = np.repeat([30.0, 20.0], [n - 5, 5]) * (1 + 1e-5 * np.arange(n))
+    found = run_up_of(replace(track, speed=steps), "steps", 5.0, {"disc 1": 1e-5 + 0j})
+    weight = 2 / track.variance[-5:, 0]
+    np.testing.assert_allclose(found.speed, 2 * np.pi * np.array([steps[-5:].mean(), steps[:-5].mean()]))
+    assert found.response[0, 0, 0] == pytest.approx(np.sum(weight * track.amplitude[-5:, 0]) / weight.sum())
+    assert found.amplitude_error[0, 0, 0] == pytest.approx(weight.sum() ** -0.5)
 
 
 def run(speed: np.ndarray, response: np.ndarray, unbalance: dict[str, complex], error: float = 1e-7, phase: float = 0.01) -> RunUp:
