@@ -19,10 +19,10 @@ sys.path.insert(0, str(DOCS))
 WORK = ROOT / "out/docs"
 PAGES = WORK / "pages"
 FIGURE = re.compile(r"^\{\{ figure ([\w.-]+) \| (.+) \}\}$", re.MULTILINE)
-# Where a page shows figures of less work than the pipeline as it is shipped, it says so.
 SOURCE = re.compile(r"^\{\{ source ([\w./-]+) \}\}$", re.MULTILINE)
 LANGUAGES = {".py": "python", ".yaml": "yaml"}
-OPTIONS = {"three-dof": ["--set", "study.repeats=40", "--set", "study.thresholds=false"]}
+# Where a page shows figures of less work than the pipeline as it is shipped, it says so; rules about the statistics go with the work.
+OPTIONS = {"three-dof": ["--set", "study.repeats=40", "--set", "study.thresholds=false", "--set", "expect={}"]}
 
 
 class Results:
@@ -65,8 +65,7 @@ def ran(name: str) -> Path:
     folder = WORK / "runs" / name
     print(f"run {name}", flush=True)
     code = run_command(["run", str(ROOT / "pipelines" / f"{name}.yaml"), "-o", str(folder), "-q", *OPTIONS.get(name, [])])
-    # Fewer repeats than shipped may fail rules about their statistics.
-    if code > (1 if name in OPTIONS else 0):
+    if code:
         raise SystemExit(f"pipelines/{name}.yaml ended with {code}")
     return folder
 

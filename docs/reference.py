@@ -109,6 +109,7 @@ def pipeline_page() -> str:
     from labpipe.campaign.settings import CompareSettings
     from labpipe.config.calibration import CalibrationSettings
     from labpipe.config.pipeline import SECTIONS, ReportSettings
+    from labpipe.config.run_ups import RunSettings, RunUpSettings
     from labpipe.identify.settings import FitSettings
     from labpipe.identify.unbalance import UnbalanceSettings, WearCase
     from labpipe.spectra.settings import FrfSettings
@@ -121,14 +122,19 @@ def pipeline_page() -> str:
         "calibrate": ("One entry per straight line to be fitted.", CalibrationSettings),
         "study": ("The fits repeated on a virtual rig.", StudySettings),
         "unbalance": ("The model's response to unbalance over speed.", UnbalanceSettings),
+        "run_ups": ("Coefficients from unbalance run-ups.", RunUpSettings),
         "report": ("What `labpipe run` writes.", ReportSettings),
+    }
+    below = {
+        UnbalanceSettings: ("`unbalance.cases:` one entry per state of wear", WearCase),
+        RunUpSettings: ("`run_ups.runs:` one entry per run", RunSettings),
     }
     named = ", ".join(f"`{name}`" for name in SECTIONS)
     parts = ["# Pipeline files", f"What to do. Sections: {named}.", (DOCS / "pipeline-head.md").read_text(encoding="utf-8").strip()]
     for name, (words, owner) in sections.items():
         parts.append(f"## {name}\n\n{words}\n\n{table(owner, f'{name}.')}")
-        if owner is UnbalanceSettings:
-            parts.append(f"`unbalance.cases:` one entry per state of wear\n\n{table(WearCase)}")
+        if owner in below:
+            parts.append(f"{below[owner][0]}\n\n{table(below[owner][1])}")
     return "\n\n".join(parts) + "\n"
 
 
