@@ -9,13 +9,14 @@ import pytest
 from scipy import stats
 
 from labpipe.errors import FitError
-from labpipe.identify.unbalance_film import PRIOR, FilmFamily, as_eight, coefficient_errors
-from labpipe.identify.unbalance_joint import fit_jointly
+from labpipe.identify.unbalance_film import PRIOR, FilmFamily, as_eight, as_matrices, coefficient_errors
+from labpipe.identify.unbalance_joint import fit_jointly, nearby_threshold
 from labpipe.identify.unbalance_joint_result import JointFit
 from labpipe.identify.unbalance_misfit import runs_by_load
 from labpipe.identify.unbalance_process import LinearData, ProcessProblem, _rows_by_place, fit_with_process
 from labpipe.identify.unbalance_process_field import ProcessFamily, SmoothField, SquaredExponential, places_of
 from labpipe.identify.unbalance_process_result import ProcessFit
+from labpipe.records.settings import Uncertain
 from labpipe.simulate.unbalance_rig import true_coefficients
 from tests.unit.identify.unbalance_cases import RIG, trained, virtual
 
@@ -119,6 +120,42 @@ def test_the_marginal_likelihood_is_that_of_a_normal_distribution() -> None:
     ours = data.log_likelihood(SmoothField.of(other, places)) - data.log_likelihood(SmoothField.of(KERNEL, places))
     assert ours == pytest.approx(density(other) - density(KERNEL), abs=0.02)
     assert abs(ours) > 1
+
+
+def test_slopes_of_a_threshold_by_the_coefficients_equal_differences() -> None:
+    """The row that a measured threshold adds: each coefficient a little larger at all speeds."""
+    problem, places = small_problem(KERNEL)
+    load, speed = float(places[0, 0]), RIG.threshold(RIG.start(float(places[0, 0])))
+    assert speed is not None
+    places = np.concatenate([places, [[load, speed]]])
+    family = ProcessFamily(FAMILY, SmoothField.of(KERNEL, places))
+    problem = dataclasses.replace(problem, family=family, thresholds=((load, Uncertain(speed, 0.5)),))
+    values = np.zeros(family.n_parameter)
+    residual, row = _rows_by_place(problem, values, family.coefficients(values, places[:, 0], places[:, 1]))[-1]
+    at_load = family.at_load(values, load)
+
+    def scaled(change: np.ndarray) -> float:
+        def coefficients(speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return as_matrices(as_eight(*at_load(speed)) * np.exp(change))
+
+        return nearby_threshold(RIG, coefficients, speed)[0]
+
+    assert residual == pytest.approx((scaled(np.zeros(8)) - speed) / 0.5, abs=1e-3)
+    for n in range(8):
+        step = 1e-4 * np.eye(8)[n]
+        assert row[0, n] == pytest.approx((scaled(step) - scaled(-step)) / 2e-4 / 0.5, rel=0.02, abs=0.02 * np.abs(row).max())
+
+
+def test_outside_the_family_its_held_out_interval_holds_where_the_joint_fit_s_does_not() -> None:
+    """Other grooves, clearance and oil: chi-square accepts the joint fit, whose threshold at the held-out load misses by 2.8 errors."""
+    truth, runs = virtual("outside"), trained("outside")
+    joint = fit_jointly(RIG, runs)
+    true = RIG.threshold(true_coefficients(truth, truth.held_out))
+    alone, ours = joint.threshold(truth.held_out), fit_with_process(RIG, runs, joint).threshold(truth.held_out)
+    assert true is not None and alone is not None and ours is not None
+    assert not joint.rejected
+    assert abs(alone.value - true) > 2 * alone.std_error
+    assert abs(ours.value - true) < 2 * ours.std_error < 0.1 * true
 
 
 def test_where_the_joint_fit_is_rejected_it_meets_the_data(joint: JointFit, found: ProcessFit) -> None:
