@@ -85,12 +85,23 @@ def _speed_table(result: RunUpResult, item: str, caption: str, models: Sequence[
     columns: Sequence[RunUpMethod | MetamodelResult] = models or result.methods
     header = ("run", "measured", *(SHORT.get(column.name, column.name) for column in columns))
     rows = []
-    for run in result.runs:
+    for run in _told_runs(result, item):
         measured: Amount | None = getattr(run, item)
         cells = (_told(column.prediction(run.name), item, measured) for column in columns)
         rows.append((_run_name(run), "none" if measured is None else f"{rpm_text(measured)} rpm".replace(" ", FIXED), *cells))
     # What holds two numbers is text: it may wrap, so that all methods fit side by side.
     return Table(header, tuple(rows), caption)
+
+
+def _told_runs(result: RunUpResult, item: str) -> list[MeasuredRun]:
+    """Runs that have such a speed, by measurement or by a method; a threshold belongs to a load, and is told once."""
+    kept: list[MeasuredRun] = []
+    for run in result.runs:
+        known = any(getattr(told, item) is not None for method in result.methods if (told := method.prediction(run.name)) is not None)
+        again = item == "threshold" and any(run.load == other.load for other in kept)
+        if getattr(run, item) is not None or (known and not again):
+            kept.append(run)
+    return kept
 
 
 def _run_name(run: MeasuredRun) -> str:
@@ -142,9 +153,10 @@ def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
 def doubt_blocks(result: RunUpResult) -> tuple[Block, ...]:
     """Rank, condition, bounds and chi-square of every method; what is not seen, in words; what to measure."""
     fitted = [method for method in result.methods if method.rank is not None]
-    header = ("method", "verdict", "rank", "condition", "on a bound", "data", "of these used up", "chi² per datum")
+    header = ("method", "verdict", "rank", "condition", "on a bound", "data", "used up", "chi² per datum")
     rows = tuple(_doubt_row(method) for method in fitted)
-    blocks: list[Block] = [Table(header, rows, "How far the methods are determined by the data", (3, 4, 5, 6))]
+    caption = "How far the methods are determined by the data; rank and condition of (a) and (b): the worst point of eight unknowns each"
+    blocks: list[Block] = [Table(header, rows, caption, (3, 4, 5, 6))]
     for method in fitted:
         words = [*method.remarks, *([f"Held by the priors alone: {'; '.join(method.free)} (logarithms)."] if method.free else [])]
         if words:
@@ -154,17 +166,21 @@ def doubt_blocks(result: RunUpResult) -> tuple[Block, ...]:
 
 
 def _doubt_row(method: RunUpMethod) -> tuple[str, ...]:
-    per_point = " per point" if method.unknowns == 8 else ""
     return (
-        method.title,
+        SHORT.get(method.name, method.title),
         method.verdict,
-        f"{method.rank} of {method.unknowns}{per_point}",
+        f"{method.rank} of {method.unknowns}".replace(" ", FIXED),
         "" if method.condition is None else f"{method.condition:.3g}",
         "" if method.share_at_bound is None else f"{100 * method.share_at_bound:.0f} %",
         str(method.n_datum),
         "" if method.n_effective is None else f"{method.n_effective:.0f}",
-        "no datum left" if method.chi2_per_datum is None else f"{method.chi2_per_datum:.2f} (p = {method.chi2_p or 0.0:.2g})",
+        "no datum left" if method.chi2_per_datum is None else f"{method.chi2_per_datum:.2f} ({_p_text(method.chi2_p)})",
     )
+
+
+def _p_text(p_value: float | None) -> str:
+    """A probability, and no zero: it would claim too much."""
+    return "p unknown" if p_value is None else "p < 1e-6" if p_value < 1e-6 else f"p = {p_value:.2g}"
 
 
 def _rank_blocks(result: RunUpResult) -> list[Block]:

@@ -52,8 +52,9 @@ def _by_speed(speed: Array, response: ComplexArray, deviation: Array) -> tuple[A
     starts = np.flatnonzero(np.diff(group, prepend=-1))
     weight = deviation[order] ** -2.0
     total = np.add.reduceat(weight, starts)
-    means = np.add.reduceat(weight * response[order], starts) / total
-    return np.add.reduceat(speed[order], starts) / np.diff([*starts, speed.size]), means, total**-0.5
+    means = np.asarray(np.add.reduceat(weight * response[order], starts) / total, np.complex128)
+    middle: Array = np.add.reduceat(speed[order], starts) / np.diff([*starts, speed.size])
+    return middle, means, np.asarray(total**-0.5)
 
 
 def _in_planes(track: OrderTrack) -> tuple[ComplexArray, Array]:

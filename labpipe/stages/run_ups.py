@@ -11,6 +11,7 @@ from labpipe.config.run_up_rotor import load_run_up_rotor
 from labpipe.config.run_ups import METHODS as NAMES
 from labpipe.config.run_ups import RunUpSettings
 from labpipe.errors import LabpipeError
+from labpipe.identify.unbalance_joint_result import REJECTED
 from labpipe.identify.unbalance_rank import RankStatement, measured_statement, rank_statements
 from labpipe.identify.unbalance_rotor import RunUpRotor
 from labpipe.records.finding import Finding, note
@@ -112,9 +113,13 @@ def _doubts(method: RunUpMethod, runs: Sequence[MeasuredRun]) -> list[Finding]:
         message = f"{method.title}: the data see {method.rank} of {method.unknowns} coefficients at a point; the values are not determined"
         found.append(Finding("collinear", f"{message}, however well the response is met."))
     if method.verdict == "rejected":
-        excess = f"chi² per datum is {method.chi2_per_datum:.2f} (p = {method.chi2_p:.2g})"
+        excess = f"chi² per datum is {method.chi2_per_datum:.2f}"
         family = "the bearing is not of the fitted family, and intervals are widened"
         found.append(Finding("model-mismatch", f"{method.title}: {excess}: {family}."))
+    if "determined" in method.verdict and method.chi2_p is not None and method.chi2_p < REJECTED:
+        excess = f"chi² per datum is {method.chi2_per_datum:.2f}: more than noise is left"
+        bounds = f"{100 * (method.share_at_bound or 0.0):.0f} % of the coefficients lie on their bounds"
+        found.append(Finding("model-mismatch", f"{method.title}: {excess}; {bounds}, and stated errors may be too small."))
     bound = [parameter.name for parameter in method.parameters if parameter.at_bound]
     if bound:
         found.append(Finding("at-bound", f"{method.title}: {', '.join(bound)} at the bound: the rotor file describes another bearing."))
