@@ -31,7 +31,7 @@ from labpipe.records.settings import Uncertain
 HYPER = ((0.15, 0.5), (0.8, 0.4), (0.4, 0.4))
 ROUNDS = 2
 # Distance to a minimum, in standard errors, that does not matter: curved valleys are crept along.
-NEAR = 0.02
+NEAR = 0.1
 # Lengths are shortened by this: four combinations of eight are seen, and theirs are not all. On virtual rigs with arbitrary smooth factors
 # the coefficients come out nearer to the truth by a tenth to a third, and their intervals hold it; without it they are too narrow.
 CAUTION = 0.7
