@@ -106,6 +106,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     build = module("build")
     build.write_pages(folder / "pages", lambda name, words, up: f"<figure><figcaption>{words}</figcaption></figure>")
     config = (DOCS / "mkdocs.yml").read_text(encoding="utf-8").replace("../out/docs/pages", str(folder / "pages"))
+    config = config.replace("custom_dir: theme", f"custom_dir: {DOCS / 'theme'}")
     (folder / "mkdocs.yml").write_text(config.replace("site_dir: site", f"site_dir: {folder / 'site'}"), encoding="utf-8")
     command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "-f", str(folder / "mkdocs.yml")]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
