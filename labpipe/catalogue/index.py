@@ -120,7 +120,7 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file
         "date": dates[-1] if dates else file_date,
         "tests": len(conditions),
         "verdict": verdict(identification),
-        "warnings": ", ".join(sorted({code for fit in identification.fits for code in warning_codes(fit)})),
+        "warnings": ", ".join(sorted(_all_codes(identification))),
     }
     number = _insert(connection, "result", entry)
     for fit in identification.fits:
@@ -178,6 +178,13 @@ def verdict(identification: Identification) -> str:
     if not identification.outcomes:
         return "no rules"
     return "accepted" if identification.accepted else "not accepted"
+
+
+def _all_codes(identification: Identification) -> set[str]:
+    """The warnings of all fits, and of run-ups."""
+    found = {code for fit in identification.fits for code in warning_codes(fit)}
+    run_ups = () if identification.run_ups is None else identification.run_ups.findings
+    return found | {finding.code for finding in of_level(WARNING, run_ups)}
 
 
 def warning_codes(fit: Fit) -> list[str]:

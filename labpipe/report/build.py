@@ -97,6 +97,8 @@ def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
     """Fits and comparisons that must not be used as they stand, named beside the verdict: a rule can hold for the wrong reason."""
     named = {fit_title(fit): [f.code for f in fit.findings if f.code in SERIOUS] for fit in identification.fits}
     named |= {each.name: [f.code for f in each.findings if f.code in SERIOUS] for each in identification.comparisons}
+    if identification.run_ups is not None:
+        named["run-ups"] = [f.code for f in identification.run_ups.findings if f.code in SERIOUS]
     counted = [f"{title} ({', '.join(dict.fromkeys(codes))})" for title, codes in named.items() if codes]
     if not counted:
         return ()

@@ -51,6 +51,9 @@ def test_run_leaves_result_and_report_and_is_fresh(labpipe, pipeline: Path, tmp_
     assert (tmp_path / "again.json").read_bytes() == path.read_bytes()
     report = (tmp_path / "out/report.md").read_text("utf-8")
     assert "Run-ups: Two-disc rotor after Falah and Khorshid" in report and "Orbits of 1x below" in report
+    assert "Read the warnings before using: run-ups (collinear)." in report.replace("\\", "")
+    listed = labpipe("list", tmp_path)
+    assert "collinear, extrapolated" in listed.out, listed
     # Nothing changed: nothing is computed. A run-up that did is computed again.
     again = labpipe("run", pipeline, "-o", tmp_path / "out", "-v")
     assert again.code == 0 and "run-ups   joint" not in again.out + again.err
