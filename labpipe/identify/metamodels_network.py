@@ -47,6 +47,16 @@ class Network:
         """Range of speeds [rad/s] that it holds for."""
         return self.extent.speeds
 
+    @property
+    def statement(self) -> str:
+        """How it was made, in words."""
+        hidden = self.repeats[0][1].size
+        ended = "all of them" if self.n_converged == len(self.repeats) else f"{self.n_converged} of them"
+        return (
+            f"{len(self.repeats)} repeats of 2 inputs, {hidden} hidden units and 8 outputs, seeds from {self.seed} on; the training of "
+            f"{ended} ended by itself; errors are the spread of the repeats"
+        )
+
     def each(self, load: Array | float, speed: Array) -> Array:
         """What every repeat predicts, (n_repeat, n_point, 8)."""
         coded = self.extent.coded(load, speed)

@@ -42,6 +42,11 @@ class PhysicalFit:
         """Of a joint fit to run-ups between two *speeds* [rad/s]."""
         return cls(Extent((min(fit.loads), max(fit.loads)), speeds), fit.family, fit.values, fit.covariance * fit.widening**2)
 
+    @property
+    def statement(self) -> str:
+        """What it is, in words."""
+        return "the film's own coefficients with the parameters of the joint fit, refitted without each load in turn for the validation"
+
     def predict(self, load: Array | float, speed: Array) -> Array:
         """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]; FitError outside the film's table."""
         return self.family.coefficients(self.values, load, speed)

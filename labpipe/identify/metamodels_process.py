@@ -52,6 +52,16 @@ class GaussianProcess:
         weights = [linalg.cho_solve((factor, True), column) for factor, column in zip(factors, scaled.T, strict=True)]
         return cls(grid, extent, hyper, factors, np.array(weights))
 
+    @property
+    def statement(self) -> str:
+        """Lengths and noise that the marginal likelihood chose, in words; medians over the eight coefficients."""
+        (first, last), (low, high) = self.extent.loads, self.extent.speeds
+        load, speed, noise = np.median(self.hyper[:, 1:], axis=0) * [(last - first) / 2, (high - low) / 2, 1.0]
+        return (
+            f"a plane and a smooth field, alike over {load:.2g} N and {speed * 30 / np.pi:.0f} rpm, with a noise of {100 * noise:.2g} % of "
+            "the standard deviation (medians over the eight coefficients)"
+        )
+
     def predict(self, load: Array | float, speed: Array) -> Array:
         """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
         places, known = self.extent.coded(load, speed), self.extent.coded(self.grid.load, self.grid.speed)

@@ -72,6 +72,13 @@ class ResponseSurface:
         """1 - PRESS / total (8,)."""
         return 1 - self.press / self.total
 
+    @property
+    def statement(self) -> str:
+        """Its statistics in words: the range over the eight coefficients."""
+        kinds = {"R²": self.r2, "adjusted R²": self.r2_adjusted, "predicted R² (PRESS)": self.r2_predicted}
+        told = "; ".join(f"{name} {values.min():.3f} to {values.max():.3f}" for name, values in kinds.items())
+        return f"{self.n_point} points, over the eight coefficients {told}"
+
     def predict(self, load: Array | float, speed: Array) -> Array:
         """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
         return np.asarray(_terms(self.extent.coded(load, speed)) @ self.beta)

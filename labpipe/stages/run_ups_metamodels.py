@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from labpipe.identify.metamodels import (
     Grid,
     Metamodel,
     PhysicalFit,
-    ResponseSurface,
     caution,
     fit_metamodel,
     leave_one_load_out,
@@ -61,7 +60,9 @@ def metamodels(
         model = _fitted(name, grid, joint, settings.seed)
         rows = tuple(_left_out(one) for one in left_out if one.kind == KINDS[name])
         predictions = tuple(_prediction(model, rig, run, settings.plane) for run in runs)
-        found.append(MetamodelResult(name, TITLES[name], _surface(model, runs), rows, predictions, _remarks(model), model.to_entries()))
+        found.append(
+            MetamodelResult(name, TITLES[name], _surface(model, runs), rows, predictions, (f"{model.statement}.",), model.to_entries())
+        )
     return tuple(found)
 
 
@@ -108,16 +109,3 @@ def _surface(model: Metamodel, runs: Sequence[RunUp]) -> Surface:
     load, speed = np.linspace(min(loads), max(loads), SURFACE_LOADS), np.linspace(*model.extent.speeds, SURFACE_SPEEDS)
     values = np.stack([model.predict(one, speed) for one in load])
     return Surface(column(load), column(speed), tuple(tuple(column(row) for row in values[:, :, n]) for n in range(8)))
-
-
-def _remarks(model: Metamodel) -> tuple[str, ...]:
-    """The statistics of a response surface in a sentence."""
-    if not isinstance(model, ResponseSurface):
-        return ()
-    parts: list[tuple[str, Callable[[ResponseSurface], Array]]] = [
-        ("R²", lambda one: one.r2),
-        ("adjusted R²", lambda one: one.r2_adjusted),
-        ("predicted R² (PRESS)", lambda one: one.r2_predicted),
-    ]
-    told = "; ".join(f"{name} {values(model).min():.3f} to {values(model).max():.3f}" for name, values in parts)
-    return (f"{model.n_point} points, over the eight coefficients {told}.",)

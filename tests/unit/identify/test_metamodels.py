@@ -210,6 +210,16 @@ def test_every_metamodel_is_read_back_as_it_was(any_model: Metamodel) -> None:
     assert again.predict(5.0, SPEEDS).shape == again.std_error(5.0, SPEEDS).shape == (SPEEDS.size, 8)
 
 
+def test_every_metamodel_says_how_it_was_made(any_model: Metamodel) -> None:
+    words = {
+        "surface": "36 points, over the eight coefficients R² 0.9",
+        "process": "alike over",
+        "network": "10 repeats of 2 inputs, 8 hidden units and 8 outputs, seeds from 3 on; the training of all of them ended by itself",
+        "physical": "parameters of the joint fit",
+    }
+    assert words[any_model.kind] in any_model.statement
+
+
 def test_a_load_beyond_those_of_the_fit_is_cautioned(any_model: Metamodel) -> None:
     low, high = any_model.extent.loads
     assert caution(any_model, (low + high) / 2) == caution(any_model, high) == ""
