@@ -23,6 +23,9 @@ SHELL = {
     "dask scheduler": "tests/cli/test_many_tests.py, on loopback",
     "dask worker tcp://10.0.0.1:8786 --nthreads 1": "tests/cli/test_many_tests.py, on loopback",
     "pip install ./docs/plugin": "the plug-in's entry points are written here as pip writes them",
+    "python3 -m venv .venv": "the README's first command, by .ci/run",
+    ".venv/bin/pip install .": "the README's first command, by .ci/run",
+    "source .venv/bin/activate": "the README's first command, by .ci/run",
     "labpipe check -j 0 pipelines/*.yaml": ".ci/run",
 }
 
