@@ -85,7 +85,9 @@ def spread_figure(method: RunUpMethod, spread: StartSpread) -> Figure:
         axes.axhline(1.0, color="0.5", linewidth=0.8)
         axes.set_xticks(range(8), NAMES)
         axes.set_ylabel("factor on the start value")
-        axes.legend(ncols=2, fontsize=8)
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high + 0.15 * (high - low))
+        axes.legend(ncols=2, fontsize=8, loc="upper left")
     caption = f"{method.title}: where {len(factors)} starts end at {spread.where}; {spread_words(spread)}."
     return Figure(canvas, caption, f"Spread of the factors over {len(factors)} starts at {spread.where}")
 

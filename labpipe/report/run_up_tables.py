@@ -83,12 +83,12 @@ def speed_blocks(result: RunUpResult) -> tuple[Block, ...]:
 
 def _speed_table(result: RunUpResult, item: str, caption: str, models: Sequence[MetamodelResult] = ()) -> Table:
     columns: Sequence[RunUpMethod | MetamodelResult] = models or result.methods
-    header = ("run", "measured", *(SHORT.get(column.name, column.name) for column in columns))
+    header = ("run", "measured [rpm]", *(SHORT.get(column.name, column.name) for column in columns))
     rows = []
     for run in _told_runs(result, item):
         measured: Amount | None = getattr(run, item)
         cells = (_told(column.prediction(run.name), item, measured) for column in columns)
-        rows.append((_run_name(run), "none" if measured is None else f"{rpm_text(measured)} rpm".replace(" ", FIXED), *cells))
+        rows.append((_run_name(run), rpm_text(measured).replace("± ", f"±{FIXED}"), *cells))
     # What holds two numbers is text: it may wrap, so that all methods fit side by side.
     return Table(header, tuple(rows), caption)
 
@@ -116,7 +116,7 @@ def _told(prediction: RunPrediction | None, item: str, measured: Amount | None) 
     text = rpm_text(amount)
     if measured is None:
         return text
-    value = f"{text}{_mark(amount, measured)}".replace(" ", FIXED)
+    value = f"{text}{_mark(amount, measured)}".replace("± ", f"±{FIXED}")
     own, rule = both_differences(amount.value, measured.value).split(" (")
     return f"{value}: {own.replace(' ', FIXED)} ({rule.replace(' ', FIXED)}"
 
