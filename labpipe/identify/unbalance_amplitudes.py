@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError
 from labpipe.identify.pattern_search import Objective, SearchHistory, SearchLimits, search_named
-from labpipe.identify.unbalance_film import COEFFICIENTS, as_eight, as_matrices
+from labpipe.identify.unbalance_film import COEFFICIENTS, as_eight, as_matrices, carried_beyond
 from labpipe.identify.unbalance_misfit import ExcitedRun, LoadRuns, rank_of, runs_by_load, scales
 from labpipe.identify.unbalance_rotor import RunUpRotor, largest_displacement
 from labpipe.records.runup import RunUp
@@ -87,12 +87,12 @@ class AmplitudeFit:
         return np.sqrt(self.objective / self.measured)
 
     def at_speed(self) -> CoefficientsAtSpeed:
-        """K and C as a function of speed, straight between the points and constant beyond."""
+        """K and C as a function of speed, straight between the points; beyond, K and Omega C are held."""
 
-        def coefficients(speed: Array) -> tuple[Array, Array]:
-            return as_matrices(np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1))
+        def between(speed: Array) -> Array:
+            return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
 
-        return coefficients
+        return carried_beyond(between, float(self.speed[0]), float(self.speed[-1]))
 
     def spread(self, point: int) -> StartSpread:
         """What the starts reach at one of the speeds."""

@@ -11,6 +11,7 @@ factor cannot be told apart by any run-up. Priors hold such combinations; `PRIOR
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,6 +93,22 @@ def as_matrices(coefficients: Array) -> tuple[Array, Array]:
 def as_eight(stiffness: Array, damping: Array) -> Array:
     """The eight COEFFICIENTS (..., 8) from K and C (..., 2, 2)."""
     return FilmFamily._joined(np.asarray(stiffness), np.asarray(damping))
+
+
+def carried_beyond(eight: Callable[[Array], Array], low: float, high: float) -> CoefficientsAtSpeed:
+    """K and C over speed from coefficients (n_speed, 8) that are known from *low* to *high* [rad/s].
+
+    Beyond, K and Omega C stay what they are there, as those of a film at one Sommerfeld number do; with C itself held, a rotor would
+    hardly ever get unstable there.
+    """
+
+    def coefficients(speed: Array) -> tuple[Array, Array]:
+        speed = np.asarray(speed, np.float64)
+        known = np.clip(speed, low, high)
+        stiffness, damping = as_matrices(eight(known))
+        return stiffness, damping * (known / speed)[..., None, None]
+
+    return coefficients
 
 
 def coefficient_errors(found: Array, true: Array) -> Array:

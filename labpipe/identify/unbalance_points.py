@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.identify.unbalance_film import as_eight, as_matrices
+from labpipe.identify.unbalance_film import as_eight, carried_beyond
 from labpipe.identify.unbalance_misfit import LoadRuns, rank_of, runs_by_load, scales
 from labpipe.identify.unbalance_rotor import RunUpRotor
 from labpipe.records.runup import RunUp
@@ -59,12 +59,12 @@ class PointFit:
         return float(np.mean(self.at_bound))
 
     def at_speed(self) -> CoefficientsAtSpeed:
-        """K and C as a function of speed, straight between the points and constant beyond."""
+        """K and C as a function of speed, straight between the points; beyond, K and Omega C are held."""
 
-        def coefficients(speed: Array) -> tuple[Array, Array]:
-            return as_matrices(np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1))
+        def between(speed: Array) -> Array:
+            return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
 
-        return coefficients
+        return carried_beyond(between, float(self.speed[0]), float(self.speed[-1]))
 
 
 def fit_points(rig: RunUpRotor, runs: Iterable[RunUp], bound: float = BOUND, ridge: float = RIDGE) -> list[PointFit]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from labpipe.bearings.journal_curve import journal_curve, sommerfeld_number
 from labpipe.errors import ConfigError, DataError, FitError
-from labpipe.identify.unbalance_film import as_matrices
+from labpipe.identify.unbalance_film import carried_beyond
 from labpipe.identify.worn_rig import BearingPlace, Unbalance
 from labpipe.records.runup import DIRECTIONS, RunUp
 from labpipe.registry import nearest
@@ -47,7 +47,7 @@ class TabulatedCoefficients(Protocol):
 class RunUpRotor:
     """A rotor file with pins: *pins* and *planes* (name, node) sit on nodes of the *rotor*; *unbalances*: the known ones.
 
-    *tabulated*: journal coefficients that take the place of the film's own; beyond their speeds they stay what they are at the end.
+    *tabulated*: journal coefficients that take the place of the film's own; beyond their speeds K and Omega C are held.
 
     ConfigError where something sits on no node or outside the pins, or two planes have one name.
     """
@@ -129,7 +129,7 @@ class RunUpRotor:
         """K [N/m] and C [N s/m], (n_speed, 2, 2), from the Sommerfeld number of the rotor file's bearing, or as *tabulated*."""
         bearing, speed = self.place.bearing, np.asarray(speed, np.float64)
         if self.tabulated is not None:
-            return as_matrices(self.tabulated.predict(load, np.clip(speed, *self.tabulated.speeds)))
+            return carried_beyond(partial(self.tabulated.predict, load), *self.tabulated.speeds)(speed)
         curve = journal_curve(bearing.length / bearing.diameter, bearing.groove_width)
         found = curve.coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
         scale = load / bearing.clearance
