@@ -83,12 +83,12 @@ def speed_blocks(result: RunUpResult) -> tuple[Block, ...]:
 
 def _speed_table(result: RunUpResult, item: str, caption: str, models: Sequence[MetamodelResult] = ()) -> Table:
     columns: Sequence[RunUpMethod | MetamodelResult] = models or result.methods
-    header = ("run", "measured [rpm]", *(SHORT.get(column.name, column.name) for column in columns))
+    header = ("run", "measured", *(SHORT.get(column.name, column.name) for column in columns))
     rows = []
     for run in _told_runs(result, item):
         measured: Amount | None = getattr(run, item)
         cells = (_told(column.prediction(run.name), item, measured) for column in columns)
-        rows.append((_run_name(run), rpm_text(measured).replace("± ", f"±{FIXED}"), *cells))
+        rows.append((_run_name(run), _measured_text(measured), *cells))
     # What holds two numbers is text: it may wrap, so that all methods fit side by side.
     return Table(header, tuple(rows), caption)
 
@@ -107,6 +107,10 @@ def _told_runs(result: RunUpResult, item: str) -> list[MeasuredRun]:
 def _run_name(run: MeasuredRun) -> str:
     held = f", {HELD_OUT}" if run.role == HELD_OUT and HELD_OUT not in run.name else ""
     return f"{run.name}, {run.load:.4g} N{held}".replace(" N", f"{FIXED}N")
+
+
+def _measured_text(measured: Amount | None) -> str:
+    return "none" if measured is None else f"{rpm_text(measured)} rpm".replace("± ", f"±{FIXED}")
 
 
 def _told(prediction: RunPrediction | None, item: str, measured: Amount | None) -> str:

@@ -18,7 +18,8 @@ from labpipe.records.finding import Finding, note
 from labpipe.records.run_up_result import HELD_OUT, START, TRAINED, MeasuredRun, RankRow, RunPrediction, RunUpMethod, RunUpResult
 from labpipe.records.runup import RunUp
 from labpipe.stages.run_ups_metamodels import metamodels
-from labpipe.stages.run_ups_methods import METHODS, RPM, Predictor, Solved, predict, with_unbalance_of
+from labpipe.stages.run_ups_methods import METHODS, Predictor, Solved
+from labpipe.stages.run_ups_predictions import RPM, predict, with_unbalance_of
 from labpipe.stages.run_ups_reading import ReadRun, measured_run, read_run
 
 Tell = Callable[[str], None]

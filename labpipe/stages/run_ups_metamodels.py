@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +21,14 @@ from labpipe.identify.metamodels import (
     physical_without,
 )
 from labpipe.identify.metamodels import LeftOut as LeftOutOf
-from labpipe.identify.unbalance_film import as_matrices
+from labpipe.identify.unbalance_film import carried_beyond
 from labpipe.identify.unbalance_joint_result import JointFit
 from labpipe.identify.unbalance_rotor import RunUpRotor
 from labpipe.records.run_up_result import LeftOut, MetamodelResult, RunPrediction, Surface
 from labpipe.records.runup import RunUp
 from labpipe.rotors.threshold import CoefficientsAtSpeed
-from labpipe.stages.run_ups_methods import BEYOND, AtLoad, Solved, predict, with_unbalance_of
+from labpipe.stages.run_ups_methods import BEYOND, Solved
+from labpipe.stages.run_ups_predictions import AtLoad, predict, with_unbalance_of
 from labpipe.stages.run_ups_reading import column
 
 # Name in a pipeline -> kind of labpipe.identify.metamodels.
@@ -90,9 +92,8 @@ def _left_out(one: LeftOutOf) -> LeftOut:
 
 
 def _at_speed(model: Metamodel, load: float) -> CoefficientsAtSpeed:
-    """Beyond the measured speeds held, but for the physical fit, which knows what a film does there."""
-    low, high = (0.0, np.inf) if isinstance(model, PhysicalFit) else model.extent.speeds
-    return lambda speed: as_matrices(model.predict(load, np.clip(speed, low, high)))
+    """Beyond the measured speeds K and Omega C are held, but for the physical fit, which knows what a film does there."""
+    return carried_beyond(partial(model.predict, load), *model.speeds)
 
 
 def _prediction(model: Metamodel, rig: RunUpRotor, run: RunUp, plane: str) -> RunPrediction:

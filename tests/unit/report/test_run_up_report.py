@@ -149,11 +149,11 @@ def text_of(table: Table) -> list[tuple[str, ...]]:
 def test_all_methods_stand_beside_the_measurement() -> None:
     blocks = speed_blocks(RESULT)
     critical = next(block for block in blocks if isinstance(block, Table))
-    assert critical.header == ("run", "measured [rpm]", "original", "(a) amplitudes", "(c) joint")
+    assert critical.header == ("run", "measured", "original", "(a) amplitudes", "(c) joint")
     first, held = text_of(critical)
     assert first == (
         "load-1, 3.66 N",
-        "1400.0 ± 1.0",
+        "1400.0 ± 1.0 rpm",
         "1442.0: +3.00 % (2.91 %)",
         "1386.0: -1.00 % (1.00 %)",
         "1400.14 ± 0.30: +0.01 % (0.01 %)",

@@ -23,7 +23,7 @@ from labpipe.records.run_up_result import RunUpResult
 from labpipe.records.runup import RunUp
 from labpipe.stages.judging import judge
 from labpipe.stages.run_ups import identify_run_ups
-from labpipe.stages.run_ups_methods import with_unbalance_of
+from labpipe.stages.run_ups_predictions import with_unbalance_of
 
 ROOT = Path(__file__).parents[3]
 RIG: RunUpRotor = load_run_up_rotor(ROOT / "configs/rotors/falah.yaml")
