@@ -18,7 +18,9 @@ def multisine(period: int, n_sample: int, lines: range) -> np.ndarray:
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05])
-@pytest.mark.parametrize(("period", "n_sample", "lines"), [(1000, 5000, range(1, 101)), (2000, 9000, range(20, 60)), (333, 1000, range(1, 20))])
+@pytest.mark.parametrize(
+    ("period", "n_sample", "lines"), [(1000, 5000, range(1, 101)), (2000, 9000, range(20, 60)), (333, 1000, range(1, 20))]
+)
 def test_a_multisine_shows_its_period_and_its_lines(rng, period: int, n_sample: int, lines: range, noise: float) -> None:
     force = multisine(period, n_sample, lines)
     found = look(3 + force + noise * np.std(force) * rng.normal(size=n_sample), RATE)
