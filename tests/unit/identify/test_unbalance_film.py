@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
-from labpipe.identify.unbalance_film import PARAMETERS, PRIOR, FilmFamily, as_eight, as_matrices, coefficient_errors
+from labpipe.identify.unbalance_film import PARAMETERS, PRIOR, FilmFamily, as_eight, as_matrices, carried_beyond, coefficient_errors
 from tests.unit.identify.unbalance_cases import RIG
 
 FAMILY = FilmFamily(RIG.place.bearing, 150.0, 6.0)
@@ -69,3 +69,25 @@ def test_errors_are_parts_of_each_coefficient_s_own_rms() -> None:
 def test_far_from_the_table_nothing_is_guessed() -> None:
     with pytest.raises(FitError, match="outside the bearing's table"):
         FAMILY.coefficients(np.array([-8.0, *[0.0] * 11]), LOAD, SPEED)
+
+
+def test_a_threshold_beyond_the_known_speeds_is_near_the_film_s() -> None:
+    """Coefficients known up to 300 rad/s, threshold at some 347: with K and Omega C held within 8 %, with C itself held there is none."""
+    film = RIG.start(10.3)
+
+    def known(speed: np.ndarray) -> np.ndarray:
+        return as_eight(*film(speed))
+
+    true = RIG.threshold(film)
+    found = RIG.threshold(carried_beyond(known, 50.0, 300.0))
+    assert true is not None and found is not None
+    assert true > 300 and abs(found / true - 1) < 0.08
+    assert RIG.threshold(lambda speed: film(np.minimum(speed, 300.0))) is None
+
+
+def test_within_the_known_speeds_nothing_changes_and_beyond_k_and_omega_c_are_held() -> None:
+    film = RIG.start(6.0)
+    carried = carried_beyond(lambda one: as_eight(*film(one)), 50.0, 300.0)
+    speed = np.array([80.0, 250.0, 25.0, 400.0])
+    expected = as_eight(*film(np.clip(speed, 50, 300))) * np.where(np.arange(8) < 4, 1.0, [[1.0], [1.0], [2.0], [0.75]])
+    np.testing.assert_allclose(as_eight(*carried(speed)), expected)
