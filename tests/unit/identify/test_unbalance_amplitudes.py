@@ -14,6 +14,7 @@ from labpipe.identify.unbalance_film import as_eight, as_matrices
 from labpipe.identify.unbalance_misfit import runs_by_load, scales
 from labpipe.identify.unbalance_rotor import largest_displacement
 from labpipe.simulate.unbalance_rig import run_ups, true_coefficients
+from tests.unit.identify.test_pattern_search import NEWER
 from tests.unit.identify.unbalance_cases import RIG, trained, virtual
 
 
@@ -145,6 +146,7 @@ def test_all_runs_of_a_load_count() -> None:
     assert fit.chi2_per_datum > 0
 
 
+@NEWER
 def test_cobyqa_meets_the_same_amplitudes() -> None:
     run = trained("outside")[1]
     part = slice(4, 7)
