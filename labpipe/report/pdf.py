@@ -56,12 +56,16 @@ def pdf_report(identification: Identification) -> bytes:
 
 
 def render_pdf(document: Document) -> bytes:
-    """The document as PDF: a cover to sign, then every section; headings are the file's bookmarks."""
+    """The document as PDF: a cover to sign (or just its title), then every section; headings are the file's bookmarks."""
     # The reader of drawings tells what it leaves out, which is nothing that is seen.
     logging.getLogger("fpdf.svg").setLevel(logging.ERROR)
     pages = _Pages(document)
-    _cover(pages, document)
     pages.add_page()
+    if document.to_sign:
+        _cover(pages, document)
+        pages.add_page()
+    else:
+        _title(pages, document)
     for section in document.sections:
         pages.ln(3)
         if pages.will_page_break(30 + _height_of(section)):
@@ -90,15 +94,9 @@ def _size(figure: Figure) -> tuple[float, float]:
 
 def _cover(pages: _Pages, document: Document) -> None:
     """Title, what was tested, the verdict, and a place to sign."""
-    pages.add_page()
     pages.set_y(45)
-    _text(pages, document.title, 24, bold=True)
-    pages.ln(2)
-    _text(pages, document.subtitle, 11, colour=GREY)
-    pages.set_line_width(0.8)
-    pages.line(20, pages.get_y() + 4, 190, pages.get_y() + 4)
-    pages.set_line_width(0.2)
-    pages.ln(14)
+    _title(pages, document)
+    pages.ln(10)
     for what, which in document.cover:
         top = pages.get_y()
         pages.set_xy(20, top)
@@ -112,6 +110,16 @@ def _cover(pages: _Pages, document: Document) -> None:
             _box(pages, block)
     pages.set_y(max(pages.get_y() + 10, 225))
     _table(pages, SIGNATURE)
+
+
+def _title(pages: _Pages, document: Document) -> None:
+    _text(pages, document.title, 24, bold=True)
+    pages.ln(2)
+    _text(pages, document.subtitle, 11, colour=GREY)
+    pages.set_line_width(0.8)
+    pages.line(20, pages.get_y() + 4, 190, pages.get_y() + 4)
+    pages.set_line_width(0.2)
+    pages.ln(4)
 
 
 def _box(pages: _Pages, block: Paragraph) -> None:

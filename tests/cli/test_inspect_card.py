@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,14 @@ def test_a_card_is_written_in_every_format(run: Path, labpipe, suffix: str) -> N
     ended = labpipe("inspect", "run.csv", "-r", "rig.yaml", "-o", f"card.{suffix}")
     assert ended.code == 0 and "20000 rows, 2 columns" in ended.out and ended.err == f"written: card.{suffix}\n"
     assert (run / f"card.{suffix}").stat().st_size > 500
+
+
+def test_nobody_signs_a_card(run: Path, labpipe) -> None:
+    """A report's PDF has a cover page to sign; this card is one page in all."""
+    labpipe("inspect", "run.csv", "-o", "card.pdf")
+    labpipe("inspect", "run.csv", "-o", "card.md")
+    assert re.findall(rb"/Count (\d+)", (run / "card.pdf").read_bytes())[0] == b"1"
+    assert "Signature" not in (run / "card.md").read_text()
 
 
 def test_the_card_says_what_is_in_the_file_and_fetches_nothing(run: Path, labpipe) -> None:
