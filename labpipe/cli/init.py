@@ -19,10 +19,10 @@ SCAFFOLD = ("rig.yaml", "pipeline.yaml")
 
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=options.PATH)
+@click.argument("folder", metavar="DIR", type=options.PATH, required=False)
 @click.argument("recordings", metavar="[RECORDING...]", nargs=-1, type=options.PATH)
 @click.option("--example", metavar="NAME", help="A shipped rig with its recordings and pipelines; `--example list` names them.")
-def init(folder: Path, recordings: tuple[Path, ...], example: str | None) -> None:
+def init(folder: Path | None, recordings: tuple[Path, ...], example: str | None) -> None:
     """Scaffold a project in DIR: rig.yaml, pipeline.yaml and a sample recording; it runs as it is.
 
     With RECORDING... (or FRFs) the two files say what the recording's own metadata say: channels, units, rate, kind of excitation,
@@ -34,6 +34,8 @@ def init(folder: Path, recordings: tuple[Path, ...], example: str | None) -> Non
         for name, pipelines in examples().items():
             click.echo(f"{name}: {', '.join(path.stem for path in pipelines)}")
         return
+    if folder is None:
+        raise click.UsageError("Missing argument 'DIR'.", click.get_current_context())
     taken = [name for name in (*SCAFFOLD, "pipelines") if (folder / name).exists()]
     if taken:
         raise ConfigError(f"already holds {', '.join(taken)}", where=str(folder), hint="name a new folder")

@@ -184,8 +184,9 @@ def test_the_samples_of_every_example_are_part_of_the_package(root: Path) -> Non
 
 
 def test_examples_are_listed_and_an_unknown_one_is_refused(tmp_path: Path, labpipe) -> None:
-    ended = labpipe("init", tmp_path / "x", "--example", "list")
-    assert ended.code == 0 and re.search(r"^hmb: .*pedestal", ended.out, re.M) and not (tmp_path / "x").exists()
+    ended = labpipe("init", "--example", "list")
+    assert ended.code == 0 and re.search(r"^hmb: .*pedestal", ended.out, re.M)
+    assert labpipe("init").err == "error: Missing argument 'DIR'; see 'labpipe init --help'\n"
     ended = labpipe("init", tmp_path / "x", "--example", "hnb")
     assert ended.code == 2 and "did you mean 'hmb'?" in ended.err and not (tmp_path / "x").exists()
     ended = labpipe("init", tmp_path / "x", "a.csv", "--example", "hmb")
