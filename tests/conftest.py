@@ -42,6 +42,16 @@ def labpipe(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
     return run
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Ratios of speed mean nothing while other tests run beside them."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return
+    alone = pytest.mark.skip(reason="ratios of speed are measured alone: pytest -n 0 tests/benchmarks")
+    for item in items:
+        if "benchmarks" in item.path.parts:
+            item.add_marker(alone)
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """Random numbers with a pinned seed."""
