@@ -239,12 +239,16 @@ def test_an_operating_system_error_becomes_one_line(project: Path, labpipe, monk
     assert_refused(project, labpipe("run", project / "pipeline.yaml", "-o", project / "out"), f"{project}: permission denied")
 
 
+def hears_ctrl_c() -> None:
+    """Processes of a test run that works in the background would inherit deafness."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_ctrl_c_leaves_nothing_behind(project: Path) -> None:
     """A long run is interrupted as by Ctrl-C once it is at work."""
     (project / "run.csv").write_text(LINES[0] + "".join(f"{n / 200:.6g},{n % 7},{n % 11}\n" for n in range(2_000_000)))
-    process = subprocess.Popen(
-        [sys.executable, "-m", "labpipe.cli.main", "run", "pipeline.yaml", "-o", "out"], cwd=project, stderr=subprocess.PIPE, text=True
-    )
+    command = [sys.executable, "-m", "labpipe.cli.main", "run", "pipeline.yaml", "-o", "out"]
+    process = subprocess.Popen(command, cwd=project, stderr=subprocess.PIPE, text=True, preexec_fn=hears_ctrl_c)
     deadline = time.monotonic() + 30
     while not list(project.glob(".labpipe-*")) and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.01)

@@ -164,11 +164,16 @@ def test_an_interrupted_run_goes_on_where_it_stopped(project: Path) -> None:
     assert contents(project / "out") == contents(project / "fresh")
 
 
+def hears_ctrl_c() -> None:
+    """Processes of a test run that works in the background would inherit deafness."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_ctrl_c_on_several_processes_leaves_only_whole_tests(project: Path) -> None:
     for preload in range(500, 560):
         (project / f"runs/{preload}N-up.csv").write_text(recording(preload))
     command = [sys.executable, "-m", "labpipe.cli.main", "run", "pipeline.yaml", "-o", "out", "-j", "2"]
-    process = subprocess.Popen(command, cwd=project, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    process = subprocess.Popen(command, cwd=project, stderr=subprocess.PIPE, text=True, start_new_session=True, preexec_fn=hears_ctrl_c)
     deadline = time.monotonic() + 60
     while len(list(project.glob("out/fits/*.json"))) < 2 and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)
