@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from labpipe.errors import FitError
 from labpipe.identify.metamodels_grid import Extent, Grid
@@ -60,7 +60,7 @@ class ResponseSurface:
     @property
     def p(self) -> Array:
         """Probability of a larger |t| if the term were zero (6, 8)."""
-        return np.asarray(2 * stats.t.sf(np.abs(self.t), self.n_point - len(TERMS)))
+        return np.asarray(2 * special.stdtr(self.n_point - len(TERMS), -np.abs(self.t)))
 
     @property
     def r2_adjusted(self) -> Array:
