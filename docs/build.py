@@ -1,6 +1,6 @@
 """Build the documentation site into docs/site: run the pipelines whose figures the pages show, generate the reference, call mkdocs.
 
-    python docs/build.py            all; what is up to date in out/docs is not computed again
+python docs/build.py            all; what is up to date in out/docs is not computed again
 """
 
 from __future__ import annotations

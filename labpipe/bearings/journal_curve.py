@@ -78,9 +78,7 @@ def sommerfeld_number(bearing: JournalBearing, load: Array, speed: Array) -> Arr
 
 
 @lru_cache(maxsize=8)
-def journal_curve(
-    length_over_diameter: float, groove_width: float = 0.0, mesh: FilmMesh = CURVE_MESH, nodes: int = NODES
-) -> JournalCurve:
+def journal_curve(length_over_diameter: float, groove_width: float = 0.0, mesh: FilmMesh = CURVE_MESH, nodes: int = NODES) -> JournalCurve:
     """The curve of a bearing by its *length_over_diameter* and *groove_width* [rad]; kept, since one costs two seconds."""
     bearing = JournalBearing(1.0, length_over_diameter, 1e-3, 1.0, groove_width=groove_width)
     places = np.linspace(np.log(HIGHEST_SOMMERFELD), np.log(LOWEST_SOMMERFELD), nodes)

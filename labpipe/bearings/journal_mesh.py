@@ -38,7 +38,6 @@ class FilmMesh:
         """Width of one cell over half the bearing's length [-]."""
         return 2 / self.across
 
-
     def halved(self) -> FilmMesh | None:
         """The mesh with half the cells each way, rounded to even numbers; None where that would be too coarse to help."""
         around, across = (2 * ((n + 2) // 4) for n in (self.around, self.across))

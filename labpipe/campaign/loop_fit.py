@@ -15,11 +15,11 @@ from labpipe.campaign.amounts import chance, with_error
 from labpipe.campaign.loop_file import Unknown, unknown, with_unknowns
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.diagnostics import COLLINEAR_CONDITION
-from labpipe.identify.levenberg import Minimum, minimise
 from labpipe.identify.measured import Measured
 from labpipe.identify.settings import Support
 from labpipe.identify.statistics import student_limit
 from labpipe.identify.weights import has_noise, weight_doubt, whitened, whitener
+from labpipe.optimise.levenberg import Minimum, minimise
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Parameter
 

@@ -20,9 +20,7 @@ NORMAL_95 = 1.959963984540054
 SERIES = "; the bending shaft is taken out"
 
 
-def stiffness_ratio(
-    campaign: Campaign, matched: Sequence[Matched], overlays: tuple[Overlay, ...], bending_error: float
-) -> Comparison:
+def stiffness_ratio(campaign: Campaign, matched: Sequence[Matched], overlays: tuple[Overlay, ...], bending_error: float) -> Comparison:
     """The mean of ln(measured / theory) over the tests by generalised least squares with `joint_covariance`.
 
     *bending_error*: relative standard error of the shaft's stiffness.

@@ -69,9 +69,7 @@ def _drawn(x: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.linspace(float(np.min(x)), float(np.max(x)), DRAWN)
 
 
-def _told(
-    campaign: Campaign, found: WeightedFit, amounts: tuple[Parameter, ...], law: str, line: NDArray[np.floating]
-) -> Comparison:
+def _told(campaign: Campaign, found: WeightedFit, amounts: tuple[Parameter, ...], law: str, line: NDArray[np.floating]) -> Comparison:
     p_value = found.p_of(1)
     sure = p_value < campaign.settings.level
     verdict = "no trend" if not sure else "rising" if found.values[1] > 0 else "falling"

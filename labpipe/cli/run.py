@@ -23,9 +23,7 @@ from labpipe.stages.report import write_report
 @options.overrides
 @options.quiet
 @options.verbose
-def run(
-    pipeline_path: Path, output: Path, jobs: int, cluster: str | None, overrides: tuple[str, ...], quiet: bool, verbose: bool
-) -> int:
+def run(pipeline_path: Path, output: Path, jobs: int, cluster: str | None, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
     """Run all stages of PIPELINE: recordings -> FRFs -> identification.json -> report.
 
     What is up to date is not computed again. Of several tests one that fails is named at the end (exit code 2), and the others

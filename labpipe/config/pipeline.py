@@ -14,17 +14,18 @@ from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
 from labpipe.config.rotor import with_rotor
 from labpipe.config.rules import STUDY, Rule, read_rules
-from labpipe.config.run_ups import RUN_UPS, RunUpSettings, read_run_ups
+from labpipe.config.run_ups import RUN_UPS, files_of_run_ups, read_run_ups
 from labpipe.config.tests import Test, TestReader, read_rig
 from labpipe.config.unbalance import UNBALANCE, read_unbalance
 from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.errors import ConfigError
 from labpipe.identify.settings import FitSettings
-from labpipe.identify.unbalance import UnbalanceSettings
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.records.rig import Rig
 from labpipe.records.settings import setting
 from labpipe.registry import nearest
+from labpipe.rigs.unbalance_runs import UnbalanceSettings
+from labpipe.run_ups.settings import RunUpSettings
 from labpipe.spectra.settings import FrfSettings
 from labpipe.study.settings import StudySettings
 
@@ -90,7 +91,7 @@ class Pipeline:
     def side_files(self) -> list[Path]:
         """Tables, bearing and rotor files and run-ups that the result depends on beside recordings and FRFs."""
         rotors = [] if self.unbalance is None else [self.folder / self.unbalance.rotor]
-        rotors += [] if self.run_ups is None else self.run_ups.files
+        rotors += [] if self.run_ups is None else files_of_run_ups(self.run_ups)
         return [*(calibration.path for calibration in self.calibrations), *bearing_files(self.comparisons, self.folder), *rotors]
 
 

@@ -12,13 +12,13 @@ from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
 from labpipe.errors import ConfigError
 from labpipe.identify.settings import FitSettings
-from labpipe.identify.worn_rig import BearingPlace, RotorRig, Unbalance
-from labpipe.identify.worn_settings import WearSettings
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.records.settings import setting
 from labpipe.registry import nearest
+from labpipe.rigs.rotor_rig import BearingPlace, RotorRig, Unbalance
 from labpipe.rotors.parts import ALUMINIUM, STEEL, Disc, Material, Rotor, ShaftElement, Sleeve
 from labpipe.simulate.journal_rig import VirtualJournalRig
+from labpipe.wear.settings import WearSettings
 
 MATERIALS = {"steel": STEEL, "aluminium": ALUMINIUM}
 MOST_COPIES = 1000
@@ -174,9 +174,7 @@ def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
     rotor = None if len(faults) > before else _rotor(lists, materials, damping, tree, faults)
     if rotor is None or known is None:
         return None
-    places = tuple(
-        BearingPlace(one.name or str(number), one.node, one.bearing()) for number, (_, one) in enumerate(lists["bearings"], 1)
-    )
+    places = tuple(BearingPlace(one.name or str(number), one.node, one.bearing()) for number, (_, one) in enumerate(lists["bearings"], 1))
     loads = tuple((one.node, one.y, one.z) for _, one in lists["loads"])
     unbalances = tuple(Unbalance(one.node, one.size, one.phase) for _, one in lists["unbalances"])
     _check_nodes(lists, rotor, faults)

@@ -11,12 +11,12 @@ from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
 from labpipe.config.rotor import LISTS, DampingSettings, _entries, _materials, _rotor, _tried
 from labpipe.errors import ConfigError, DataError, LabpipeError
-from labpipe.identify.metamodels import Metamodel, from_entries
-from labpipe.identify.unbalance_rotor import RunUpRotor
-from labpipe.identify.worn_rig import BearingPlace, Unbalance
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.records.settings import setting
 from labpipe.registry import nearest
+from labpipe.rigs.rotor_rig import BearingPlace, Unbalance
+from labpipe.rigs.run_up_rotor import RunUpRotor
+from labpipe.run_ups.metamodels import Metamodel, from_entries
 from labpipe.simulate.unbalance_rig import VirtualUnbalanceRig
 
 OWN_LISTS = ("elements", "discs", "sleeves", "bearings", "unbalances")

@@ -8,10 +8,10 @@ from labpipe.campaign.settings import CompareSettings
 from labpipe.config.calibration import CalibrationSettings
 from labpipe.config.pipeline import ReportSettings
 from labpipe.config.rig import ChannelSettings, RigSettings
-from labpipe.config.run_ups import RunSettings, RunUpSettings
 from labpipe.identify.settings import FitSettings
-from labpipe.identify.unbalance import UnbalanceSettings, WearCase
 from labpipe.records.settings import Setting, settings_of
+from labpipe.rigs.unbalance_runs import UnbalanceSettings, WearCase
+from labpipe.run_ups.settings import RunSettings, RunUpSettings
 from labpipe.spectra.settings import FrfSettings
 from labpipe.study.settings import StudySettings
 

@@ -9,8 +9,8 @@ from labpipe.config.faults import Faults
 from labpipe.config.reader import read_settings
 from labpipe.config.rotor import load_rotor
 from labpipe.errors import ConfigError
-from labpipe.identify.unbalance import UnbalanceSettings, WearCase
 from labpipe.marked_yaml import Marked
+from labpipe.rigs.unbalance_runs import UnbalanceSettings, WearCase
 
 UNBALANCE = "unbalance"
 

@@ -63,7 +63,7 @@ def read_bands(node: Marked, setting: Setting) -> tuple[tuple[float, float], ...
 
 
 def read_peaks(node: Marked, setting: Setting) -> tuple[tuple[str, tuple[tuple[float, float], ...]], ...]:
-    """ {x: 700-1100 Hz, z: [300-500 Hz, 900-950 Hz]} -> (("x", ((700.0, 1100.0),)), ...)."""
+    """{x: 700-1100 Hz, z: [300-500 Hz, 900-950 Hz]} -> (("x", ((700.0, 1100.0),)), ...)."""
     if not isinstance(node.content, dict) or not node.content:
         raise UnitError(f"'{_shown(node)}' is not a mapping of dofs to bands", "write for example {x: 700-1100 Hz}")
     return tuple((name, read_bands(entry, setting)) for name, entry in node.content.items())
@@ -141,7 +141,7 @@ def read_matrix(node: Marked, setting: Setting) -> tuple[tuple[float, ...], ...]
 
 
 def read_coefficients(node: Marked, setting: Setting) -> tuple[tuple[str, float], ...]:
-    """ {k_1_2: 0 N/m, c_1_2: 0 N.s/m} -> (("k_1_2", 0.0), ...); the first letter of a name says its unit."""
+    """{k_1_2: 0 N/m, c_1_2: 0 N.s/m} -> (("k_1_2", 0.0), ...); the first letter of a name says its unit."""
     if not isinstance(node.content, dict):
         raise UnitError(f"'{_shown(node)}' is not a mapping of coefficients", "write for example {k_1_3: 0 N/m}")
     found = []
@@ -154,7 +154,7 @@ def read_coefficients(node: Marked, setting: Setting) -> tuple[tuple[str, float]
 
 
 def read_series(node: Marked, setting: Setting) -> tuple[tuple[str, tuple[float, ...]], ...]:
-    """ {ls: [0.03, 0.2]} -> (("ls", (0.03, 0.2)),)."""
+    """{ls: [0.03, 0.2]} -> (("ls", (0.03, 0.2)),)."""
     if not isinstance(node.content, dict):
         raise UnitError(f"'{_shown(node)}' is not a mapping of names to lists of values")
     return tuple((name, read_values(entry, setting)) for name, entry in node.content.items())

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.identify.levenberg import minimise, sum_of_squares
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.regression import solve_scaled, triangle_of
 from labpipe.identify.statistics import Estimate
 from labpipe.identify.weights import has_noise, weight_doubt
+from labpipe.optimise.levenberg import minimise, sum_of_squares
 from labpipe.records.identification import Goodness
 
 NOTE = "amplitude: the phase of the FRF was not used; k, c and m are positive by construction."

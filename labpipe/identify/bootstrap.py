@@ -48,7 +48,7 @@ def _redrawn(measured: Measured, fitted: NDArray[np.complexfloating], rng: np.ra
     n = measured.covariance.shape[1]
     values, vectors = np.linalg.eigh(measured.covariance)
     # Independent lines scatter the parameters like lines that share noise when their noise is this much stronger.
-    white = (rng.standard_normal((2, values.shape[0], n)) * np.sqrt(measured.shared_noise * np.maximum(values, 0.0) / 2))
+    white = rng.standard_normal((2, values.shape[0], n)) * np.sqrt(measured.shared_noise * np.maximum(values, 0.0) / 2)
     noise = np.einsum("lab,lb->la", vectors, white[0] + 1j * white[1])
     return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
 

@@ -21,12 +21,12 @@ from labpipe.identify.reported import mismatch_factor, reported_parameters
 from labpipe.identify.settings import ESTIMATORS, MODELS, FitSettings
 from labpipe.identify.setup import Setup
 from labpipe.identify.statistics import Estimate, condition_number, correlation, student_limit
-from labpipe.identify.worn import worn_fit
-from labpipe.identify.worn_settings import WORN_BEARING
 from labpipe.records.identification import Fit, FittedCurve, Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.bands import EDGE, lines_in
 from labpipe.spectra.convert import receptance_factor
+from labpipe.wear.fit import worn_fit
+from labpipe.wear.settings import WORN_BEARING
 
 Band = tuple[float, float]
 

@@ -11,7 +11,6 @@ from collections.abc import Callable
 import numpy as np
 
 from labpipe.errors import FitError
-from labpipe.identify.levenberg import Minimum, minimise
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import ResponseModel
 from labpipe.identify.output_error import OutputError
@@ -19,6 +18,7 @@ from labpipe.identify.regression import solve_scaled, triangle_of
 from labpipe.identify.starts import Start, starts
 from labpipe.identify.statistics import Estimate, determination
 from labpipe.identify.weights import WeightDoubt, equal_weights, has_noise, weight_doubt, whitener
+from labpipe.optimise.levenberg import Minimum, minimise
 from labpipe.records.identification import Goodness
 
 # A minimum less probable than this for a right model, or one that was not reached, is looked for from other starts as well.
@@ -43,9 +43,7 @@ def maximum_likelihood(measured: Measured, model: ResponseModel, weight: str = "
     weighted = has_noise(measured)
     doubt = weight_doubt(measured, dof) if weighted else WeightDoubt()
     problem = OutputError(measured, model, whitener(measured) if weighted else equal_weights(measured))
-    best, start = _best_minimum(
-        problem, lambda chi2: weighted and doubt.p_value(chi2 / dof / doubt.excess, dof) < DOUBTFUL_P
-    )
+    best, start = _best_minimum(problem, lambda chi2: weighted and doubt.p_value(chi2 / dof / doubt.excess, dof) < DOUBTFUL_P)
     values, converged, iterations = best.values, best.converged, best.steps
     jacobian, residual = problem.jacobian(values), problem.residual(values)
     _, inverse = solve_scaled(jacobian, residual)

@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.identify.levenberg import minimise, sum_of_squares
 from labpipe.identify.measured import Measured
 from labpipe.identify.weights import has_noise, whitened
+from labpipe.optimise.levenberg import minimise, sum_of_squares
 
 PASSES = 8
 # A motion counts when its singular value is this much above the largest that noise alone would have.

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.identify.levenberg import sum_of_squares
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import ResponseModel
 from labpipe.identify.weights import whitened
+from labpipe.optimise.levenberg import sum_of_squares
 
 
 @dataclass(frozen=True)

@@ -41,9 +41,7 @@ def least_squares(measured: Measured, model: DynamicModel, weight: str = "none")
     return Estimate(values, scaled, design, gof, dof, notes=notes, own_dof=own_dof, amplification=amplification)
 
 
-def equation_solution(
-    equation: Regression, model: DynamicModel
-) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.int_]]:
+def equation_solution(equation: Regression, model: DynamicModel) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.int_]]:
     """(estimate, its covariance, degrees of freedom of each parameter's own regression)."""
     n_parameter = len(model.terms)
     values, covariance = np.zeros(n_parameter), np.zeros((n_parameter, n_parameter))
@@ -96,9 +94,7 @@ def line_weights(measured: Measured, weight: str) -> NDArray[np.floating]:
     return weights / float(np.max(weights))
 
 
-def output_chi_square(
-    measured: Measured, model: DynamicModel, values: NDArray[np.floating], dof: int
-) -> tuple[float | None, float | None]:
+def output_chi_square(measured: Measured, model: DynamicModel, values: NDArray[np.floating], dof: int) -> tuple[float | None, float | None]:
     """(chi-square per degree of freedom, its p-value) of measured - fitted FRF; None where the noise is not known well enough."""
     if not has_noise(measured):
         return None, None

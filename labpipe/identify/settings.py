@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from labpipe.errors import ConfigError
-from labpipe.identify.worn_settings import WORN_BEARING, WearSettings
 from labpipe.records.settings import Uncertain, setting
 from labpipe.registry import Registry
+from labpipe.wear.settings import WORN_BEARING, WearSettings
 
 # From the setup of a fit (ports, mass) to a model linear in its parameters; worn-bearing has a search of its own.
 MODELS = Registry(

@@ -93,9 +93,7 @@ def _contradictions(told: Sequence[str]) -> tuple[Block, ...]:
 
 
 def _levels(channels: Sequence[ChannelOverview]) -> Table:
-    rows = tuple(
-        (one.label, *(f"{value:.5g}" for value in (one.minimum, one.maximum, one.mean, one.rms)), _crest(one)) for one in channels
-    )
+    rows = tuple((one.label, *(f"{value:.5g}" for value in (one.minimum, one.maximum, one.mean, one.rms)), _crest(one)) for one in channels)
     header = ("channel", "min", "max", "mean", "rms (ac)", "peak / rms")
     return Table(header, rows, "Levels, in the unit of the channel; rms is about the mean", (1, 2, 3, 4, 5))
 

@@ -17,10 +17,10 @@ from scipy import fft
 
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.errors import ConfigError
-from labpipe.identify.worn_rig import RotorRig
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.settings import setting
 from labpipe.registry import nearest
+from labpipe.rigs.rotor_rig import RotorRig
 from labpipe.rotors.reduction import ReducedRotor, reduced_rotor
 
 KIND = "virtual-journal-rig"

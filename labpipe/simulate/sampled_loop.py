@@ -111,9 +111,7 @@ def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
     return SampledLoop(*_matrices(step, motion.step.shape[0] + 2 + whole + 1), rate)
 
 
-def _step(
-    loop: ControlLoop, plant: _Plant, terms: list[tuple[float, float, float]], state: Array, inputs: Array
-) -> tuple[Array, Array]:
+def _step(loop: ControlLoop, plant: _Plant, terms: list[tuple[float, float, float]], state: Array, inputs: Array) -> tuple[Array, Array]:
     """One sampling interval. state: motion, the controller's two memories, voltages on their way, oldest first."""
     n = plant.step.shape[0]
     motion, memory, waiting = state[:n], state[n : n + 2], state[n + 2 :]

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError
-from labpipe.identify.unbalance_film import BOUND, FilmFamily, as_eight, as_matrices
-from labpipe.identify.unbalance_rotor import RunUpRotor
-from labpipe.records.runup import RunUp, Shaker
+from labpipe.records.run_up import RunUp, Shaker
 from labpipe.records.settings import Uncertain, setting
 from labpipe.registry import nearest
+from labpipe.rigs.film_family import BOUND, FilmFamily, as_eight, as_matrices
+from labpipe.rigs.run_up_rotor import RunUpRotor
 from labpipe.rotors.modes import GROWTH_TOLERANCE
 from labpipe.rotors.threshold import CoefficientsAtSpeed
 

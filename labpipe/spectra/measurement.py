@@ -54,9 +54,7 @@ def measure(
     return directional(response) if settings.directional else response
 
 
-def _measured(
-    sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None
-) -> FrequencyResponse:
+def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None) -> FrequencyResponse:
     """The response in the directions of the sensors, all recordings averaged."""
     layout = find_layout(sources)
     bands = masked_bands(sources, settings)

@@ -18,16 +18,16 @@ from labpipe.config.run_ups import run_ups_entry
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
-from labpipe.identify.unbalance import unbalance_runs
-from labpipe.identify.worn_prior import with_prior
 from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.records.response import FrequencyResponse
 from labpipe.registry import nearest
+from labpipe.rigs.unbalance_runs import unbalance_runs
 from labpipe.stages.calibrate import calibrate
 from labpipe.stages.compare import COMPARE_PREFIX, compare_tests
 from labpipe.stages.judging import judge
 from labpipe.stages.run_ups import identify_run_ups
 from labpipe.stages.study import study
+from labpipe.wear.prior import with_prior
 
 
 def identify_stage(

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from labpipe.artefacts.writing import OutputFolder, output_file
 from labpipe.errors import ConfigError
-from labpipe.formats.runup_csv import write_runup_csv
+from labpipe.formats.run_up_csv import write_run_up_csv
 from labpipe.records.rig import Rig
 from labpipe.spectra.orders import OrderTrack, plane_track, track_order
-from labpipe.spectra.run_ups import run_up_of
+from labpipe.spectra.run_up_orders import run_up_of
 from labpipe.spectra.settings import ShaftLines
 from labpipe.stages.ingest import ingest, is_recording
 
@@ -96,7 +96,7 @@ def save_run_up(run: TrackedRun, path: Path, load: float, unbalance: Mapping[str
         raise ConfigError(f"a run-up is of order 1, not {run.track.order:g}", hint="leave --order out")
     found = run_up_of(run.track, run.name, load, unbalance)
     with output_file(path) as target:
-        write_runup_csv(target, found)
+        write_run_up_csv(target, found)
     return found.n_speed
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError
 from labpipe.formats.frf_csv import write_frf_csv
-from labpipe.formats.runup_csv import write_runup_csv
+from labpipe.formats.run_up_csv import write_run_up_csv
 from labpipe.records.recording import Recording
 from labpipe.simulate import ball_bearing_rig, journal_rig, mdof_rig, unbalance_rig, white_noise_rig
 from labpipe.simulate.ball_bearing_rig import VirtualBallBearingRig
@@ -101,7 +101,7 @@ def _run_ups(rig: VirtualUnbalanceRig, seed: int, runs: Iterable[str] | None, ou
     names = []
     for run in unbalance_rig.run_ups(rig, seed, runs):
         names.append(f"{run.name}.csv")
-        write_runup_csv(output.write_path(names[-1]), run)
+        write_run_up_csv(output.write_path(names[-1]), run)
     return [*names, _write_truth({"seed": seed, "rig": rig.name, "truth": unbalance_rig.truth(rig)}, output)]
 
 

@@ -26,9 +26,7 @@ SEARCH_RATIO = 1.05
 SEARCH_REPEATS = 200
 
 
-def run_study(
-    rig: Any, settings: StudySettings, fits: Sequence[FitSettings], frf: FrfSettings | None, tell: Tell, jobs: int = 1
-) -> Study:
+def run_study(rig: Any, settings: StudySettings, fits: Sequence[FitSettings], frf: FrfSettings | None, tell: Tell, jobs: int = 1) -> Study:
     """Every fit at every noise level and number of lines; *rig* is a virtual rig's settings.
 
     The noise of a repeat depends on the seed and the repeat's number alone, so all levels and fits see the same draws.

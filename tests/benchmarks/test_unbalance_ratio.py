@@ -10,14 +10,14 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from labpipe.bearings.journal_curve import journal_curve
-from labpipe.identify.metamodels import Grid, fit_metamodel
-from labpipe.identify.unbalance_amplitudes import fit_amplitudes
-from labpipe.identify.unbalance_joint import fit_jointly
-from labpipe.identify.unbalance_points import fit_points
-from labpipe.identify.unbalance_process import fit_with_process
 from labpipe.rotors.pinned import unbalance_forces
 from labpipe.rotors.threshold import Stability
-from tests.unit.identify.unbalance_cases import RIG, trained
+from labpipe.run_ups.amplitudes import fit_amplitudes
+from labpipe.run_ups.joint import fit_jointly
+from labpipe.run_ups.metamodels import Grid, fit_metamodel
+from labpipe.run_ups.points import fit_points
+from labpipe.run_ups.process import fit_with_process
+from tests.unit.run_ups.run_up_cases import RIG, trained
 
 
 def wall_seconds(action: Callable[[], object], repeats: int) -> float:

@@ -61,8 +61,6 @@ def test_an_unstable_setting_is_said_beside_the_verdict(root: Path, tmp_path: Pa
         ("magnetic-sensitivity", {"kind": "sensitivity", "before": "volts"}, "no response 'volts'"),
     ],
 )
-def test_what_cannot_be_compared_is_said(
-    name: str, compare: dict[str, object], message: str, root: Path, tmp_path: Path, labpipe
-) -> None:
+def test_what_cannot_be_compared_is_said(name: str, compare: dict[str, object], message: str, root: Path, tmp_path: Path, labpipe) -> None:
     ended = labpipe("run", project(root, tmp_path, name, {"asked": compare}), "-o", tmp_path / "out")
     assert ended.code == 2 and message in ended.err, ended

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.artefacts.identification_file import read_identification, write_identification
-from labpipe.formats.runup_csv import read_runup_csv
+from labpipe.formats.run_up_csv import read_run_up_csv
 
 ROOT = Path(__file__).parents[2]
 TEXT = """title: Two loads
@@ -95,7 +95,7 @@ def command(tmp_path: Path) -> list[object]:
 def test_a_recording_becomes_a_run_up_table(command: list[object], tmp_path: Path, labpipe) -> None:
     ended = labpipe(*command, "--load", "3 N", "--unbalance", "front=1 g.mm at 30 deg", "--unbalance", "rear=2 g.mm")
     assert ended.code == 0 and "run-up.csv, 38 speeds" in ended.out, ended
-    run = read_runup_csv(tmp_path / "run-up.csv")
+    run = read_run_up_csv(tmp_path / "run-up.csv")
     assert run.planes == ("front", "rear") and run.load == 3 and run.n_speed == 38
     assert abs(run.unbalance["front"]) == pytest.approx(1e-6) and run.unbalance["rear"] == pytest.approx(2e-6)
     # Amplitudes as `orders` itself writes them.

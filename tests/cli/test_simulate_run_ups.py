@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.formats.runup_csv import read_runup_csv
+from labpipe.formats.run_up_csv import read_run_up_csv
 from tests.conftest import Ended
 
 RUNS = ("load-1", "load-2", "load-3", "load-4", "held-out")
@@ -19,7 +19,7 @@ def test_the_sample_data_are_made_by_their_command(labpipe, root: Path, tmp_path
     assert ended.code == 0, ended.err
     folder = root / "sample_data/falah"
     for name in RUNS:
-        made, kept = read_runup_csv(tmp_path / f"{name}.csv"), read_runup_csv(folder / f"{name}.csv")
+        made, kept = read_run_up_csv(tmp_path / f"{name}.csv"), read_run_up_csv(folder / f"{name}.csv")
         np.testing.assert_allclose(made.speed, kept.speed)
         np.testing.assert_allclose(made.response, kept.response, rtol=2e-5)
         assert made.threshold is not None and kept.threshold is not None
@@ -38,7 +38,7 @@ def test_one_run_alone_and_a_run_that_is_not_there(labpipe, root: Path, tmp_path
     config = root / "configs/virtual-unbalance.yaml"
     ended: Ended = labpipe("simulate", config, "-o", tmp_path / "one", "--run", "load-2-shaker", "--set", "shaker=true")
     assert ended.code == 0, ended.err
-    run = read_runup_csv(tmp_path / "one/load-2-shaker.csv")
+    run = read_run_up_csv(tmp_path / "one/load-2-shaker.csv")
     assert run.shaker is not None and run.shaker.frequency_ratio == 0.95
     refused: Ended = labpipe("simulate", config, "-o", tmp_path / "none", "--run", "load-9")
     assert refused.code == 2 and "no run 'load-9'" in refused.err

@@ -35,9 +35,7 @@ def scaled(equilibrium: JournalEquilibrium) -> tuple[np.ndarray, np.ndarray]:
     [(FilmMesh(120, 30), 5e-3, 0.05, 0.035), (FilmMesh(240, 30), 5e-3, 0.05, 0.035), (FilmMesh(480, 60), 1e-3, 0.02, 0.005)],
     ids=["120x30", "240x30", "480x60"],
 )
-def test_equilibrium_and_coefficients(
-    name: str, mesh: FilmMesh, eccentricity: float, attitude: float, coefficients: float
-) -> None:
+def test_equilibrium_and_coefficients(name: str, mesh: FilmMesh, eccentricity: float, attitude: float, coefficients: float) -> None:
     """Tolerances: relative, deg, part of the largest coefficient. Met: 120x30 .2 %, .01, .5 %; 480x60 .02 %, .005, .25 %."""
     load, depth, angle, e, phi, k, c = CASES[name]
     equilibrium = journal_equilibrium(bearing(depth, angle), (0.0, -load), SPEED, mesh)

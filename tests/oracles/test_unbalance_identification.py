@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.identify.unbalance_film import as_eight, coefficient_errors
-from labpipe.identify.unbalance_joint import fit_jointly
-from labpipe.identify.unbalance_joint_result import JointFit
+from labpipe.rigs.film_family import as_eight, coefficient_errors
+from labpipe.run_ups.joint import fit_jointly
+from labpipe.run_ups.joint_result import JointFit
 from labpipe.simulate.unbalance_rig import true_coefficients
-from tests.unit.identify.unbalance_cases import RIG, per_cent_rms, trained, virtual
+from tests.unit.run_ups.run_up_cases import RIG, per_cent_rms, trained, virtual
 
 TRUTH = virtual("outside")
 SEEDS = range(1, 9)

@@ -17,16 +17,16 @@ from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.config.rotor import load_rotor
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
-from labpipe.identify.worn_data import worn_data
-from labpipe.identify.worn_misfit import MISFITS
-from labpipe.identify.worn_model import worn_model
-from labpipe.identify.worn_prior import posterior
-from labpipe.identify.worn_search import minima, refined, start_mesh
-from labpipe.identify.worn_settings import WearSettings
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.settings import Uncertain
 from labpipe.simulate.journal_rig import receptance
+from labpipe.wear.measured import worn_data
+from labpipe.wear.misfit import MISFITS
+from labpipe.wear.model import worn_model
+from labpipe.wear.prior import posterior
+from labpipe.wear.search import minima, refined, start_mesh
+from labpipe.wear.settings import WearSettings
 
 RIG = load_rotor(Path(__file__).parents[2] / "configs/rotors/mendes.yaml")
 WEAR = [(22.27, 11.0), (22.27, -11.0), (40.19, 8.0), (48.26, 17.0)]

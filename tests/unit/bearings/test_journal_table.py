@@ -39,8 +39,12 @@ def test_between_its_nodes_the_table_is_the_film(wear_table: JournalTable, rng: 
     for depth, angle in zip(rng.uniform(0, 50, 40), rng.uniform(-20, 20, 40), strict=True):
         bearing = worn(depth, angle)
         film, found = journal_equilibrium(bearing, LOAD, SPEED, MESH), wear_table.coefficients(bearing, SPEED)
-        errors.append([np.max(np.abs(found.stiffness - film.stiffness)) / np.abs(film.stiffness).max(),
-                       np.max(np.abs(found.damping - film.damping)) / np.abs(film.damping).max()])
+        errors.append(
+            [
+                np.max(np.abs(found.stiffness - film.stiffness)) / np.abs(film.stiffness).max(),
+                np.max(np.abs(found.damping - film.damping)) / np.abs(film.damping).max(),
+            ]
+        )
     assert np.sqrt(np.mean(np.square(errors))) < 5e-3
 
 
@@ -109,8 +113,13 @@ def test_outside_the_table_is_refused(wear_table: JournalTable, bearing: Journal
 
 @pytest.mark.parametrize(
     ("change", "said"),
-    [({"depth": 0.0}, "largest depth"), ({"angle": 2.0}, "below 90 deg"), ({"viscosity_factor": 0.9}, "factors"),
-     ({"cavitation_pressure": 1.0}, "zero or less"), ({"n_angle": 3}, "four nodes")],
+    [
+        ({"depth": 0.0}, "largest depth"),
+        ({"angle": 2.0}, "below 90 deg"),
+        ({"viscosity_factor": 0.9}, "factors"),
+        ({"cavitation_pressure": 1.0}, "zero or less"),
+        ({"n_angle": 3}, "four nodes"),
+    ],
 )
 def test_ranges_that_make_no_table_are_refused(change: dict[str, float], said: str) -> None:
     with pytest.raises(ConfigError, match=said):

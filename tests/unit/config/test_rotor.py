@@ -9,7 +9,7 @@ import pytest
 
 from labpipe.config.rotor import load_rotor
 from labpipe.errors import ConfigError
-from labpipe.identify.worn_rig import RotorRig
+from labpipe.rigs.rotor_rig import RotorRig
 from labpipe.rotors.modes import growth_rate, modes
 from labpipe.rotors.parts import ALUMINIUM, Disc
 

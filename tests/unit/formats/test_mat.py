@@ -168,8 +168,12 @@ def test_damaged_bytes_end_in_one_message_or_in_numbers(tmp_path: Path, rng, com
 @pytest.mark.parametrize(
     ("place", "value", "fragment"),
     [
-        (128, 9, "is no variable"), (132, 0xFF, "damaged or cut off"),
-        (136, 5, "has no flags"), (144, 99, "has no flags"), (145, 8, "lacks"), (152, 6, "has no size"),
+        (128, 9, "is no variable"),
+        (132, 0xFF, "damaged or cut off"),
+        (136, 5, "has no flags"),
+        (144, 99, "has no flags"),
+        (145, 8, "lacks"),
+        (152, 6, "has no size"),
     ],
 )
 def test_elements_that_do_not_fit(tmp_path: Path, place: int, value: int, fragment: str) -> None:

@@ -144,5 +144,3 @@ def test_comparison_shows_whether_cross_terms_are_needed(coupled_response) -> No
 def test_without_noise_nothing_is_compared(coupled_response) -> None:
     (fit,) = identify(coupled_response(), FitSettings("rotor-2dof", mass=0.92, compare=True))
     assert fit.candidates == ()
-
-

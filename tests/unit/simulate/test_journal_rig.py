@@ -55,9 +55,7 @@ def test_motion_over_force_is_the_receptance(quiet: VirtualJournalRig) -> None:
 
 def test_receptance_is_that_of_the_whole_rotor(virtual: VirtualJournalRig) -> None:
     rig, lines, mesh = true_rig(virtual, 22e-6, 0.2), np.array([20.0, 82.0]), FilmMesh(48, 8)
-    whole = frequency_response(
-        rig.rotor, rig.supports(mesh), lines, rig.omega, rig.rotor.dofs(rig.response), rig.rotor.dofs(rig.force)
-    )
+    whole = frequency_response(rig.rotor, rig.supports(mesh), lines, rig.omega, rig.rotor.dofs(rig.response), rig.rotor.dofs(rig.force))
     np.testing.assert_allclose(receptance(rig, lines, mesh), whole, rtol=1e-6)
 
 

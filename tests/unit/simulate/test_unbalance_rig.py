@@ -10,7 +10,7 @@ import pytest
 
 from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.errors import ConfigError
-from labpipe.identify.unbalance_film import as_eight
+from labpipe.rigs.film_family import as_eight
 from labpipe.rotors.modes import GROWTH_TOLERANCE
 from labpipe.simulate.unbalance_rig import (
     HIGHEST_FACTOR,

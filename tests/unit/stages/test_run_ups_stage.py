@@ -16,14 +16,14 @@ from labpipe.config.pipeline import load_pipeline
 from labpipe.config.rules import Rule, read_rules
 from labpipe.config.run_up_rotor import load_run_up_rotor
 from labpipe.errors import ConfigError, DataError
-from labpipe.formats.runup_csv import read_runup_csv, write_runup_csv
-from labpipe.identify.unbalance_rotor import RunUpRotor
+from labpipe.formats.run_up_csv import read_run_up_csv, write_run_up_csv
 from labpipe.marked_yaml import Marked
+from labpipe.records.run_up import RunUp
 from labpipe.records.run_up_result import RunUpResult
-from labpipe.records.runup import RunUp
+from labpipe.rigs.run_up_rotor import RunUpRotor
+from labpipe.run_ups.predictions import with_unbalance_of
 from labpipe.stages.judging import judge
 from labpipe.stages.run_ups import identify_run_ups
-from labpipe.stages.run_ups_predictions import with_unbalance_of
 
 ROOT = Path(__file__).parents[3]
 RIG: RunUpRotor = load_run_up_rotor(ROOT / "configs/rotors/falah.yaml")
@@ -169,13 +169,13 @@ def test_rules_on_what_there_is_not(whole: RunUpResult, address: str, said: str)
 
 def test_a_second_unbalance_adds_no_rank_and_a_residual_is_subtracted(tmp_path: Path) -> None:
     """Two runs with weights on either disc, of which one carries the other's as its residual: their difference is the first alone."""
-    first, coefficients = read_runup_csv(SAMPLES / "load-2.csv"), RIG.start(5.87610075)
+    first, coefficients = read_run_up_csv(SAMPLES / "load-2.csv"), RIG.start(5.87610075)
     both = {"disc 1": 5e-5 + 0j, "disc 2": 3e-5j}
     residual = made(first, {"disc 2": 3e-5j}, coefficients)
-    write_runup_csv(tmp_path / "both.csv", made(first, both, coefficients))
-    write_runup_csv(tmp_path / "residual.csv", residual)
+    write_run_up_csv(tmp_path / "both.csv", made(first, both, coefficients))
+    write_run_up_csv(tmp_path / "residual.csv", residual)
     alone = made(first, {"disc 1": 5e-5 + 0j}, coefficients)
-    write_runup_csv(tmp_path / "other.csv", residual)
+    write_run_up_csv(tmp_path / "other.csv", residual)
     runs = "    - {file: both.csv, subtract: residual.csv}\n    - {file: other.csv}\n"
     result = identified(tmp_path, runs)
     net = result.runs[0]

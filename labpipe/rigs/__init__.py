@@ -1,0 +1,1 @@
+"""A rotor on its bearings: unbalance, forward response, critical and threshold speeds."""

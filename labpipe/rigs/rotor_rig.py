@@ -1,0 +1,116 @@
+"""A rotor in journal bearings as one thing: shaft, bearings with their static loads, speed, and where it is excited and measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.bearings.journal import DEFAULT_MESH, JournalBearing, JournalEquilibrium, journal_equilibrium
+from labpipe.bearings.journal_mesh import FilmMesh
+from labpipe.errors import ConfigError
+from labpipe.registry import nearest
+from labpipe.rotors.assembly import bearing_loads
+from labpipe.rotors.parts import Rotor, Support
+
+
+@dataclass(frozen=True)
+class BearingPlace:
+    """A journal bearing on a node of the rotor; *name* as people call it."""
+
+    name: str
+    node: int
+    bearing: JournalBearing
+
+
+@dataclass(frozen=True)
+class Unbalance:
+    """Mass times eccentricity [kg m] on a node; *phase* [rad] from the keyphasor, with the spin."""
+
+    node: int
+    size: float
+    phase: float = 0.0
+
+
+@dataclass(frozen=True)
+class RotorRig:
+    """A rotor file: *speed* [Hz]; *loads*: static forces (node, in y, in z) [N] beside the weight; *force*, *response*: nodes.
+
+    ConfigError where bearings, loads or unbalances sit on no node, or two bearings have one name or node.
+    """
+
+    name: str
+    rotor: Rotor
+    speed: float
+    bearings: tuple[BearingPlace, ...]
+    loads: tuple[tuple[int, float, float], ...] = ()
+    unbalances: tuple[Unbalance, ...] = ()
+    force: int = 1
+    response: int = 1
+
+    def __post_init__(self) -> None:
+        if not self.speed > 0:
+            raise ConfigError(f"speed: oil films need a speed above zero, not {self.speed:g} Hz")
+        if len(self.bearings) < 2:
+            raise ConfigError("bearings: a rotor rests on at least two", hint="name each with its node")
+        for what in ("name", "node"):
+            if len({getattr(place, what) for place in self.bearings}) < len(self.bearings):
+                raise ConfigError(f"bearings: two bearings have one {what}")
+        for what, node in self._places():
+            self.rotor.check_node(node, what)
+
+    def _places(self) -> list[tuple[str, int]]:
+        """Everything that sits on a node, as a message names it."""
+        places = [(f"bearing '{place.name}'", place.node) for place in self.bearings]
+        places += [("a load", node) for node, _, _ in self.loads] + [("an unbalance", part.node) for part in self.unbalances]
+        return [*places, ("the force", self.force), ("the response", self.response)]
+
+    @property
+    def omega(self) -> float:
+        """Spin speed [rad/s]."""
+        return 2 * np.pi * self.speed
+
+    def place(self, name: str) -> BearingPlace:
+        """The bearing of that name; the last one without a name. ConfigError with the nearest known name on a miss."""
+        if not name:
+            return self.bearings[-1]
+        for bearing in self.bearings:
+            if bearing.name == name:
+                return bearing
+        raise ConfigError(f"no bearing '{name}' in {self.name}", hint=nearest(name, [bearing.name for bearing in self.bearings]))
+
+    def static_loads(self) -> dict[str, tuple[float, float]]:
+        """Load of every bearing by name, in y and z [N]."""
+        forces: dict[int, tuple[float, float]] = {}
+        for node, y, z in self.loads:
+            before = forces.get(node, (0.0, 0.0))
+            forces[node] = (before[0] + y, before[1] + z)
+        found = bearing_loads(self.rotor, [place.node for place in self.bearings], forces)
+        # Rounding would turn a vertical load by 1e-13 rad and make every rotor's table of coefficients its own.
+        scale = 1e-9 * float(np.abs(found).max())
+        return {
+            place.name: (float(y) if abs(y) > scale else 0.0, float(z) if abs(z) > scale else 0.0)
+            for place, (y, z) in zip(self.bearings, found, strict=True)
+        }
+
+    def equilibria(self, mesh: FilmMesh = DEFAULT_MESH) -> dict[str, JournalEquilibrium]:
+        """Where every journal runs at the rig's speed, by bearing."""
+        loads = self.static_loads()
+        return {place.name: journal_equilibrium(place.bearing, loads[place.name], self.omega, mesh) for place in self.bearings}
+
+    def supports(self, mesh: FilmMesh = DEFAULT_MESH) -> list[Support]:
+        """The bearings as springs and dampers at the rig's speed."""
+        found = self.equilibria(mesh)
+        return [Support(place.node, found[place.name].stiffness, found[place.name].damping) for place in self.bearings]
+
+    def at_speed(self, speed: float) -> RotorRig:
+        """The same rig at another speed [Hz]."""
+        return replace(self, speed=speed)
+
+    def with_bearings(self, names: Iterable[str] = (), **changes: float) -> RotorRig:
+        """The rig with *changes* (wear_depth, viscosity, ...) in the bearings of these *names*; in all, where none is named."""
+        names = tuple(names) or tuple(place.name for place in self.bearings)
+        chosen = [self.place(name) for name in names]
+        bearings = tuple(replace(place, bearing=replace(place.bearing, **changes)) if place in chosen else place for place in self.bearings)
+        return replace(self, bearings=bearings)

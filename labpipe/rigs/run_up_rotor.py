@@ -1,0 +1,185 @@
+"""The rotor behind run-ups: a pinned shaft on one loaded journal bearing, what its planes show, and its critical and threshold speeds.
+
+Frame: x along the static load, y a quarter turn further with the spin (the rotor's y and z; a round rotor has no direction of its own).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.bearings.journal_curve import journal_curve, sommerfeld_number
+from labpipe.errors import ConfigError, DataError, FitError
+from labpipe.records.run_up import DIRECTIONS, RunUp
+from labpipe.registry import nearest
+from labpipe.rigs.film_family import carried_beyond
+from labpipe.rigs.rotor_rig import BearingPlace, Unbalance
+from labpipe.rotors.parts import Rotor
+from labpipe.rotors.pinned import CondensedRotor, PinnedRotor, condensed_rotor, pinned_rotor, unbalance_forces
+from labpipe.rotors.threshold import CoefficientsAtSpeed, Stability, resonance_speed, threshold_speed
+
+RPM = np.pi / 30
+# Where critical and threshold speeds are looked for [rad/s].
+CRITICAL_SEARCH = np.arange(400.0, 3001.0, 20.0) * RPM
+THRESHOLD_SEARCH = np.arange(400.0, 6001.0, 200.0) * RPM
+
+Array = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
+
+
+class TabulatedCoefficients(Protocol):
+    """The eight coefficients (n_point, 8) over load [N] and speed [rad/s], such as a metamodel gives them."""
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Range of speeds [rad/s] that they hold for."""
+        ...
+
+    def predict(self, load: Array | float, speed: Array) -> Array: ...
+
+
+@dataclass(frozen=True)
+class RunUpRotor:
+    """A rotor file with pins: *pins* and *planes* (name, node) sit on nodes of the *rotor*; *unbalances*: the known ones.
+
+    *tabulated*: journal coefficients that take the place of the film's own; beyond their speeds K and Omega C are held.
+
+    ConfigError where something sits on no node or outside the pins, or two planes have one name.
+    """
+
+    name: str
+    rotor: Rotor
+    pins: tuple[int, ...]
+    place: BearingPlace
+    planes: tuple[tuple[str, int], ...]
+    unbalances: tuple[Unbalance, ...] = ()
+    tabulated: TabulatedCoefficients | None = None
+
+    def __post_init__(self) -> None:
+        if not self.planes:
+            raise ConfigError("planes: a run-up needs a plane at which it is measured", hint="for example planes: {disc 1: 2}")
+        if len({node for _, node in self.planes}) < len(self.planes):
+            raise ConfigError("planes: two planes sit on one node")
+        for node in (self.place.node, *(node for _, node in self.planes), *(one.node for one in self.unbalances)):
+            self.pinned.dofs(node)
+        for one in self.unbalances:
+            self.plane_at(one.node)
+
+    @cached_property
+    def pinned(self) -> PinnedRotor:
+        """Its matrices between the pins."""
+        return pinned_rotor(self.rotor, self.pins)
+
+    @cached_property
+    def stability(self) -> Stability:
+        return Stability.of(self.pinned, self.place.node)
+
+    @property
+    def plane_names(self) -> tuple[str, ...]:
+        return tuple(name for name, _ in self.planes)
+
+    @property
+    def known_unbalance(self) -> dict[str, complex]:
+        """Unbalance [kg m] by plane, complex with its angle."""
+        amounts: dict[str, complex] = {}
+        for one in self.unbalances:
+            plane = self.plane_at(one.node)
+            amounts[plane] = amounts.get(plane, 0j) + one.size * complex(np.exp(1j * one.phase))
+        return amounts
+
+    def node(self, plane: str) -> int:
+        """ConfigError with the nearest known name on a miss."""
+        found = dict(self.planes)
+        if plane not in found:
+            raise ConfigError(f"no plane '{plane}' in {self.name}", hint=nearest(plane, found))
+        return found[plane]
+
+    def plane_at(self, node: int) -> str:
+        for name, here in self.planes:
+            if here == node:
+                return name
+        raise ConfigError(f"there is no plane at node {node}, where an unbalance sits", hint="name it under planes:")
+
+    def under_unbalance(self, speed: Array, unbalance: Mapping[str, complex]) -> CondensedRotor:
+        """Condensed to the bearing at *speed* (n_speed,) [rad/s] under an *unbalance* [kg m] by plane; outputs x, y of every plane."""
+        forces = unbalance_forces(self.pinned, {self.node(plane): size for plane, size in unbalance.items()}, speed)
+        return condensed_rotor(self.pinned, self.place.node, speed, forces, tuple(node for _, node in self.planes))
+
+    def excited(self, run: RunUp) -> CondensedRotor:
+        """Condensed at the speeds, and under the excitation, of a run; DataError when the run has other planes."""
+        if run.planes != self.plane_names:
+            raise DataError(
+                f"run '{run.name}' was measured at {', '.join(run.planes)}, the rotor has {', '.join(self.plane_names)}",
+                hint="name the planes alike in the rotor file and the run-up, in one order",
+            )
+        if run.shaker is None:
+            return self.under_unbalance(run.speed, run.unbalance)
+        forces = np.zeros((run.n_speed, self.pinned.n_dof), np.complex128)
+        forces[:, self.pinned.dofs(self.node(run.shaker.plane))] = [run.shaker.x, run.shaker.y]
+        frequency = run.speed * run.shaker.frequency_ratio
+        nodes = tuple(node for _, node in self.planes)
+        return condensed_rotor(self.pinned, self.place.node, frequency, forces, nodes, run.speed)
+
+    def start_coefficients(self, load: float, speed: Array) -> tuple[Array, Array]:
+        """K [N/m] and C [N s/m], (n_speed, 2, 2), from the Sommerfeld number of the rotor file's bearing, or as *tabulated*."""
+        bearing, speed = self.place.bearing, np.asarray(speed, np.float64)
+        if self.tabulated is not None:
+            return carried_beyond(partial(self.tabulated.predict, load), *self.tabulated.speeds)(speed)
+        curve = journal_curve(bearing.length / bearing.diameter, bearing.groove_width)
+        found = curve.coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
+        scale = load / bearing.clearance
+        return found.stiffness * scale, found.damping * scale / speed[..., None, None]
+
+    def start(self, load: float) -> CoefficientsAtSpeed:
+        """The same as a function of speed alone."""
+        return lambda speed: self.start_coefficients(load, speed)
+
+    def response(self, speed: Array, coefficients: CoefficientsAtSpeed) -> ComplexArray:
+        """Phasors (n_speed, n_plane, 2) [m] under the known unbalance."""
+        found = self.under_unbalance(speed, self.known_unbalance).response(*coefficients(speed))
+        return found.reshape(np.size(speed), len(self.planes), 2)
+
+    def critical_speed(self, coefficients: CoefficientsAtSpeed, plane: str = "", direction: str = "") -> float:
+        """Speed [rad/s] of the largest displacement at a plane (the last one unless named) under the known unbalance.
+
+        Of the orbit's major semi-axis, or of the amplitude in *direction* x or y. FitError without a peak within the search.
+        """
+        number = [node for _, node in self.planes].index(self.node(plane)) if plane else -1
+        grid = self._displacement(CRITICAL_SEARCH, coefficients, direction)[:, number]
+        top = int(np.argmax(grid))
+        if top in (0, grid.size - 1):
+            raise FitError("the response to unbalance has no peak between 400 and 3000 rpm", hint="look at the response over speed")
+        low, high = CRITICAL_SEARCH[top - 1], CRITICAL_SEARCH[top + 1]
+        # Between three points of a smooth peak a fine grid and a parabola are exact to a millionth.
+        fine = np.linspace(low, high, 41)
+        values = self._displacement(fine, coefficients, direction)[:, number]
+        middle = int(np.clip(np.argmax(values), 1, fine.size - 2))
+        before, here, after = values[middle - 1 : middle + 2]
+        return float(fine[middle] + (fine[1] - fine[0]) / 2 * (before - after) / (before - 2 * here + after))
+
+    def _displacement(self, speed: Array, coefficients: CoefficientsAtSpeed, direction: str) -> Array:
+        response = self.response(speed, coefficients)
+        return np.abs(response[..., DIRECTIONS.index(direction)]) if direction else largest_displacement(response)
+
+    def resonance(self, coefficients: CoefficientsAtSpeed) -> float | None:
+        """Speed [rad/s] that equals the imaginary part of an eigenvalue; None when there is none."""
+        return resonance_speed(self.stability, coefficients, CRITICAL_SEARCH[::5])
+
+    def threshold(self, coefficients: CoefficientsAtSpeed) -> float | None:
+        """Onset speed of instability [rad/s] below 6000 rpm; None when there is none."""
+        return threshold_speed(self.stability, coefficients, THRESHOLD_SEARCH)
+
+
+def largest_displacement(response: ComplexArray) -> Array:
+    """The largest displacement on the orbit, its major semi-axis |X + jY| / 2 + |X - jY| / 2 [m], (...) of phasors (..., 2)."""
+    return (np.abs(response[..., 0] + 1j * response[..., 1]) + np.abs(response[..., 0] - 1j * response[..., 1])) / 2
+
+
+def relative_difference(first: float, second: float) -> tuple[float, float]:
+    """A prediction against a measurement [-]: relative to the measurement, and by the source's rule, relative to the larger of the two."""
+    return (first - second) / second, abs(first - second) / max(abs(first), abs(second))

@@ -1,0 +1,82 @@
+"""Response to unbalance over speed in forward and backward circles, for states of wear of one bearing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import ConfigError
+from labpipe.records.settings import setting
+from labpipe.records.unbalance import UnbalanceCase, UnbalanceRuns
+from labpipe.rigs.rotor_rig import RotorRig
+from labpipe.rotors.response import forward_backward_motion, unbalance_response
+
+MOST_SPEEDS = 2000
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class WearCase:
+    """One entry of ``unbalance.cases:``; no wear by default."""
+
+    depth: float = setting("value", "deepest wear", unit="m", default=0.0)
+    angle: float = setting("value", "place of the deepest wear from the bottom, positive with the spin", unit="rad", default=0.0)
+
+
+@dataclass(frozen=True)
+class UnbalanceSettings:
+    """The ``unbalance:`` section of a pipeline; *rig* and *cases* (name, wear) are what its `rotor` and `cases` name."""
+
+    rotor: str = setting("text", "rotor file with its unbalances, relative to the pipeline file")
+    speeds: tuple[float, float] = setting("band", "range of speeds", unit="Hz")
+    step: float = setting("value", "step of speed", unit="Hz", default=0.5)
+    bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
+    cases: tuple[tuple[str, WearCase], ...] = ()
+    rig: RotorRig | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 < self.speeds[0] < self.speeds[1]:
+            raise ConfigError("'speeds' must rise from above zero", hint="for example speeds: 40-65 Hz")
+        if not 0 < self.step <= self.speeds[1] - self.speeds[0]:
+            raise ConfigError("'step' must be positive and no longer than the range of speeds")
+        if (self.speeds[1] - self.speeds[0]) / self.step > MOST_SPEEDS:
+            raise ConfigError(f"more than {MOST_SPEEDS} speeds", hint="take a longer step")
+        if self.rig is None:
+            return
+        if not self.rig.unbalances:
+            raise ConfigError("the rotor has no unbalances", hint="add unbalances: to the rotor file")
+        for _, case in self.cases:
+            self.rig.with_bearings((self.rig.place(self.bearing).name,), wear_depth=case.depth, wear_angle=case.angle)
+
+    @property
+    def speed(self) -> Array:
+        """Every speed of the range [Hz], the last one at most its end."""
+        low, high = self.speeds
+        return low + self.step * np.arange(int(np.floor((high - low) / self.step + 1e-9)) + 1)
+
+
+def unbalance_runs(settings: UnbalanceSettings) -> UnbalanceRuns:
+    """The response of every case at every speed, the films' coefficients those of that speed."""
+    rig = settings.rig
+    if rig is None:
+        raise ConfigError("no rotor was read", hint="name it with unbalance.rotor")
+    worn = rig.place(settings.bearing).name
+    cases = []
+    for name, case in settings.cases:
+        own = rig.with_bearings((worn,), wear_depth=case.depth, wear_angle=case.angle)
+        forward, backward = np.abs([orbit(own.at_speed(float(speed))) for speed in settings.speed]).T.tolist()
+        cases.append(UnbalanceCase(name, case.depth, case.angle, tuple(forward), tuple(backward)))
+    return UnbalanceRuns(rig.name, worn, rig.response, tuple(settings.speed.tolist()), tuple(cases))
+
+
+def orbit(rig: RotorRig) -> NDArray[np.complexfloating]:
+    """Phasors of the forward and the backward circle (2,) [m], 0-to-peak, at the rig's response node and speed."""
+    amounts: dict[int, complex] = {}
+    for part in rig.unbalances:
+        amounts[part.node] = amounts.get(part.node, 0j) + part.size * np.exp(1j * part.phase)
+    outputs = rig.rotor.dofs(rig.response)
+    motion = unbalance_response(rig.rotor, rig.supports(), np.array([rig.omega]), amounts, outputs)
+    return forward_backward_motion(motion)[0]

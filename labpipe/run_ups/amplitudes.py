@@ -1,0 +1,272 @@
+"""Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid, kept as a baseline.
+
+Per point the factors f on the coefficients of the rotor file's bearing, 1 - bound <= f <= 1 + bound, minimise
+
+    F = sum over planes (a_measured - a_computed)^2,   a: largest displacement of the orbit,
+
+(their equation 12) by a pattern search. Two amplitudes see two combinations of the eight: the fit looks perfect wherever it starts, and
+the coefficients that it returns are those next to its start. `StartSpread` says so in words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import ConfigError
+from labpipe.optimise.pattern_search import Objective, SearchHistory, SearchLimits, search_named
+from labpipe.records.run_up import RunUp
+from labpipe.rigs.film_family import COEFFICIENTS, as_eight, as_matrices, carried_beyond
+from labpipe.rigs.run_up_rotor import RunUpRotor, largest_displacement
+from labpipe.rotors.threshold import CoefficientsAtSpeed
+from labpipe.run_ups.misfit import ExcitedRun, LoadRuns, rank_of, runs_by_load, scales
+
+BOUND = 0.3
+SEED = 20260101
+# Distance from a bound, as a part of the box, below which a factor counts as at its bound.
+AT_BOUND = 1e-3
+
+Array = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
+
+
+@dataclass(frozen=True)
+class AmplitudeFit:
+    """The coefficients of one *load* [N] at every *speed* (n_speed,) [rad/s].
+
+    coefficients, start (n_speed, 8) [N/m, N s/m]; at_bound (n_speed, 8); rank, condition (n_speed,): of the amplitudes alone; objective
+    (n_speed,) [m^2]; measured (n_speed,): sum of the squared amplitudes [m^2]; chi2, n_datum: over the amplitudes' own errors. Of the
+    search: evaluations, mesh, capped (n_speed,), its history; every start's factors (n_start, n_speed, 8) and objectives
+    (n_start, n_speed), the rotor file's coefficients first. No standard errors: what the data do not see has none.
+    """
+
+    load: float
+    speed: Array
+    start: Array
+    coefficients: Array
+    at_bound: NDArray[np.bool_]
+    rank: NDArray[np.intp]
+    condition: Array
+    objective: Array
+    measured: Array
+    chi2: float
+    n_datum: int
+    evaluations: NDArray[np.intp]
+    mesh: Array
+    capped: NDArray[np.bool_]
+    history: SearchHistory
+    factors: Array
+    objectives: Array
+
+    @property
+    def std_error(self) -> Array:
+        """(n_speed, 8), NaN: this way states no doubt."""
+        return np.full(self.coefficients.shape, np.nan)
+
+    @property
+    def n_effective(self) -> float:
+        """Combinations that the data determine."""
+        return float(np.sum(self.rank))
+
+    @property
+    def chi2_per_datum(self) -> float:
+        """NaN when the amplitudes are as many as the combinations they determine: then nothing is left to test the fit with."""
+        left = self.n_datum - self.n_effective
+        return self.chi2 / left if left > 0 else float("nan")
+
+    @property
+    def share_at_bound(self) -> float:
+        return float(np.mean(self.at_bound))
+
+    @property
+    def misfit(self) -> Array:
+        """Computed against measured amplitudes, relative, (n_speed,) [-]."""
+        return np.sqrt(self.objective / self.measured)
+
+    def at_speed(self) -> CoefficientsAtSpeed:
+        """K and C as a function of speed, straight between the points; beyond, K and Omega C are held."""
+
+        def between(speed: Array) -> Array:
+            return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
+
+        return carried_beyond(between, float(self.speed[0]), float(self.speed[-1]))
+
+    def spread(self, point: int) -> StartSpread:
+        """What the starts reach at one of the speeds."""
+        speed, measured = float(self.speed[point]), float(self.measured[point])
+        return StartSpread(self.load, speed, self.factors[:, point], self.objectives[:, point], measured)
+
+    @property
+    def statement(self) -> str:
+        """What all points together say of the spread of their starts; empty with one start."""
+        if self.objectives.shape[0] < 2:
+            return ""
+        worst = float(np.sqrt(np.max(self.objectives / self.measured)))
+        spread = float(np.median(np.ptp(self.factors, axis=0)))
+        return _statement(self.objectives.shape[0], worst, spread, f"at {self.speed.size} speeds under {self.load:.3g} N ")
+
+
+@dataclass(frozen=True)
+class StartSpread:
+    """Several starts at a *load* [N] and *speed* [rad/s]: factors (n_start, 8), objective (n_start,), sum of squares *measured* [m^2]."""
+
+    load: float
+    speed: float
+    factors: Array
+    objective: Array
+    measured: float
+
+    @property
+    def low(self) -> Array:
+        """Lowest factor of every coefficient (8,)."""
+        return np.asarray(self.factors.min(axis=0))
+
+    @property
+    def high(self) -> Array:
+        return np.asarray(self.factors.max(axis=0))
+
+    @property
+    def words(self) -> str:
+        ranges = ", ".join(f"{name} {low:.2f} to {high:.2f}" for name, low, high in zip(COEFFICIENTS, self.low, self.high, strict=True))
+        worst = float(np.sqrt(self.objective.max() / self.measured))
+        where = f"under {self.load:.3g} N at {self.speed * 30 / np.pi:.0f} rpm "
+        return f"{_statement(self.objective.size, worst, float(np.median(self.high - self.low)), where)}: {ranges}"
+
+
+def _statement(n_start: int, worst: float, spread: float, where: str) -> str:
+    reached = f"{where}{n_start} starts reach the measured amplitudes within {100 * worst:.2g} %"
+    if spread < 0.02:
+        return f"{reached} with factors that agree within {spread:.2f}"
+    return f"the coefficients are not determined: {reached} with factors spread over {spread:.2f} (median)"
+
+
+def fit_amplitudes(
+    rig: RunUpRotor,
+    runs: Iterable[RunUp],
+    bound: float = BOUND,
+    method: str = "pattern",
+    starts: int = 1,
+    seed: int = SEED,
+    limits: SearchLimits | None = None,
+) -> list[AmplitudeFit]:
+    """One AmplitudeFit per load; the first of the *starts* is the rotor file's bearing, the others are drawn evenly from the box.
+
+    The lowest objective of the starts is kept. ConfigError for a bound outside 0 to 1, no start, or an unknown method.
+    """
+    if not (0 < bound < 1 and starts >= 1):
+        raise ConfigError("the bound of the factors lies between 0 and 100 %, with one start or more", hint="for example 30 %")
+    search_named(method)
+    rng = np.random.default_rng(seed)
+    return [_fit_load(rig, group, bound, method, starts, rng, limits) for group in runs_by_load(rig, runs)]
+
+
+def _fit_load(
+    rig: RunUpRotor, group: LoadRuns, bound: float, method: str, starts: int, rng: np.random.Generator, limits: SearchLimits | None
+) -> AmplitudeFit:
+    start = as_eight(*rig.start_coefficients(group.load, group.speed))
+    n = group.speed.size
+    drawn = rng.uniform(1 - bound, 1 + bound, (starts, n, 8))
+    drawn[0] = 1.0
+    first = drawn.reshape(-1, 8)
+    low, high = np.full_like(first, 1 - bound), np.full_like(first, 1 + bound)
+    amplitudes = Amplitudes.of(group)
+    found = search_named(method)(amplitudes.objective(start), first, low, high, limits)
+    objectives = found.objective.reshape(starts, n)
+    best = np.argmin(objectives, axis=0) * n + np.arange(n)
+    eight = start * found.values[best]
+    rank, condition = rank_of(amplitudes.slopes(eight) * scales(start)[:, None, :])
+    history = SearchHistory(*(getattr(found.history, name)[:, best] for name in ("evaluations", "objective", "mesh")))
+    return AmplitudeFit(
+        group.load,
+        group.speed,
+        start,
+        eight,
+        np.abs(found.values[best] - 1) >= bound * (1 - AT_BOUND),
+        rank,
+        condition,
+        found.objective[best],
+        np.sum(amplitudes.measured**2, axis=-1),
+        float(np.sum(((amplitudes.computed(eight, np.arange(n)) - amplitudes.measured) / amplitudes.error) ** 2)),
+        amplitudes.measured.size,
+        found.evaluations[best],
+        found.mesh[best],
+        found.capped[best],
+        history,
+        found.values.reshape(starts, n, 8),
+        objectives,
+    )
+
+
+@dataclass(frozen=True)
+class Amplitudes:
+    """Largest displacements of all *runs* of a load: measured, with their standard errors, (n_speed, n_plane of all runs) [m]."""
+
+    runs: tuple[ExcitedRun, ...]
+    measured: Array
+    error: Array
+
+    @classmethod
+    def of(cls, group: LoadRuns) -> Amplitudes:
+        measured = [largest_displacement(run.run.response) for run in group.runs]
+        return cls(group.runs, np.concatenate(measured, axis=1), np.concatenate([_error(run.run) for run in group.runs], axis=1))
+
+    def computed(self, eight: Array, chosen: NDArray[np.intp]) -> Array:
+        """(..., n_chosen, n_plane of all runs) of coefficients (..., n_chosen, 8) at the *chosen* speeds."""
+        return np.concatenate([self._of_run(run, eight, chosen) for run in self.runs], axis=-1)
+
+    @staticmethod
+    def _of_run(run: ExcitedRun, eight: Array, chosen: NDArray[np.intp]) -> Array:
+        response = run.condensed.at(chosen).response(*as_matrices(eight))
+        return largest_displacement(response.reshape(*response.shape[:-1], -1, 2))
+
+    def objective(self, start: Array) -> Objective:
+        """F [m^2] of factors on *start* (n_speed, 8); problem number n belongs to speed n modulo n_speed."""
+
+        def squares(factors: Array, chosen: NDArray[np.intp]) -> Array:
+            place = chosen % start.shape[0]
+            return np.asarray(np.sum((self.computed(start[place] * factors, place) - self.measured[place]) ** 2, axis=-1))
+
+        return squares
+
+    def slopes(self, eight: Array) -> Array:
+        """Over the standard errors, (n_speed, n_plane of all runs, 8)."""
+        matrices = as_matrices(eight)
+        parts = [displacement_slopes(*run.condensed.response_and_slopes(*matrices)) for run in self.runs]
+        return np.concatenate(parts, axis=1) / self.error[..., None]
+
+
+def displacement_slopes(response: ComplexArray, slopes: ComplexArray) -> Array:
+    """Of the largest displacement of every plane, (..., n_plane, 8), from outputs (..., n_output) and their slopes (..., n_output, 8).
+
+    d |f| = Re(f* df) / |f| for both circles f = X +- jY of the orbit.
+    """
+    planes, by = response.reshape(*response.shape[:-1], -1, 2), slopes.reshape(*response.shape[:-1], -1, 2, slopes.shape[-1])
+    found = np.zeros((*planes.shape[:-1], slopes.shape[-1]))
+    for turn in (1j, -1j):
+        circle = planes[..., 0] + turn * planes[..., 1]
+        found += ((circle / np.abs(circle)).conj()[..., None] * (by[..., 0, :] + turn * by[..., 1, :])).real / 2
+    return found
+
+
+def _error(run: RunUp) -> Array:
+    """Standard error of the largest displacement (n_speed, n_plane) [m] from those of amplitudes and phases, to first order."""
+    x, y = run.response[..., 0], run.response[..., 1]
+    forward, backward = ((x + turn * y).conj() / np.abs(x + turn * y) for turn in (1j, -1j))
+    by = np.stack([forward + backward, 1j * (forward - backward)], axis=-1) / 2 * run.response / np.abs(run.response)
+    along, across = by.real * run.amplitude_error, by.imag * np.abs(run.response) * run.phase_error
+    return np.sqrt(np.sum(along**2 + across**2, axis=-1))
+
+
+def perfect_but_wrong(fits: Sequence[AmplitudeFit]) -> str:
+    """One sentence on all loads: how well the amplitudes are met, how many factors sit on a bound, and what that means."""
+    misfit = float(np.sqrt(np.mean(np.concatenate([fit.misfit for fit in fits]) ** 2)))
+    share = float(np.mean(np.concatenate([fit.at_bound.ravel() for fit in fits])))
+    ranks = sorted({int(rank) for fit in fits for rank in fit.rank})
+    seen = " or ".join(str(rank) for rank in ranks)
+    return (
+        f"the amplitudes are met within {100 * misfit:.2g} % (rms), yet they see only {seen} combinations of the eight coefficients; "
+        f"{100 * share:.0f} % of the factors lie on a bound, and the others are as arbitrary as the search's start"
+    )

@@ -1,0 +1,140 @@
+"""What the joint fit found, and what it predicts at any load: coefficients, critical speed and threshold with their intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.distributions import chi2_tail
+from labpipe.errors import FitError
+from labpipe.records.settings import Uncertain
+from labpipe.rigs.film_family import PARAMETERS, FilmFamily
+from labpipe.rigs.run_up_rotor import RunUpRotor
+from labpipe.rotors.threshold import CoefficientsAtSpeed
+
+# Below this probability chi-square rejects the family.
+REJECTED = 1e-3
+# Part of a load by which a prediction may lie outside those of the fit.
+LOAD_SLACK = 0.01
+# Step of a difference, in standard errors along each axis of the covariance.
+STEP = 0.5
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """Logarithms *values* (12,) of PARAMETERS about the rotor file's bearing, *covariance* (12, 12), at_bound (12,).
+
+    loads [N]: those of the fit; chi2, n_datum: of responses and thresholds together; n_effective: parameters that the data determine
+    against the priors; threshold_chi2, n_threshold: of the thresholds alone; rank, condition: of the data, in units of the priors;
+    held_by_priors: combinations that the priors decide, in words.
+    """
+
+    rig: RunUpRotor
+    family: FilmFamily
+    loads: tuple[float, ...]
+    values: Array
+    covariance: Array
+    at_bound: NDArray[np.bool_]
+    chi2: float
+    n_datum: int
+    n_effective: float
+    threshold_chi2: float
+    n_threshold: int
+    rank: int
+    condition: float
+    held_by_priors: tuple[str, ...]
+    steps: int
+
+    @property
+    def chi2_per_datum(self) -> float:
+        """chi-square over data less the parameters they determine; near one when the family holds the truth."""
+        return self.chi2 / (self.n_datum - self.n_effective)
+
+    @property
+    def chi2_p(self) -> float:
+        """Probability of a larger chi-square if the family held the truth."""
+        return chi2_tail(self.chi2, self.n_datum - self.n_effective)
+
+    @property
+    def rejected(self) -> bool:
+        """Whether chi-square says that the truth lies outside the family."""
+        return self.chi2_p < REJECTED
+
+    @property
+    def widening(self) -> float:
+        """Factor on all standard errors of predictions: sqrt(chi-square per datum), at least one."""
+        return float(np.sqrt(max(1.0, self.chi2_per_datum)))
+
+    @property
+    def share_at_bound(self) -> float:
+        return float(np.mean(self.at_bound))
+
+    @property
+    def std_error(self) -> Array:
+        """Posterior standard deviations of the logarithms (12,), widened; NaN at a bound."""
+        return np.where(self.at_bound, np.nan, np.sqrt(np.diag(self.covariance))) * self.widening
+
+    def parameter(self, name: str) -> Uncertain:
+        """The factor exp(value) on the rotor file's value, for the two slopes the exponent itself, with its standard error."""
+        n = PARAMETERS.index(name)
+        value, error = float(self.values[n]), float(self.std_error[n])
+        if name in ("viscosity_speed", "viscosity_load"):
+            return Uncertain(value, error)
+        return Uncertain(float(np.exp(value)), float(np.exp(value)) * error)
+
+    def at_load(self, load: float) -> CoefficientsAtSpeed:
+        """K and C (n_speed, 2, 2) as a function of speed [rad/s] under a *load* [N]."""
+        return self.family.at_load(self.values, load)
+
+    def coefficients(self, load: float, speed: Array) -> tuple[Array, Array]:
+        """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
+        speed = np.asarray(speed, np.float64)
+        eight, slopes = self.family.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
+        return eight, np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.covariance, slopes)) * self.widening
+
+    def critical_speed(self, load: float, plane: str = "") -> Uncertain:
+        """Speed [rad/s] of the largest displacement under the known unbalance, at the last plane unless named."""
+        return self._predicted(lambda values: self.rig.critical_speed(self.family.at_load(values, load), plane))
+
+    def threshold(self, load: float) -> Uncertain | None:
+        """Onset speed of instability [rad/s]; None when there is none below 6000 rpm."""
+        if self.rig.threshold(self.at_load(load)) is None:
+            return None
+        return self._predicted(lambda values: self._known_threshold(values, load))
+
+    def _known_threshold(self, values: Array, load: float) -> float:
+        found = self.rig.threshold(self.family.at_load(values, load))
+        if found is None:
+            raise FitError("the threshold speed leaves the range of the search within its own uncertainty", hint="it is above 6000 rpm")
+        return found
+
+    def caution(self, load: float) -> str:
+        """What a reader of a prediction at a *load* [N] must know beside its interval; empty where the interval says it all."""
+        parts = []
+        if self.rejected:
+            parts.append(
+                f"chi-square per datum is {self.chi2_per_datum:.1f}: the bearing is not of the fitted family, and the interval, though "
+                "widened, may miss the truth"
+            )
+        low, high = min(self.loads), max(self.loads)
+        if not low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
+            parts.append(
+                f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): the interval holds for bearings of the "
+                "fitted family only, and chi-square cannot tell beyond the measured loads"
+            )
+        return "; ".join(parts)
+
+    def _predicted(self, predict: Callable[[Array], float]) -> Uncertain:
+        """A prediction with its standard error: central differences along the axes of the covariance."""
+        sizes, axes = np.linalg.eigh(self.covariance)
+        variance = 0.0
+        for size, axis in zip(np.sqrt(np.maximum(sizes, 0)), axes.T, strict=True):
+            if size > 0:
+                change = STEP * size * axis
+                variance += ((predict(self.values + change) - predict(self.values - change)) / (2 * STEP)) ** 2
+        return Uncertain(predict(self.values), float(np.sqrt(variance)) * self.widening)

@@ -1,0 +1,142 @@
+"""Metamodels of the eight journal coefficients over load and speed: what takes their place where no run-up was measured.
+
+METAMODELS are fitted to coefficients on a grid (see `Grid`); the physical fit is the joint fit itself. All of them are asked in one way,
+are written as plain entries and read back, and are held against each other by leaving one load out after the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import ConfigError, DataError, FitError
+from labpipe.registry import nearest
+from labpipe.rigs.film_family import coefficient_errors
+from labpipe.run_ups.joint_result import LOAD_SLACK
+from labpipe.run_ups.metamodels_grid import Extent, Grid
+from labpipe.run_ups.metamodels_network import Network, fit_network
+from labpipe.run_ups.metamodels_physical import PhysicalFit, physical_without
+from labpipe.run_ups.metamodels_process import GaussianProcess, fit_process
+from labpipe.run_ups.metamodels_surface import ResponseSurface, fit_surface
+
+__all__ = [
+    "METAMODELS",
+    "Extent",
+    "GaussianProcess",
+    "Grid",
+    "LeftOut",
+    "Metamodel",
+    "Network",
+    "PhysicalFit",
+    "ResponseSurface",
+    "caution",
+    "fit_metamodel",
+    "from_entries",
+    "leave_one_load_out",
+    "physical_without",
+]
+
+# What is fitted to a grid, by name; every one takes the grid and a seed.
+METAMODELS: dict[str, Callable[[Grid, int], Metamodel]] = {"surface": fit_surface, "process": fit_process, "network": fit_network}
+READERS: dict[str, Callable[[Mapping[str, Any]], Metamodel]] = {
+    one.kind: one.from_entries for one in (ResponseSurface, GaussianProcess, Network, PhysicalFit)
+}
+
+Array = NDArray[np.floating]
+
+
+class Metamodel(Protocol):
+    """Coefficients (n_point, 8) [N/m, N s/m] over load [N] and speed [rad/s]."""
+
+    @property
+    def kind(self) -> str: ...
+    @property
+    def extent(self) -> Extent: ...
+    @property
+    def speeds(self) -> tuple[float, float]: ...
+    @property
+    def statement(self) -> str: ...
+    def predict(self, load: Array | float, speed: Array) -> Array: ...
+    def std_error(self, load: Array | float, speed: Array) -> Array: ...
+    def to_entries(self) -> dict[str, Any]: ...
+
+
+def fit_metamodel(kind: str, grid: Grid, seed: int = 0) -> Metamodel:
+    """One of METAMODELS on a grid; ConfigError with the nearest known name on a miss, or where what it needs is not installed."""
+    if kind not in METAMODELS:
+        raise ConfigError(f"no metamodel '{kind}'", hint=nearest(kind, METAMODELS))
+    return METAMODELS[kind](grid, seed)
+
+
+def from_entries(entries: Mapping[str, Any]) -> Metamodel:
+    """The metamodel of its `to_entries`; DataError where they are not those of one."""
+    kind = entries.get("kind") if isinstance(entries, Mapping) else None
+    if kind not in READERS:
+        raise DataError(f"these are not the entries of a metamodel: kind '{kind}'", hint=nearest(str(kind), READERS))
+    try:
+        found = READERS[kind](entries)
+        shape = found.predict(found.extent.loads[0], np.array([found.extent.speeds[0]])).shape
+    except (KeyError, TypeError, ValueError, IndexError, np.linalg.LinAlgError) as error:
+        raise DataError(f"the entries of this {kind} metamodel are damaged: {error}", hint="write it again from its run-ups") from error
+    if shape != (1, 8):
+        raise DataError(f"this {kind} metamodel does not give eight coefficients")
+    return found
+
+
+def caution(model: Metamodel, load: float) -> str:
+    """What must be said beside a prediction at a *load* [N]; empty within the loads of the fit."""
+    low, high = model.extent.loads
+    if low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
+        return ""
+    told = "its error holds for its own assumptions only" if model.kind in ("physical", "process") else "its error does not cover that"
+    return f"{load:.3g} N lies outside the loads of this metamodel ({low:.3g} to {high:.3g} N), which is carried on beyond them: {told}"
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """One metamodel fitted without one *load* [N], against the coefficients there: errors (8,) [-], rms over the rms coefficient.
+
+    *failed*: why it could not be fitted, then errors are NaN; *beyond*: the load is the lowest or the highest, so it was extrapolated.
+    """
+
+    kind: str
+    load: float
+    errors: Array
+    beyond: bool
+    failed: str = ""
+
+    @property
+    def rms(self) -> float:
+        """Over the eight coefficients [-]."""
+        return float(np.sqrt(np.mean(self.errors**2)))
+
+
+def leave_one_load_out(
+    grid: Grid, kinds: Iterable[str] = tuple(METAMODELS), physical: Callable[[float], Metamodel] | None = None, seed: int = 0
+) -> list[LeftOut]:
+    """Every kind without every load, against the grid's coefficients there.
+
+    *physical*: the physical fit without a load, see `physical_without`. Where a kind cannot be fitted without a load, the row says why.
+    """
+    rows = []
+    for load in grid.loads:
+        kept = grid.without(load) if len(grid.loads) > 1 else grid
+        for kind in kinds:
+            rows.append(_left_out(kind, grid, load, partial(fit_metamodel, kind, kept, seed)))
+        if physical is not None:
+            rows.append(_left_out(PhysicalFit.kind, grid, load, partial(physical, load)))
+    return rows
+
+
+def _left_out(kind: str, grid: Grid, load: float, fitted: Callable[[], Metamodel]) -> LeftOut:
+    beyond, there = load in (grid.loads[0], grid.loads[-1]), grid.only(load)
+    try:
+        errors = coefficient_errors(fitted().predict(there.load, there.speed), there.eight)
+    except FitError as error:
+        return LeftOut(kind, load, np.full(8, np.nan), beyond, error.what)
+    return LeftOut(kind, load, errors, beyond)

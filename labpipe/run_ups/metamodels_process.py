@@ -1,0 +1,127 @@
+"""Gaussian process of every coefficient over load and speed: a plane with a smooth field about it.
+
+y (less its mean, over its standard deviation) has the covariance p^2 (1 + w w' + s s') + a^2 exp(-((w - w') / l_w)^2 / 2 - ((s - s') /
+l_s)^2 / 2), w and s coded to -1 to 1, and noise n^2 (Rasmussen and Williams 2006, sections 2.2, 2.7 and 5.4.1). a, l_w, l_s and n of each
+coefficient maximise the marginal likelihood times log-normal priors of theirs (HYPER); p is PLANE.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, optimize
+
+from labpipe.run_ups.metamodels_grid import Extent, Grid
+
+PLANE = 3.0
+# Medians and standard deviations of the logarithms of a, l_w, l_s and n.
+HYPER = ((0.7, 1.0), (1.0, 0.7), (0.7, 0.7), (0.05, 1.5))
+SEARCH = {"xatol": 0.02, "fatol": 0.02, "maxfev": 200}
+# Added to the diagonal, so that a covariance of close points can be decomposed.
+JITTER = 1e-9
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class GaussianProcess:
+    """grid: what it was fitted to; hyper (8, 4): a, l_w, l_s, n of every coefficient; factors, weights: of their covariances."""
+
+    grid: Grid
+    extent: Extent
+    hyper: Array
+    factors: tuple[Array, ...]
+    weights: Array
+
+    kind: ClassVar[str] = "process"
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Range of speeds [rad/s] that it holds for."""
+        return self.extent.speeds
+
+    @classmethod
+    def of(cls, grid: Grid, hyper: Array) -> GaussianProcess:
+        extent = Extent.of(grid)
+        coded, scaled = extent.coded(grid.load, grid.speed), _scaled(grid)
+        factors = tuple(_factor(coded, one) for one in hyper)
+        weights = [linalg.cho_solve((factor, True), column) for factor, column in zip(factors, scaled.T, strict=True)]
+        return cls(grid, extent, hyper, factors, np.array(weights))
+
+    @property
+    def statement(self) -> str:
+        """Lengths and noise that the marginal likelihood chose, in words; medians over the eight coefficients."""
+        (first, last), (low, high) = self.extent.loads, self.extent.speeds
+        load, speed, noise = np.median(self.hyper[:, 1:], axis=0) * [(last - first) / 2, (high - low) / 2, 1.0]
+        return (
+            f"a plane and a smooth field, alike over {load:.2g} N and {speed * 30 / np.pi:.0f} rpm, with a noise of {100 * noise:.2g} % of "
+            "the standard deviation (medians over the eight coefficients)"
+        )
+
+    def predict(self, load: Array | float, speed: Array) -> Array:
+        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
+        places, known = self.extent.coded(load, speed), self.extent.coded(self.grid.load, self.grid.speed)
+        scaled = [_covariance(places, known, one) @ weights for one, weights in zip(self.hyper, self.weights, strict=True)]
+        middle, deviation = _scale(self.grid)
+        return middle + deviation * np.stack(scaled, axis=-1)
+
+    def std_error(self, load: Array | float, speed: Array) -> Array:
+        """Of a new point (n_point, 8), its noise with it."""
+        places, known = self.extent.coded(load, speed), self.extent.coded(self.grid.load, self.grid.speed)
+        columns = []
+        for one, factor in zip(self.hyper, self.factors, strict=True):
+            explained = linalg.solve_triangular(factor, _covariance(known, places, one), lower=True)
+            own = PLANE**2 * (1 + np.sum(places**2, axis=-1)) + one[0] ** 2 + one[3] ** 2
+            columns.append(np.sqrt(np.maximum(own - np.sum(explained**2, axis=0), one[3] ** 2)))
+        return np.asarray(_scale(self.grid)[1] * np.stack(columns, axis=-1))
+
+    def to_entries(self) -> dict[str, Any]:
+        arrays = {"load": self.grid.load, "speed": self.grid.speed, "eight": self.grid.eight, "hyper": self.hyper}
+        return {"kind": self.kind, **self.extent.to_entries(), **{name: array.tolist() for name, array in arrays.items()}}
+
+    @classmethod
+    def from_entries(cls, entries: Mapping[str, Any]) -> GaussianProcess:
+        load, speed, eight, hyper = (np.array(entries[name], np.float64) for name in ("load", "speed", "eight", "hyper"))
+        return cls.of(Grid(load, speed, eight), hyper)
+
+
+def fit_process(grid: Grid, seed: int = 0) -> GaussianProcess:  # noqa: ARG001 one signature for all kinds
+    """Deterministic: a simplex search of the four hyperparameters of each coefficient from the medians of their priors."""
+    coded = Extent.of(grid).coded(grid.load, grid.speed)
+    return GaussianProcess.of(grid, np.array([_likeliest(coded, column) for column in _scaled(grid).T]))
+
+
+def _likeliest(coded: Array, scaled: Array) -> Array:
+    median, deviation = (np.array(column) for column in zip(*HYPER, strict=True))
+
+    def cost(parts: NDArray[np.float64]) -> float:
+        factor = _factor(coded, median * np.exp(deviation * parts))
+        whitened = linalg.solve_triangular(factor, scaled, lower=True)
+        return float((whitened @ whitened + parts @ parts) / 2 + np.sum(np.log(np.diag(factor))))
+
+    options: Any = {"initial_simplex": np.concatenate([np.zeros((1, 4)), np.eye(4)]), **SEARCH}
+    found = optimize.minimize(cost, np.zeros(4), method="Nelder-Mead", options=options)
+    return np.asarray(median * np.exp(deviation * found.x))
+
+
+def _covariance(first: Array, second: Array, hyper: Array) -> Array:
+    difference = (first[:, None, :] - second[None, :, :]) / hyper[1:3]
+    return np.asarray(PLANE**2 * (1 + first @ second.T) + hyper[0] ** 2 * np.exp(-0.5 * np.sum(difference**2, axis=-1)))
+
+
+def _factor(coded: Array, hyper: Array) -> Array:
+    return np.linalg.cholesky(_covariance(coded, coded, hyper) + (hyper[3] ** 2 + JITTER) * np.eye(coded.shape[0]))
+
+
+def _scale(grid: Grid) -> tuple[Array, Array]:
+    deviation = grid.eight.std(axis=0)
+    return grid.eight.mean(axis=0), np.where(deviation > 0, deviation, 1.0)
+
+
+def _scaled(grid: Grid) -> Array:
+    middle, deviation = _scale(grid)
+    return (grid.eight - middle) / deviation

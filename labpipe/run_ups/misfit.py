@@ -1,0 +1,144 @@
+"""Run-ups against coefficients: weighted residuals with analytic slopes, and what a set of run-ups can and cannot tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import DataError
+from labpipe.records.run_up import RunUp
+from labpipe.rigs.film_family import COEFFICIENTS, as_matrices
+from labpipe.rigs.run_up_rotor import RunUpRotor
+from labpipe.rotors.pinned import CondensedRotor
+
+# Singular values below this part of the largest count as zero: far above rounding, far below anything measured.
+RANK_TOLERANCE = 1e-7
+
+Array = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
+
+
+@dataclass(frozen=True)
+class ExcitedRun:
+    """A run and the rotor condensed under its excitation; made once, asked at every step of a fit."""
+
+    run: RunUp
+    condensed: CondensedRotor
+
+    @classmethod
+    def of(cls, rig: RunUpRotor, run: RunUp) -> ExcitedRun:
+        return cls(run, rig.excited(run))
+
+    @property
+    def n_equation(self) -> int:
+        """Real equations per speed."""
+        return 4 * len(self.run.planes)
+
+    def residual(self, coefficients: Array) -> Array:
+        """Computed less measured over the standard errors, (n_speed, n_equation); *coefficients* (n_speed, 8) [N/m, N s/m]."""
+        return self._weighted(self.condensed.response(*as_matrices(coefficients)) - self._measured)
+
+    def residual_and_slopes(self, coefficients: Array) -> tuple[Array, Array]:
+        """`residual` and its derivatives by the eight coefficients, (n_speed, n_equation, 8)."""
+        response, slopes = self.condensed.response_and_slopes(*as_matrices(coefficients))
+        return self._weighted(response - self._measured), np.moveaxis(self._weighted(np.moveaxis(slopes, -1, 0)), 0, -1)
+
+    @property
+    def _measured(self) -> ComplexArray:
+        return self.run.response.reshape(self.run.n_speed, -1)
+
+    def _weighted(self, difference: ComplexArray) -> Array:
+        """Along the measured phasor over the error of its amplitude, across it over the amplitude times the error of its phase."""
+        run, shape = self.run, (self.run.n_speed, -1)
+        size = np.abs(self._measured)
+        turned = difference * (self._measured / size).conj()
+        along = turned.real / run.amplitude_error.reshape(shape)
+        across = turned.imag / (size * run.phase_error.reshape(shape))
+        return np.concatenate([along, across], axis=-1)
+
+
+@dataclass(frozen=True)
+class LoadRuns:
+    """All runs of one load, at the speeds that they share: what determines the coefficients of these points."""
+
+    load: float
+    speed: Array
+    runs: tuple[ExcitedRun, ...]
+
+    def residual_and_slopes(self, coefficients: Array) -> tuple[Array, Array]:
+        """Of all runs, (n_speed, n_equation) and (n_speed, n_equation, 8)."""
+        parts = [run.residual_and_slopes(coefficients) for run in self.runs]
+        return np.concatenate([part[0] for part in parts], axis=1), np.concatenate([part[1] for part in parts], axis=1)
+
+
+def runs_by_load(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
+    """The runs grouped by load, in order; DataError where runs of one load share no speed."""
+    groups: dict[float, list[RunUp]] = {}
+    for run in runs:
+        groups.setdefault(run.load, []).append(run)
+    if not groups:
+        raise DataError("there is no run-up", hint="give at least one")
+    return [_grouped(rig, load, group) for load, group in groups.items()]
+
+
+def _grouped(rig: RunUpRotor, load: float, group: Sequence[RunUp]) -> LoadRuns:
+    """Speeds are the same when they agree to a millionth."""
+    shared = group[0].speed
+    for run in group[1:]:
+        shared = shared[np.min(np.abs(shared[:, None] / run.speed - 1), axis=1) < 1e-6]
+    if shared.size == 0:
+        names = ", ".join(run.name for run in group)
+        raise DataError(f"the runs {names} under {load:.4g} N share no speed", hint="measure them at the same speeds")
+    return LoadRuns(load, shared, tuple(ExcitedRun.of(rig, _at_speeds(run, shared)) for run in group))
+
+
+def _at_speeds(run: RunUp, speed: Array) -> RunUp:
+    chosen = np.array([int(np.argmin(np.abs(run.speed - one))) for one in speed])
+    return RunUp(
+        run.name,
+        run.load,
+        run.speed[chosen],
+        run.planes,
+        run.response[chosen],
+        run.amplitude_error[chosen],
+        run.phase_error[chosen],
+        run.unbalance,
+        run.shaker,
+        run.threshold,
+    )
+
+
+def rank_of(slopes: Array) -> tuple[NDArray[np.intp], Array]:
+    """Rank (...) and condition number (...) within that rank of Jacobians (..., n_equation, n_parameter)."""
+    singular = np.linalg.svd(slopes, compute_uv=False)
+    kept = singular > RANK_TOLERANCE * singular[..., :1]
+    rank = kept.sum(axis=-1)
+    smallest = np.take_along_axis(singular, rank[..., None] - 1, axis=-1)[..., 0]
+    return rank, singular[..., 0] / smallest
+
+
+def scales(start: Array) -> Array:
+    """What a change of each coefficient is measured against, (..., 8), of start values (..., 8).
+
+    Its own start value, but at least a fifth of the mean direct one: K_yx crosses zero, and a share of nothing is nothing.
+    """
+    direct = np.sqrt(np.abs(start[..., [0, 4]] * start[..., [3, 7]]))
+    return np.maximum(np.abs(start), 0.2 * np.repeat(direct, 4, axis=-1))
+
+
+def in_words(names: Sequence[str], direction: Array, least: float = 0.2) -> str:
+    """A combination of parameters: "clearance +1.00, viscosity +2.00" where these move together; parts below *least* are left out."""
+    direction = direction / direction[np.argmax(np.abs(direction))]
+    parts = [f"{names[n]} {direction[n]:+.2f}" for n in np.argsort(-np.abs(direction), kind="stable") if abs(direction[n]) >= least]
+    return ", ".join(parts)
+
+
+def unseen_combinations(slopes: Array, names: Sequence[str] = COEFFICIENTS) -> tuple[str, ...]:
+    """The directions (n_parameter,) that a Jacobian (n_equation, n_parameter) does not see, in words."""
+    _, singular, rows = np.linalg.svd(slopes, full_matrices=True)
+    whole = np.zeros(rows.shape[0])
+    whole[: singular.size] = singular
+    return tuple(in_words(names, row) for row, size in zip(rows, whole, strict=True) if size <= RANK_TOLERANCE * whole[0])

@@ -1,0 +1,104 @@
+"""Smooth fields over load and speed with a Gaussian process before any run-up is seen, and the film's family times such fields.
+
+g_i(W, Omega), i one of the eight coefficients, are independent with mean zero and the covariance
+
+    k = s^2 exp(-((W - W') / l_W)^2 / 2 - ((Omega - Omega') / l_Omega)^2 / 2)
+
+(Rasmussen and Williams 2006, eq. 5.1). Between the places of the data they are g_i = b(W, Omega) z_i, z of unit variance a priori, b from
+the eigenvectors of k over these places; what b leaves of the variance elsewhere is kept as *unexplained*.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.rigs.film_family import PARAMETERS, FilmFamily, as_matrices
+from labpipe.rotors.threshold import CoefficientsAtSpeed
+
+# Eigenvalues of the covariance below this part of the largest are left to the unexplained variance.
+LEAST_EIGENVALUE = 1e-7
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class SquaredExponential:
+    """*size* s [-], *load* l_W [N] and *speed* l_Omega [rad/s]."""
+
+    size: float
+    load: float
+    speed: float
+
+    def covariance(self, first: Array, second: Array) -> Array:
+        """k (n_first, n_second) between places (n, 2) of load and speed."""
+        difference = (first[:, None, :] - second[None, :, :]) / np.array([self.load, self.speed])
+        return np.asarray(self.size**2 * np.exp(-0.5 * np.sum(difference**2, axis=-1)))
+
+
+@dataclass(frozen=True)
+class SmoothField:
+    """Fields of one *kernel* on the *places* (n_place, 2) of the data; *weights* (n_place, n_mode): U / sqrt(eigenvalue)."""
+
+    kernel: SquaredExponential
+    places: Array
+    weights: Array
+
+    @classmethod
+    def of(cls, kernel: SquaredExponential, places: Array) -> SmoothField:
+        sizes, vectors = np.linalg.eigh(kernel.covariance(places, places))
+        kept = sizes > LEAST_EIGENVALUE * sizes[-1]
+        return cls(kernel, places, vectors[:, kept] / np.sqrt(sizes[kept]))
+
+    @property
+    def n_mode(self) -> int:
+        return int(self.weights.shape[1])
+
+    def basis(self, places: Array) -> Array:
+        """b (n_point, n_mode) at places (n_point, 2)."""
+        return np.asarray(self.kernel.covariance(places, self.places) @ self.weights)
+
+    def unexplained(self, places: Array) -> Array:
+        """Covariance (n_point, n_point) of every field that no z describes."""
+        basis = self.basis(places)
+        return np.asarray(self.kernel.covariance(places, places) - basis @ basis.T)
+
+
+@dataclass(frozen=True)
+class ProcessFamily:
+    """The coefficients of a *family* times exp(g_i); parameters: the family's twelve, then z (8, n_mode) row by row."""
+
+    family: FilmFamily
+    field: SmoothField
+
+    @property
+    def n_parameter(self) -> int:
+        return len(PARAMETERS) + 8 * self.field.n_mode
+
+    def factors(self, values: Array, load: Array | float, speed: Array) -> Array:
+        """exp(g), (n_point, 8)."""
+        basis = self.field.basis(places_of(load, speed))
+        return np.asarray(np.exp(basis @ values[len(PARAMETERS) :].reshape(8, -1).T))
+
+    def coefficients(self, values: Array, load: Array | float, speed: Array) -> Array:
+        """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table."""
+        return self.family.coefficients(values[: len(PARAMETERS)], load, speed) * self.factors(values, load, speed)
+
+    def coefficients_and_slopes(self, values: Array, load: Array, speed: Array) -> tuple[Array, Array]:
+        """`coefficients` and their derivatives by all parameters, (n_point, 8, n_parameter)."""
+        own, by_family = self.family.coefficients_and_slopes(values[: len(PARAMETERS)], load, speed)
+        factors = self.factors(values, load, speed)
+        eight = own * factors
+        by_field = np.einsum("pi,ij,pm->pijm", eight, np.eye(8), self.field.basis(places_of(load, speed)))
+        return eight, np.concatenate([by_family * factors[..., None], by_field.reshape(*eight.shape, -1)], axis=-1)
+
+    def at_load(self, values: Array, load: float) -> CoefficientsAtSpeed:
+        """K and C (n_speed, 2, 2) as a function of speed."""
+        return lambda speed: as_matrices(self.coefficients(values, load, speed))
+
+
+def places_of(load: Array | float, speed: Array) -> Array:
+    """Places (n_point, 2) of loads [N] and speeds [rad/s]."""
+    return np.stack(np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64)), axis=-1).reshape(-1, 2)

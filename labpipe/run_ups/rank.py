@@ -1,0 +1,118 @@
+"""What run-ups can tell of the eight coefficients at one load and speed: rank, condition, and the combinations no run-up sees.
+
+A round shaft under any unbalance moves its journal along one and the same complex vector (x_b, y_b): two complex equations. Amplitudes
+alone give one number per disc. Only a force that does not turn with the shaft moves the journal along another vector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.records.run_up import RunUp, Shaker
+from labpipe.rigs.film_family import as_eight
+from labpipe.rigs.run_up_rotor import RunUpRotor
+from labpipe.run_ups.misfit import rank_of, scales, unseen_combinations
+
+Array = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
+
+AMPLITUDES = "amplitudes at the planes"
+COMPLEX = "amplitude and phase in both directions"
+SECOND = "the same, with a second unbalance run"
+SHAKEN = "the same, with a run under a force that does not turn"
+SEEN = (
+    "the journal moves along one vector (x_b, y_b), so that only (k_xx + j Omega c_xx) x_b + (k_xy + j Omega c_xy) y_b and the same sum "
+    "of the y row are seen"
+)
+WORDS = {
+    2: "one number per plane is seen; six combinations of the eight coefficients are free",
+    4: f"{SEEN}; four combinations of the eight coefficients are free",
+    8: "all eight coefficients are determined",
+}
+ADVICE = "a second unbalance run adds no rank, a non-rotating shaker run does"
+
+
+@dataclass(frozen=True)
+class RankStatement:
+    """*rank* of the eight unknowns from a set of *data*; *condition* within the rank; *words* on what is seen, *free*: each combination
+    that is not, in parts of the coefficients' own sizes; *advice* on the experiment, where there is one."""
+
+    data: str
+    rank: int
+    condition: float
+    words: str
+    free: tuple[str, ...]
+    advice: str = ""
+
+
+def rank_statements(rig: RunUpRotor, load: float, speed: float, coefficients: Array | None = None) -> tuple[RankStatement, ...]:
+    """The four statements for amplitudes, complex amplitudes, a second unbalance, and a shaker, at one *load* [N] and *speed* [rad/s].
+
+    *coefficients* (8,) [N/m, N s/m]: about which, those of the rotor file unless given. Nothing measured is needed.
+    """
+    place = np.array([speed])
+    eight = as_eight(*rig.start_coefficients(load, place)) if coefficients is None else np.asarray(coefficients, np.float64)[None]
+    unit = scales(eight)[0]
+    first = _slopes(rig, place, eight, rig.known_unbalance) * unit
+    other = rig.plane_names[-1]
+    second = _slopes(rig, place, eight, {other: 1j * max(abs(size) for size in rig.known_unbalance.values())}) * unit
+    shaker = _slopes(rig, place, eight, None) * unit
+    both = np.concatenate([first, second])
+    return (
+        _statement(AMPLITUDES, _amplitude_slopes(rig, place, eight) * unit),
+        _statement(COMPLEX, first),
+        _statement(SECOND, both, ADVICE),
+        _statement(SHAKEN, np.concatenate([both, shaker])),
+    )
+
+
+def measured_statement(rig: RunUpRotor, runs: Iterable[RunUp], load: float, speed: float) -> RankStatement:
+    """The statement for the *runs* at hand (of one load, at one speed), with the advice where a second unbalance brought nothing."""
+    runs = list(runs)
+    place = np.array([speed])
+    eight = as_eight(*rig.start_coefficients(load, place))
+    unit = scales(eight)[0]
+    parts = [_slopes(rig, place, eight, run.unbalance if run.shaker is None else None, run.shaker) * unit for run in runs]
+    named = ", ".join(run.name for run in runs)
+    without_shaker = len(runs) > 1 and all(run.shaker is None for run in runs)
+    return _statement(named, np.concatenate(parts), ADVICE if without_shaker else "")
+
+
+def _statement(data: str, slopes: Array, advice: str = "") -> RankStatement:
+    rows = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
+    found, condition = rank_of(rows)
+    rank = int(found)
+    words = WORDS.get(rank, f"{rank} combinations of the eight coefficients are seen")
+    return RankStatement(data, rank, float(condition), words, unseen_combinations(rows), advice)
+
+
+def _slopes(rig: RunUpRotor, speed: Array, eight: Array, unbalance: Mapping[str, complex] | None, shaker: Shaker | None = None) -> Array:
+    """Of real and imaginary parts (4 n_plane, 8), under an unbalance or, without one, a force along x at the first plane."""
+    _, slopes = _response(rig, speed, eight, unbalance, shaker)
+    return np.concatenate([slopes.real, slopes.imag])
+
+
+def _response(
+    rig: RunUpRotor, speed: Array, eight: Array, unbalance: Mapping[str, complex] | None, shaker: Shaker | None = None
+) -> tuple[ComplexArray, ComplexArray]:
+    shape = (1, len(rig.planes), 2)
+    force = None if unbalance else shaker or Shaker(rig.plane_names[0], 1.0, 0.0)
+    run = RunUp("", 1.0, speed, rig.plane_names, np.ones(shape, np.complex128), np.ones(shape), np.ones(shape), unbalance or {}, force)
+    split = eight.reshape(1, 2, 2, 2)
+    response, slopes = rig.excited(run).response_and_slopes(split[:, 0], split[:, 1])
+    return response[0], slopes[0]
+
+
+def _amplitude_slopes(rig: RunUpRotor, speed: Array, eight: Array) -> Array:
+    """Of the largest displacement of every plane, (n_plane, 8): d |f| = Re(f* df) / |f| for both circles of the orbit."""
+    response, slopes = _response(rig, speed, eight, rig.known_unbalance)
+    response, slopes = response.reshape(-1, 2), slopes.reshape(-1, 2, 8)
+    found = np.zeros((response.shape[0], 8))
+    for turn in (1j, -1j):
+        circle = response[:, 0] + turn * response[:, 1]
+        found += ((circle / np.abs(circle)).conj()[:, None] * (slopes[:, 0] + turn * slopes[:, 1])).real / 2
+    return found

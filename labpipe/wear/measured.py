@@ -1,0 +1,127 @@
+"""The part of a measured response that a wear identification uses: its frame, its lines and its terms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import ConfigError, DataError, FitError
+from labpipe.identify.measured import Measured, measured_part
+from labpipe.identify.settings import FitSettings
+from labpipe.identify.setup import labels
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.spectra.bands import lines_in
+from labpipe.spectra.directional import FORWARD_BACKWARD, FROM_DIRECTIONAL, directions
+from labpipe.spectra.matrices import without_rounding
+from labpipe.spectra.peaks import half_power
+from labpipe.wear.settings import WearSettings
+
+# Terms of the matrix in row-major order: yy yz zy zz, or ff fb bf bb.
+PLACES = {"full": (0, 1, 2, 3), "direct": (0, 3), "cross": (1, 2)}
+NAMES = {"FRF": ("y", "z"), "dFRF": FORWARD_BACKWARD}
+
+ComplexArray = NDArray[np.complexfloating]
+
+
+@dataclass(frozen=True)
+class WornData:
+    """The measured receptance on the fit's lines in its frame, *measured* (n_line, 2, 2), and the *places* of the terms used."""
+
+    measured: Measured
+    places: tuple[int, ...]
+    names: tuple[str, str]
+
+    @property
+    def frequency(self) -> NDArray[np.floating]:
+        """(n_line,) [Hz]."""
+        return self.measured.omega / (2 * np.pi)
+
+    def terms(self, matrix: ComplexArray) -> ComplexArray:
+        """The terms used of matrices (..., n_line, 2, 2), as (..., n_line, n_term, 1)."""
+        flat = matrix.reshape(*matrix.shape[:-2], 4)
+        return flat[..., list(self.places)][..., None]
+
+    @property
+    def chosen(self) -> Measured:
+        """The measured terms as one column, with their covariance."""
+        measured, index = self.measured, list(self.places)
+        covariance = None if measured.covariance is None else measured.covariance[:, index][:, :, index]
+        return replace(measured, matrix=self.terms(measured.matrix), covariance=covariance)
+
+
+def worn_data(response: FrequencyResponse, settings: FitSettings, wear: WearSettings) -> WornData:
+    """Lines, frame and terms of a fit; ConfigError where they do not fit the response, FitError where nothing is left."""
+    left, right = _turn(response, wear.response)
+    lines = _lines(response, settings.band, wear)
+    measured = measured_part(response, [0, 1], [0, 1], lines)
+    turn = np.kron(left, right.T)
+    covariance = None if measured.covariance is None else without_rounding(turn @ measured.covariance @ turn.conj().T)
+    turned = replace(measured, matrix=left @ measured.matrix @ right, covariance=covariance)
+    return WornData(turned, PLACES[wear.terms], NAMES[wear.response])
+
+
+def _turn(response: FrequencyResponse, frame: str) -> tuple[ComplexArray, ComplexArray]:
+    """L and R of L H R, from the response's own frame to the fit's."""
+    if len(response.outputs) != 2 or len(response.inputs) != 2:
+        found = f"responses {labels(response.outputs)}, forces {labels(response.inputs)}"
+        raise ConfigError(f"worn-bearing takes two responses and two forces, found {found}", hint="excite in y, then in z")
+    left = np.linalg.inv(_sensing(response.outputs))
+    right = np.linalg.inv(_forcing(response.inputs))
+    if frame == "dFRF":
+        return np.linalg.inv(FROM_DIRECTIONAL) @ left, right @ FROM_DIRECTIONAL
+    return left, right
+
+
+def _sensing(ports: tuple[Port, ...]) -> ComplexArray:
+    """P of (responses) = P (y, z): directions of the sensors, or A^-1 of forward and backward."""
+    if _is_directional(ports):
+        return np.linalg.inv(FROM_DIRECTIONAL)
+    return _in_yz(ports, "responses")
+
+
+def _forcing(ports: tuple[Port, ...]) -> ComplexArray:
+    """Q of (force in y and z) = Q (forces): directions of the forces as columns, or A of forward and backward."""
+    return FROM_DIRECTIONAL if _is_directional(ports) else _in_yz(ports, "forces").T
+
+
+def _is_directional(ports: tuple[Port, ...]) -> bool:
+    return tuple(port.label for port in ports) == FORWARD_BACKWARD
+
+
+def _in_yz(ports: tuple[Port, ...], what: str) -> ComplexArray:
+    """Rows (part along y, part along z): of dofs named y and z, else by angle, from horizontal (x, 0 deg) to up (y, 90 deg)."""
+    dofs = tuple(port.dof for port in ports)
+    if set(dofs) == {"y", "z"}:
+        return np.array([[dof == "y", dof == "z"] for dof in dofs], np.complex128)
+    try:
+        return directions(ports, what).astype(np.complex128)
+    except DataError as error:
+        raise ConfigError(error.what, hint="give dof: y (horizontal) and dof: z (up), or angles from horizontal") from None
+
+
+def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: WearSettings) -> NDArray[np.bool_]:
+    """Which lines of the response are used, (n_frequency,)."""
+    inside = lines_in(response.frequency, band)
+    if wear.lines:
+        return _explicit(response.frequency, wear.lines)
+    if wear.half_power:
+        size = np.sqrt(np.sum(np.abs(response.matrix) ** 2, axis=(1, 2)))
+        peaks = [half_power(response.frequency, size.astype(np.complex128), around) for around in wear.half_power]
+        inside &= np.any([lines_in(response.frequency, (peak.low, peak.high)) for peak in peaks], axis=0)
+    if not np.any(inside):
+        raise FitError("no frequency line is left", hint="widen the band")
+    return inside
+
+
+def _explicit(frequency: NDArray[np.floating], wanted: tuple[float, ...]) -> NDArray[np.bool_]:
+    """The measured lines next to the wanted ones; ConfigError where none is within half a line spacing."""
+    nearest = np.array([int(np.argmin(np.abs(frequency - line))) for line in wanted])
+    spacing = float(np.median(np.diff(frequency))) if frequency.size > 1 else 0.0
+    for line, found in zip(wanted, frequency[nearest], strict=True):
+        if abs(line - found) > 0.51 * spacing:
+            raise ConfigError(f"there is no line near {line:g} Hz; the nearest is {found:g} Hz", hint="is it masked or out of the band?")
+    chosen = np.zeros(frequency.shape, bool)
+    chosen[nearest] = True
+    return chosen

@@ -1,0 +1,175 @@
+"""Coefficients of the bearings of a rotor as functions of wear, viscosity, clearance and cavitation pressure.
+
+Tables are made once per bearing, load, speed, range and mesh, and kept: the fits of a pipeline share them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.bearings.journal import JournalBearing, JournalEquilibrium, journal_equilibrium
+from labpipe.bearings.journal_mesh import FilmMesh
+from labpipe.bearings.journal_table import PARAMETERS, JournalTable, TableRange, journal_table
+from labpipe.errors import ConfigError
+from labpipe.rigs.rotor_rig import BearingPlace
+from labpipe.rotors.parts import Support
+from labpipe.rotors.worn import VaryingSupport
+
+# Nodes of depth and angle by the number of further axes. Tables lead the search; the films themselves settle what it finds.
+WEAR_NODES = ((41, 9), (21, 7), (13, 5))
+# A table of a bearing without wear still has axes for it; only the row of zero depth is used.
+SHALLOW, FEWEST = 1e-6, 4
+WEAR = ("wear_depth", "wear_angle")
+# Steps of the film's differences: depth [m], angle [rad], viscosity and clearance relative, cavitation pressure [Pa].
+STEPS = {"wear_depth": 1e-6, "wear_angle": float(np.deg2rad(1.0)), "viscosity": 0.01, "clearance": 0.01, "cavitation_pressure": 2e3}
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """What the tables must cover: factors of viscosity and clearance up and down, lowest cavitation pressure [Pa]; wear limits."""
+
+    depth: float
+    angle: float
+    viscosity_factor: float = 1.0
+    clearance_factor: float = 1.0
+    cavitation_pressure: float = 0.0
+
+    @property
+    def wide(self) -> bool:
+        """Whether more than the wear varies."""
+        return self.viscosity_factor > 1 or self.clearance_factor > 1 or self.cavitation_pressure < 0
+
+    def of_table(self, worn: bool) -> TableRange:
+        """The table's axes, of a worn bearing or of one without wear."""
+        further = (self.viscosity_factor > 1 or self.clearance_factor > 1) + (self.cavitation_pressure < 0)
+        nodes = WEAR_NODES[further] if worn else (FEWEST, FEWEST)
+        return TableRange(
+            self.depth if worn else SHALLOW,
+            self.angle,
+            self.viscosity_factor,
+            self.clearance_factor,
+            self.cavitation_pressure,
+            *nodes,
+            FEWEST,
+            FEWEST,
+        )
+
+
+def _of_table(table: JournalTable, bearing: JournalBearing, speed: float) -> tuple[Array, Array]:
+    """Stiffness and damping (2, 2, 2) of a table, and their derivatives (2, 5, 2, 2) by PARAMETERS."""
+    found = table.coefficients(bearing, speed)
+    return np.stack([found.stiffness, found.damping]), np.stack([found.stiffness_slopes, found.damping_slopes])
+
+
+def _point(bearing: JournalBearing) -> Array:
+    return np.array([getattr(bearing, name) for name in PARAMETERS])
+
+
+def _film_slope(film: JournalEquilibrium, name: str) -> Array:
+    """Derivatives of stiffness and damping (2, 2, 2) by one parameter, by a difference wide enough for a film of finite cells."""
+    here = float(getattr(film.bearing, name))
+    step = STEPS[name] * (here if name in ("viscosity", "clearance") else 1.0)
+    ends = [here + step, here - step]
+    if name == "wear_depth":
+        ends[1] = max(ends[1], 0.0)
+    if name == "cavitation_pressure":
+        ends[0] = min(ends[0], 0.0)
+    films = [journal_equilibrium(replace(film.bearing, **{name: end}), film.load, film.speed, film.mesh, film) for end in ends]
+    change = np.array([films[0].stiffness - films[1].stiffness, films[0].damping - films[1].damping])
+    slope: Array = change / (ends[0] - ends[1])
+    return slope
+
+
+@lru_cache(maxsize=32)
+def kept_table(bearing: JournalBearing, load: tuple[float, float], speed: float, ranges: TableRange, mesh: FilmMesh) -> JournalTable:
+    """The table of a bearing under its load [N] at *speed* [rad/s]; made at the first call."""
+    return journal_table(bearing, load, speed, ranges, mesh)
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What the film has more than the table near one point: *offset* (2, 2, 2), stiffness and damping, and its *slopes*.
+
+    point (5,): PARAMETERS of the bearing there; slopes (2, 5, 2, 2): of stiffness and damping, by each of them.
+    """
+
+    point: Array
+    offset: Array
+    slopes: Array
+
+    def at(self, point: Array) -> Array:
+        """The correction of stiffness and damping (2, 2, 2) at another point nearby."""
+        moved: Array = self.offset + np.einsum("kpij,p->kij", self.slopes, point - self.point)
+        return moved
+
+
+@dataclass(frozen=True)
+class TabledBearing:
+    """A bearing on its node with its table; None: a bearing that nothing varies, with its coefficients in *fixed*."""
+
+    place: BearingPlace
+    load: tuple[float, float]
+    speed: float
+    worn: bool
+    table: JournalTable | None
+    fixed: Support | None = None
+    correction: Correction | None = None
+
+    def support(self, values: Mapping[str, float], names: tuple[str, ...]) -> VaryingSupport:
+        """Coefficients at *values* by name (SI units), with their derivatives by the parameters *names*."""
+        if self.table is None:
+            assert self.fixed is not None
+            return VaryingSupport(self.fixed, *np.zeros((2, len(names), 2, 2)))
+        bearing = self._bearing(values)
+        matrices, by_parameter = _of_table(self.table, bearing, self.speed)
+        if self.correction is not None:
+            matrices = matrices + self.correction.at(_point(bearing))
+            by_parameter += self.correction.slopes
+        slopes = np.zeros((2, len(names), 2, 2))
+        for number, name in enumerate(names):
+            if name in PARAMETERS and (self.worn or name not in WEAR):
+                slopes[:, number] = by_parameter[:, PARAMETERS.index(name)]
+        return VaryingSupport(Support(self.place.node, *matrices), *slopes)
+
+    def refined(self, values: Mapping[str, float], mesh: FilmMesh, with_slopes: bool) -> TabledBearing:
+        """This bearing with the film's own coefficients at *values*, on a finer mesh, and the table around them.
+
+        *with_slopes*: the film's slopes as well; else those of the last correction, made nearby.
+        """
+        bearing = self._bearing(values)
+        film = journal_equilibrium(bearing, self.load, self.speed, mesh)
+        if self.table is None:
+            return replace(self, fixed=Support(self.place.node, film.stiffness, film.damping))
+        matrices, by_parameter = _of_table(self.table, bearing, self.speed)
+        slopes = np.zeros_like(by_parameter) if self.correction is None else self.correction.slopes
+        if with_slopes:
+            slopes = np.zeros_like(by_parameter)
+            for number, name in enumerate(PARAMETERS):
+                if name in values and (self.worn or name not in WEAR):
+                    slopes[:, number] = _film_slope(film, name) - by_parameter[:, number]
+        return replace(self, correction=Correction(_point(bearing), np.stack([film.stiffness, film.damping]) - matrices, slopes))
+
+    def _bearing(self, values: Mapping[str, float]) -> JournalBearing:
+        own = {name: values[name] for name in PARAMETERS if name in values and (self.worn or name not in WEAR)}
+        return replace(self.place.bearing, **own)
+
+
+def tabled(place: BearingPlace, load: tuple[float, float], speed: float, worn: bool, ranges: Ranges, mesh: FilmMesh) -> TabledBearing:
+    """A bearing of the rig ready to be asked; ConfigError when one with a wear of its own must follow other parameters."""
+    if not worn and not ranges.wide:
+        film = journal_equilibrium(place.bearing, load, speed, mesh)
+        return TabledBearing(place, load, speed, worn, None, Support(place.node, film.stiffness, film.damping))
+    if place.bearing.wear_depth > 0 and not worn:
+        raise ConfigError(
+            f"'{place.name}' has a wear of its own, which does not go with viscosity, clearance or cavitation estimated along",
+            hint="leave them out, or its wear",
+        )
+    table = kept_table(place.bearing, load, speed, ranges.of_table(worn), mesh)
+    return TabledBearing(place, load, speed, worn, table)
