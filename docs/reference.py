@@ -139,7 +139,7 @@ def pipeline_page() -> str:
 
 
 def bearing_page() -> str:
-    from labpipe.stages.bearing import BEARINGS
+    from labpipe.bearings.kinds import BEARINGS
 
     parts = ["# Bearing files", "What `labpipe bearing` reads. `kind` chooses the model."]
     for name in BEARINGS:

@@ -38,7 +38,7 @@ _PUBLIC = {
     "fit": "labpipe.identify.fitting:identify",
     "fit_line": "labpipe.identify.calibration:fit_line",
     "design_multisine": "labpipe.signals.excitation:design_multisine",
-    "VirtualRig": "labpipe.simulate.settings:VirtualRig",
+    "VirtualMagneticRig": "labpipe.simulate.magnetic_settings:VirtualMagneticRig",
     "simulate_rig": "labpipe.simulate.magnetic_rig:simulate",
     "VirtualMdofRig": "labpipe.simulate.mdof_rig:VirtualMdofRig",
     "simulated_response": "labpipe.simulate.mdof_rig:simulated_response",

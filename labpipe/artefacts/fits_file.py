@@ -12,6 +12,7 @@ from labpipe import __version__
 from labpipe.artefacts.fit_entry import fit_entry, read_fit
 from labpipe.artefacts.header import SourceRef
 from labpipe.artefacts.json_file import write_json
+from labpipe.artefacts.typed_json import entry_of
 from labpipe.identify.settings import FitSettings
 from labpipe.records.identification import Fit
 
@@ -23,7 +24,7 @@ def _work(settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> di
     entry = {
         "schema": SCHEMA,
         "labpipe": __version__,
-        "settings": [dataclasses.asdict(one) for one in settings],
+        "settings": [entry_of(fit) for fit in settings],
         "responses": [dataclasses.asdict(one) for one in responses],
     }
     return json.loads(json.dumps(entry))  # type: ignore[no-any-return]

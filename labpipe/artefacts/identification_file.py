@@ -1,4 +1,7 @@
-"""``identification.json``, schema "labpipe/identification/1": all fits with their doubt, and the responses they came from."""
+"""``identification.json``: all fits with their doubt, the records of all other sections, and the responses they came from.
+
+Schema "labpipe/identification/2"; results of schema 1 are read as well.
+"""
 
 from __future__ import annotations
 
@@ -9,20 +12,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labpipe import __version__
-from labpipe.artefacts.comparison_entry import comparison_entry, read_comparison
-from labpipe.artefacts.fit_entry import complex_entry, finding_entries, fit_entry, read_complex, read_findings, read_fit
+from labpipe.artefacts.fit_entry import finding_entries, findings_of, fit_entry, read_fit
 from labpipe.artefacts.json_file import write_json
-from labpipe.artefacts.run_up_entry import read_run_ups, run_up_entry
-from labpipe.artefacts.study_entry import read_study
-from labpipe.artefacts.unbalance_entry import read_unbalance
+from labpipe.artefacts.typed_json import entry_of, record_of
 from labpipe.errors import DataError
+from labpipe.records.finding import Finding
 from labpipe.records.identification import Failed, Identification, RuleOutcome
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.sections import section, sections
 
-SCHEMA = "labpipe/identification/1"
+SCHEMA = "labpipe/identification/2"
+READ_SCHEMAS = ("labpipe/identification/1", SCHEMA)
 NAME = "identification.json"
+
+ComplexArray = NDArray[np.complexfloating]
 
 
 def write_identification(path: Path, identification: Identification) -> None:
@@ -39,11 +45,8 @@ def write_identification(path: Path, identification: Identification) -> None:
         "fits": [fit_entry(fit) for fit in identification.fits],
         "accept": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "accept"],
         "expect": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "expect"],
-        "comparisons": [comparison_entry(comparison) for comparison in identification.comparisons],
-        "studies": [dataclasses.asdict(study) for study in identification.studies],
         "responses": [_response_entry(response) for response in identification.responses],
-        **({} if identification.unbalance is None else {"unbalance": dataclasses.asdict(identification.unbalance)}),
-        **({} if identification.run_ups is None else {"run_ups": run_up_entry(identification.run_ups)}),
+        **{section(name).entry: entry_of(record) for name, record in identification.sections.items()},
     }
     write_json(path, entries)
 
@@ -56,18 +59,30 @@ def read_identification(path: Path) -> Identification:
         raise DataError("no such file", where=str(path), hint="run `labpipe identify` first") from None
     except (ValueError, IsADirectoryError) as error:
         raise DataError(f"is not a readable identification.json ({error})", where=str(path)) from None
-    if not isinstance(entries, dict) or entries.get("schema") != SCHEMA:
+    if not isinstance(entries, dict) or entries.get("schema") not in READ_SCHEMAS:
         raise DataError(f"is not of schema {SCHEMA}", where=str(path))
     try:
-        return _identification(entries)
-    except (KeyError, TypeError, IndexError, ValueError) as error:
+        return _identification(_upgraded(entries))
+    except (KeyError, TypeError, IndexError, ValueError, AttributeError) as error:
         # Same schema, other entries: written by another version, or edited by hand.
         written = f"was written by labpipe {entries.get('labpipe', '?')}, or edited ({type(error).__name__}: {error})"
         raise DataError(written, where=str(path), hint="run `labpipe identify` again") from None
 
 
+def _upgraded(entries: dict[str, Any]) -> dict[str, Any]:
+    """Schema 1 called the frequency of a fitted curve frequency_hz, and had empty lists for sections that a pipeline did not have."""
+    if entries["schema"] == SCHEMA:
+        return entries
+    fits = [{**fit, "curve": _upgraded_curve(fit.get("curve"))} for fit in entries["fits"]]
+    return {**{name: entry for name, entry in entries.items() if entry != [] or name == "fits"}, "fits": fits}
+
+
+def _upgraded_curve(curve: dict[str, Any] | None) -> dict[str, Any] | None:
+    return None if curve is None else {**curve, "frequency": curve["frequency_hz"]}
+
+
 def _identification(entries: dict[str, Any]) -> Identification:
-    outcomes = [RuleOutcome(section, **entry) for section in ("accept", "expect") for entry in entries.get(section, [])]
+    outcomes = [RuleOutcome(key, **entry) for key in ("accept", "expect") for entry in entries.get(key, [])]
     return Identification(
         fits=tuple(read_fit(entry) for entry in entries["fits"]),
         title=entries["title"],
@@ -77,12 +92,11 @@ def _identification(entries: dict[str, Any]) -> Identification:
         rig=entries.get("rig", {}),
         responses=tuple(_response(entry) for entry in entries.get("responses", [])),
         outcomes=tuple(outcomes),
-        comparisons=tuple(read_comparison(entry) for entry in entries.get("comparisons", [])),
-        studies=tuple(read_study(entry) for entry in entries.get("studies", [])),
-        unbalance=read_unbalance(entries["unbalance"]) if "unbalance" in entries else None,
-        run_ups=read_run_ups(entries["run_ups"]) if "run_ups" in entries else None,
         version=entries["labpipe"],
         failed=tuple(Failed(**entry) for entry in entries.get("failed", [])),
+        sections={
+            name: record_of(entries[part.entry], part.load("record")) for name, part in sections() if part.entry and part.entry in entries
+        },
     )
 
 
@@ -103,7 +117,7 @@ def _response_entry(response: FrequencyResponse) -> dict[str, Any]:
         "outputs": [dataclasses.asdict(port) for port in response.outputs],
         "inputs": [dataclasses.asdict(port) for port in response.inputs],
         "frequency_hz": response.frequency.tolist(),
-        "matrix": complex_entry(response.matrix),
+        "matrix": entry_of(response.matrix),
         "variance": None if variance is None else variance.tolist(),
         **{name: None if values is None else values.tolist() for name, values in optional.items()},
         "snr_channels": list(response.snr_channels),
@@ -115,7 +129,7 @@ def _response_entry(response: FrequencyResponse) -> dict[str, Any]:
 
 
 def _response(entry: dict[str, Any]) -> FrequencyResponse:
-    matrix = read_complex(entry["matrix"])
+    matrix: ComplexArray = record_of(entry["matrix"], ComplexArray)
     variance = entry["variance"]
     dof = entry["covariance_dof"]
     return FrequencyResponse(
@@ -130,6 +144,6 @@ def _response(entry: dict[str, Any]) -> FrequencyResponse:
         averages=entry["averages"],
         covariance_dof=math.inf if dof is None else dof,
         name=entry["test"],
-        findings=read_findings(entry),
+        findings=record_of(findings_of(entry), tuple[Finding, ...]),
         conditions=entry["conditions"],
     )

@@ -1,17 +1,15 @@
-"""What a bearing model answers, whatever its kind: stiffness and damping at its load and speed, and where its journal rests."""
+"""Stiffness and damping of a bearing at its load and speed, and the rest position of its journal."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.records.arrays import frozen_array
 from labpipe.records.finding import Finding
-from labpipe.records.response import FrequencyResponse
 
 TILTS = ("bx", "by", "bz")
 
@@ -82,16 +80,7 @@ class BearingCoefficients:
         relative: NDArray[np.floating] = np.divide(self.stiffness, scale, out=np.zeros_like(scale), where=scale > 0)
         return relative
 
-
-@dataclass(frozen=True)
-class BearingKind:
-    """A kind of bearing: the settings its file holds, and the model from any number of such settings (a sweep) to coefficients.
-
-    bare_units: units of entries that may stand as plain numbers; response: the theoretical frequency response that settings and their
-    coefficients give, or None where the file describes no shaft.
-    """
-
-    settings: type
-    coefficients: Callable[[Sequence[Any]], list[BearingCoefficients]]
-    bare_units: Mapping[str, str] = field(default_factory=dict)
-    response: Callable[[Any, BearingCoefficients], FrequencyResponse | None] | None = None
+    def lateral(self, y: str, z: str) -> BearingCoefficients:
+        """The coefficients of the dofs *y* and *z* alone, (2, 2), the other dofs held."""
+        places = np.ix_(*[[self.dofs.index(y), self.dofs.index(z)]] * 2)
+        return BearingCoefficients(("y", "z"), self.stiffness[places], self.damping[places], findings=self.findings)

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.bearings.coefficients import BearingCoefficients
 from labpipe.bearings.journal_equilibrium import FilmState, film_at, film_equilibrium
 from labpipe.bearings.journal_film import Film
 from labpipe.bearings.journal_mesh import FilmMesh
+from labpipe.bearings.kinds import OperatingPoint
 from labpipe.errors import ConfigError, FitError
 
 DEFAULT_MESH = FilmMesh(120, 30)
@@ -69,6 +71,11 @@ class JournalBearing:
     def force_scale(self, speed: float) -> float:
         """6 mu Omega (R / c)^2 R L [N]: the unit of force of the dimensionless film."""
         return self.pressure_scale(speed) * self.diameter / 2 * self.length
+
+    def at(self, point: OperatingPoint) -> BearingCoefficients:
+        """Coefficients (2, 2) in y and z [N/m, N.s/m]; an oil film's depend on load and speed, not on the frequency of the motion."""
+        film = journal_equilibrium(self, point.load, point.speed)
+        return BearingCoefficients(("y", "z"), film.stiffness, film.damping)
 
     def film(self, speed: float, mesh: FilmMesh) -> Film:
         """The dimensionless film on a mesh."""

@@ -7,17 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.bearings.coefficients import Amount, BearingCoefficients, BearingKind, PressureField
+from labpipe.bearings.coefficients import Amount, BearingCoefficients, PressureField
 from labpipe.bearings.journal import JournalBearing, JournalEquilibrium, converged_equilibrium
+from labpipe.bearings.kinds import BearingKind
 from labpipe.errors import ConfigError
-from labpipe.records.settings import setting
+from labpipe.records.settings import Settings, setting
 
 JOURNAL = "journal-bearing"
 DOFS = ("y", "z")
 
 
 @dataclass(frozen=True)
-class Wear:
+class Wear(Settings):
     """Wear of the bushing after Dufrane: an arc of larger radius."""
 
     depth: float = setting("value", "deepest wear", unit="m", default=0.0)
@@ -25,7 +26,7 @@ class Wear:
 
 
 @dataclass(frozen=True, kw_only=True)
-class JournalSettings:
+class JournalSettings(Settings):
     """A plain bearing without its load and speed, as a rotor file names it."""
 
     kind: str = setting("choice", "which kind of bearing", choices=(JOURNAL,))
@@ -103,4 +104,4 @@ def _notes(state: JournalEquilibrium) -> tuple[Amount, ...]:
     )
 
 
-JOURNAL_KIND = BearingKind(JournalFile, journal_coefficients)
+JOURNAL_KIND = BearingKind(JournalFile, journal_coefficients, on_rotor=JournalSettings, mount=JournalSettings.bearing)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError
-from labpipe.records.settings import setting
+from labpipe.records.settings import Settings, setting
 
 MU_0 = 4e-7 * np.pi
 RINGS = 2
@@ -24,7 +24,7 @@ ASSUMPTIONS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Magnet:
+class Magnet(Settings):
     """Geometry of a radial hybrid magnet: four poles per ring, and between the two rings a permanent magnet."""
 
     turns: int = setting("integer", "turns of the coil on each pole")

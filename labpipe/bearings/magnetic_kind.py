@@ -8,13 +8,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from labpipe.bearings.coefficients import Amount, BearingCoefficients, BearingKind
+from labpipe.bearings.coefficients import Amount, BearingCoefficients
+from labpipe.bearings.kinds import BearingKind, frequency_hz, synchronous
 from labpipe.bearings.magnetic_circuit import ASSUMPTIONS, Magnet, magnet_factors
 from labpipe.bearings.magnetic_loop import Complex, ControlLoop, dynamic_stiffness, inferred_negative_stiffness, stiffness_shares
 from labpipe.bearings.magnetic_stability import PADE_ORDER, Levitated, SensitivityPeak, closed_loop_poles, sensitivity_peak, unstable_poles
 from labpipe.errors import ConfigError
 from labpipe.records.finding import Finding
-from labpipe.records.settings import setting, settings_of
+from labpipe.records.settings import Settings, setting, settings_of
 from labpipe.registry import nearest
 
 MAGNETIC = "magnetic-bearing"
@@ -22,7 +23,7 @@ DOFS = ("x", "y")
 
 
 @dataclass(frozen=True, kw_only=True)
-class MagneticFile:
+class MagneticFile(Settings):
     """A magnetic-bearing file: the loop, the magnet by its geometry or its factors, and the frequency that is asked for.
 
     One of static_stiffness (from which the bias field's pull is inferred), negative_stiffness and magnet must be there.
@@ -166,4 +167,6 @@ def stability_findings(stability: Verdict) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-MAGNETIC_KIND = BearingKind(MagneticFile, magnetic_coefficients)
+MAGNETIC_KIND = BearingKind(
+    MagneticFile, magnetic_coefficients, operating={"speed": synchronous, "frequency": frequency_hz}, lateral=("x", "y")
+)

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError
-from labpipe.records.settings import setting
+from labpipe.records.settings import Settings, setting
 
 Complex = NDArray[np.complexfloating]
 
 
 @dataclass(frozen=True)
-class ControlLoop:
+class ControlLoop(Settings):
     """The position control of one bearing: G(s) = (k_p + k_d s / (1 + s T_d) + k_i / (1 + s T_i)) e^{-s tau} / (1 + s / w_a).
 
     Gains as printed by Lim et al. (2009), table 1, but for the sign of k_i. With the printed +0.25 the lag takes damping away below

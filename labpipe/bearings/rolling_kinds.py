@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.bearings.coefficients import Amount, BearingCoefficients, BearingKind
+from labpipe.bearings.coefficients import Amount, BearingCoefficients
+from labpipe.bearings.kinds import Bearing, BearingKind, OperatingPoint, not_on_rotor
 from labpipe.bearings.passage import ball_passage
 from labpipe.bearings.rolling import DOFS, Matrix
 from labpipe.bearings.rolling_equilibrium import Equilibrium, equilibrium
@@ -126,5 +128,40 @@ def _findings(solved: _Solved, case: int) -> list[Finding]:
     return found
 
 
-BALL = BearingKind(BallBearingSettings, rolling_coefficients, {"stiffness_constant": "N/m^1.5"}, rolling_response)
-ROLLER = BearingKind(RollerBearingSettings, rolling_coefficients, {"stiffness_constant": "N/m^(10/9)"}, rolling_response)
+@dataclass(frozen=True)
+class RollingOnRotor:
+    """A rolling bearing on a rotor: its x and y are the rotor's y and z, its axial load and moments are those of its settings."""
+
+    settings: RollingSettings
+
+    def at(self, point: OperatingPoint) -> BearingCoefficients:
+        """Coefficients (2, 2) in y and z [N/m, N.s/m] under a radial load; they depend neither on speed nor on frequency.
+
+        Dofs that the settings do not hold (axial, tilts) follow without force: K = K_aa - K_ab K_bb^-1 K_ba.
+        """
+        return _on_rotor(self.settings, *point.load)
+
+
+@lru_cache(maxsize=128)
+def _on_rotor(settings: RollingSettings, load_y: float, load_z: float) -> BearingCoefficients:
+    (whole,) = rolling_coefficients([replace(settings, loads=replace(settings.loads, x=load_y, y=load_z))])
+    free = [number for number, dof in enumerate(DOFS) if dof not in ("x", "y", *settings.held)]
+    k, a = whole.stiffness, [DOFS.index("x"), DOFS.index("y")]
+    coupling = np.linalg.lstsq(k[np.ix_(free, free)], k[np.ix_(free, a)], rcond=None)[0] if free else np.zeros((0, 2))
+    stiffness = k[np.ix_(a, a)] - k[np.ix_(a, free)] @ coupling
+    return BearingCoefficients(("y", "z"), stiffness, settings.damping_factor * stiffness, findings=whole.findings)
+
+
+def _mounted(settings: RollingSettings) -> Bearing:
+    for load in ("x", "y"):
+        if getattr(settings.loads, load) is not None:
+            raise not_on_rotor(f"loads.{load}")
+        if getattr(settings.displacements, load) is not None:
+            raise not_on_rotor(f"displacements.{load}")
+    if settings.shaft is not None:
+        raise not_on_rotor("shaft")
+    return RollingOnRotor(settings)
+
+
+BALL = BearingKind(BallBearingSettings, rolling_coefficients, {"stiffness_constant": "N/m^1.5"}, rolling_response, mount=_mounted)
+ROLLER = BearingKind(RollerBearingSettings, rolling_coefficients, {"stiffness_constant": "N/m^(10/9)"}, rolling_response, mount=_mounted)

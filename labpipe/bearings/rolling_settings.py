@@ -11,14 +11,14 @@ from labpipe.bearings.hertz import STEEL, BallGeometry, Material, roller_stiffne
 from labpipe.bearings.rolling import RollingBearing
 from labpipe.bearings.rolling_shaft import RigidShaft
 from labpipe.errors import ConfigError
-from labpipe.records.settings import setting
+from labpipe.records.settings import Settings, setting
 
 BALL, ROLLER = "ball-bearing", "roller-bearing"
 LOAD_OF_DOF = {"x": "x", "y": "y", "z": "z", "bx": "mx", "by": "my"}
 
 
 @dataclass(frozen=True)
-class Loads:
+class Loads(Settings):
     """Loads of the shaft on the inner ring."""
 
     x: float | None = setting("value", "radial load in x", unit="N", default=None)
@@ -29,7 +29,7 @@ class Loads:
 
 
 @dataclass(frozen=True)
-class Displacements:
+class Displacements(Settings):
     """Displacements of the inner ring that are held instead of the load in their direction."""
 
     x: float | None = setting("value", "radial displacement in x", unit="m", default=None)
@@ -40,7 +40,7 @@ class Displacements:
 
 
 @dataclass(frozen=True)
-class BallGeometrySettings:
+class BallGeometrySettings(Settings):
     """Balls and grooves, from which Hertz's theory gives the stiffness constant."""
 
     ball_diameter: float = setting("value", "ball diameter D", unit="m")
@@ -71,7 +71,7 @@ class BallGeometrySettings:
 
 
 @dataclass(frozen=True)
-class ShaftSettings:
+class ShaftSettings(Settings):
     """A rigid shaft whose centre of mass is at the bearing's centre, for natural frequencies and the theoretical transfer matrix."""
 
     mass: float = setting("value", "mass of the shaft", unit="kg")
@@ -91,7 +91,7 @@ class ShaftSettings:
 
 
 @dataclass(frozen=True)
-class RollingSettings(ABC):
+class RollingSettings(Settings, ABC):
     """What balls and rollers have in common."""
 
     kind: str = setting("choice", "which kind of bearing", choices=(BALL, ROLLER))

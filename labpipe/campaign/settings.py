@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from labpipe.errors import ConfigError
-from labpipe.records.settings import Uncertain, setting
+from labpipe.records.settings import Settings, Uncertain, setting
 
 KINDS = ("trend", "difference", "repeatability", "ratio", "rayleigh", "reciprocity", "prediction", "bands", "sensitivity")
 # Kinds whose theory is a magnetic-bearing file; it stands as it is unless a condition sets one of its entries.
@@ -16,10 +16,10 @@ LAWS = ("line", "power")
 
 
 @dataclass(frozen=True)
-class TheorySettings:
+class TheorySettings(Settings):
     """The bearing file that speaks for the theory, and how the rig saw the bearing."""
 
-    bearing: str = setting("text", "bearing file with the shaft on it, relative to this file")
+    bearing: str = setting("file", "bearing file with the shaft on it, relative to this file", file_kind="bearing")
     entry: str = setting("text", "entry of the bearing file that the condition sets", default=LOAD)
     shaft: Uncertain | None = setting("uncertain", "radial stiffness of the bending shaft; default: rigid", unit="N/m", default=None)
     arm: float | None = setting("value", "tilts are measured as displacements at this distance", unit="m", default=None)
@@ -32,7 +32,7 @@ class TheorySettings:
 
 
 @dataclass(frozen=True)
-class CompareSettings:
+class CompareSettings(Settings):
     """One entry below ``compare:``."""
 
     kind: str = setting("choice", "what is asked of the tests", choices=KINDS)

@@ -13,8 +13,10 @@ from labpipe import __version__
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, si_amount
-from labpipe.records.finding import WARNING, of_level
-from labpipe.records.identification import Fit, Identification, Parameter
+from labpipe.records.finding import WARNING
+from labpipe.records.identification import Identification, Parameter
+from labpipe.records.listed import ListedParameter, listed_parameters, warning_codes
+from labpipe.sections import section
 
 INDEX = ".labpipe-catalogue.sqlite"
 # A result whose tests state this condition is of that day; otherwise the day of its file counts.
@@ -123,8 +125,8 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file
         "warnings": ", ".join(sorted(_all_codes(identification))),
     }
     number = _insert(connection, "result", entry)
-    for fit in identification.fits:
-        _add_values(connection, number, fit, conditions.get(fit.test, {}).get(DATE, str(entry["date"])))
+    for listed in listed_parameters(identification):
+        _add_value(connection, number, listed, conditions.get(listed.test, {}).get(DATE, str(entry["date"])))
     for test, own in conditions.items():
         for condition, text in own.items():
             amount, unit = _amount(text)
@@ -132,20 +134,17 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file
             _insert(connection, "condition", row)
 
 
-def _add_values(connection: sqlite3.Connection, number: int, fit: Fit, date: str) -> None:
-    common = {
-        **{name: getattr(fit, name) for name in ("term", "test", "model", "estimator")},
-        **{"result": number, "fit": fit.name, "low_hz": fit.band_hz[0], "high_hz": fit.band_hz[1]},
-        **{"warnings": ", ".join(warning_codes(fit)), "date": date},
+def _add_value(connection: sqlite3.Connection, number: int, listed: ListedParameter, date: str) -> None:
+    parameter = listed.parameter
+    low, high = interval(parameter)
+    row = {
+        **{name: getattr(listed, name) for name in ("fit", "term", "test", "model", "estimator")},
+        **{"result": number, "low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1]},
+        **{"parameter": parameter.name, "value": parameter.value, "unit": parameter.unit},
+        **{"std_error": parameter.std_error_inflated or parameter.std_error, "ci_low": low, "ci_high": high},
+        **{"significant": parameter.significant, "warnings": ", ".join(listed.warnings), "date": date},
     }
-    for parameter in fit.parameters:
-        error = parameter.std_error_inflated or parameter.std_error
-        low, high = interval(parameter)
-        own = {
-            **{"parameter": parameter.name, "value": parameter.value, "unit": parameter.unit},
-            **{"std_error": error, "ci_low": low, "ci_high": high, "significant": parameter.significant},
-        }
-        _insert(connection, "value", {**common, **own})
+    _insert(connection, "value", row)
 
 
 def interval(parameter: Parameter) -> tuple[float | None, float | None]:
@@ -181,11 +180,7 @@ def verdict(identification: Identification) -> str:
 
 
 def _all_codes(identification: Identification) -> set[str]:
-    """The warnings of all fits, and of run-ups."""
-    found = {code for fit in identification.fits for code in warning_codes(fit)}
-    run_ups = () if identification.run_ups is None else identification.run_ups.findings
-    return found | {finding.code for finding in of_level(WARNING, run_ups)}
-
-
-def warning_codes(fit: Fit) -> list[str]:
-    return list(dict.fromkeys(finding.code for finding in of_level(WARNING, fit.findings)))
+    """The warnings of all fits, and of every other section."""
+    of_fits = {code for fit in identification.fits for code in warning_codes(fit)}
+    pairs = (pair for name, record in identification.sections.items() for pair in section(name).call("findings", record))
+    return of_fits | {finding.code for _, finding in pairs if finding.level == WARNING}

@@ -10,7 +10,8 @@ import click
 from labpipe.artefacts.writing import output_file, output_folder
 from labpipe.cli import options
 from labpipe.cli.bearing_table import echo_bearing, echo_sweep
-from labpipe.stages.bearing import BearingFile, bearing_entry, bearing_json, open_bearing, swept, write_bearing, write_sweep
+from labpipe.config.bearing import BearingFile, open_bearing
+from labpipe.stages.bearing import bearing_entry, bearing_json, swept, write_bearing, write_sweep
 from labpipe.stages.sweep import parse_sweep
 
 

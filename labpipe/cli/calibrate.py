@@ -28,13 +28,14 @@ def calibrate(pipeline_path: Path, output: Path, overrides: tuple[str, ...], qui
     A rig file can then name a fitted slope as a sensitivity: `sensitivity: results/identification.json#probe_y`.
     """
     pipeline = load_pipeline(pipeline_path, overrides)
-    if not pipeline.calibrations:
+    calibrations = pipeline.sections.get("calibrate", ())
+    if not calibrations:
         raise ConfigError("calibrate: is missing", where=str(pipeline_path), hint="name a table with its x and y columns")
     options.teller(quiet, verbose)(f"calibrate {pipeline.title}")
-    names = {calibration.name for calibration in pipeline.calibrations}
+    names = {calibration.name for calibration in calibrations}
     rules = tuple(rule for rule in pipeline.rules if rule.fit in names)
-    lines = replace(pipeline, tests=(), fits=(), rules=rules)
-    sources = [source_ref(calibration.path, pipeline.folder) for calibration in lines.calibrations]
+    lines = replace(pipeline, tests=(), sections={"calibrate": calibrations}, rules=rules)
+    sources = [source_ref(calibration.path, pipeline.folder) for calibration in calibrations]
     with output_folder(output) as folder:
         identification = identify_stage(lines, (), sources, folder)
     echo_identification(identification, quiet)

@@ -7,12 +7,10 @@ from pathlib import Path
 import click
 
 from labpipe.cli import options
-from labpipe.config.values import read_band
 from labpipe.errors import ConfigError
 from labpipe.formats.signal_file import write_signal
-from labpipe.marked_yaml import Marked
 from labpipe.quantities import UnitError, parse_value
-from labpipe.records.settings import Setting
+from labpipe.records.setting_values import Setting, to_band
 from labpipe.signals.excitation import PHASES, design_multisine
 
 
@@ -42,7 +40,7 @@ def excite(
     quiet: bool,
 ) -> None:
     """Design a periodic test signal and print its crest factor (peak over rms)."""
-    limits = _option("--band", lambda: read_band(Marked(band, "--band", text=band), Setting("band", "", "Hz")))
+    limits = _option("--band", lambda: to_band(band, Setting("band", "", "Hz")))
     line_spacing = _option("--spacing", lambda: parse_value(spacing, "Hz"))
     sample_rate = _option("--rate", lambda: parse_value(rate, "Hz"))
     rms = _option("--level", lambda: parse_value(level, "V"))

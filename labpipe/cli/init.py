@@ -10,7 +10,7 @@ import click
 from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
 from labpipe.errors import ConfigError
-from labpipe.simulate.settings import VirtualRig
+from labpipe.simulate.magnetic_settings import VirtualMagneticRig
 from labpipe.stages.examples import copy_example, examples
 from labpipe.stages.scaffold import MARK, scaffold
 from labpipe.stages.simulate import simulate_files
@@ -68,7 +68,7 @@ def _from_recordings(recordings: tuple[Path, ...], folder: Path, output: OutputF
 def _sample(folder: Path, output: OutputFolder) -> None:
     for name in SCAFFOLD:
         output.write_path(name).write_bytes(files("labpipe.cli").joinpath("scaffold", name).read_bytes())
-    simulate_files(VirtualRig("virtual-magnetic-rig"), 1, ["pedestal"], output)
+    simulate_files(VirtualMagneticRig("virtual-magnetic-rig"), 1, ["pedestal"], output)
     click.echo(f"written to {folder}: {', '.join(SCAFFOLD)}, pedestal.csv, truth.json")
     _next(folder / "pipeline.yaml", folder)
 

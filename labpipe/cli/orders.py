@@ -9,9 +9,9 @@ import click
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
 from labpipe.config.rig import load_rig
-from labpipe.config.run_ups import parse_unbalance
 from labpipe.errors import ConfigError
 from labpipe.quantities import QUANTITIES, UnitError, parse_value, to_display
+from labpipe.records.setting_values import parse_phasor
 from labpipe.spectra.settings import ShaftLines
 from labpipe.stages.orders import Clearance, told, track_run, write_tracked
 from labpipe.stages.orders import save_run_up as table_of
@@ -86,7 +86,7 @@ def _stated(load: str | None, unbalance: tuple[str, ...]) -> tuple[float, dict[s
     for text in unbalance:
         plane, _, size = text.partition("=")
         try:
-            found[plane.strip()] = parse_unbalance(size.strip())
+            found[plane.strip()] = parse_phasor(size.strip(), "kg.m")
         except UnitError as error:
             raise ConfigError(f"--unbalance {text}: {error.what}", hint=error.hint) from None
     return newtons, found

@@ -11,11 +11,12 @@ from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
 from labpipe.cli.terminal import echo_identification
 from labpipe.config.pipeline import load_pipeline
-from labpipe.config.rules import STUDY
 from labpipe.errors import ConfigError
 from labpipe.formats.study_csv import write_study_csv
 from labpipe.stages.identify import identify_stage
 from labpipe.stages.report import write_report
+
+STUDY = "study"
 
 
 @click.command()
@@ -31,12 +32,14 @@ def study(pipeline_path: Path, output: Path, jobs: int, overrides: tuple[str, ..
     Writes identification.json, study.csv and the report. The same seed gives the same figures on any number of processes.
     """
     pipeline = load_pipeline(pipeline_path, overrides)
-    if pipeline.study is None:
+    if STUDY not in pipeline.sections:
         raise ConfigError("study: is missing", where=str(pipeline_path), hint="name a virtual rig and noise levels")
-    alone = replace(pipeline, tests=(), calibrations=(), rules=tuple(rule for rule in pipeline.rules if rule.fit == STUDY))
+    rules = tuple(rule for rule in pipeline.rules if rule.fit == STUDY)
+    # The fits are repeated, not made.
+    alone = replace(pipeline, tests=(), rules=rules, sections={"identify": pipeline.fits, STUDY: pipeline.sections[STUDY]})
     with output_folder(output) as folder:
         identification = identify_stage(alone, (), (), folder, options.teller(quiet, verbose), jobs)
-        write_study_csv(folder.write_path("study.csv"), identification.studies[0])
+        write_study_csv(folder.write_path("study.csv"), identification.sections[STUDY][0])
         for name in pipeline.report.formats:
             write_report(identification, folder.write_path(f"report.{name}"))
     echo_identification(identification, quiet)

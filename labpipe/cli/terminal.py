@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 
@@ -11,9 +10,7 @@ import click
 from labpipe.quantities import display_unit, to_display
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.identification import Fit, Identification, Parameter
-from labpipe.records.run_up_result import MeasuredRun, RunPrediction, RunUpResult
-from labpipe.records.study import Study
-from labpipe.report.wording import threshold_text
+from labpipe.sections import section
 
 MAX_BANDS = 8
 MAX_NOTES = 8
@@ -34,51 +31,13 @@ def echo_identification(identification: Identification, quiet: bool) -> None:
                 click.echo(f"  ... {len(fits) - len(shown)} more fits of '{name}' in identification.json ...")
             _echo_fit(fit)
         _echo_findings([fit.findings for fit in fits], "fits")
-    for comparison in identification.comparisons:
-        click.echo(f"{comparison.name}: {comparison.statement}")
-    for study in identification.studies:
-        _echo_study(study)
-    if identification.run_ups is not None:
-        _echo_run_ups(identification.run_ups)
+    for name, record in identification.sections.items():
+        for line in section(name).call("terminal", record):
+            click.echo(line)
+        _echo_findings([tuple(finding for _, finding in section(name).call("findings", record))], name)
     for outcome in identification.outcomes:
         mark = _coloured("passed", "green") if outcome.passed else _coloured("FAILED", "red")
         click.echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {_found(outcome.value)})")
-
-
-def _echo_study(study: Study) -> None:
-    """One line for every fit at every noise level, then the thresholds."""
-    click.echo(f"study on {study.rig}, seed {study.seed}")
-    columns = f"{'noise':>8}{'lines':>7}{'mean error':>12}{'median':>10}{'failed':>12}{'success':>9}{'RMSE/CRLB':>11}{'coverage':>10}"
-    click.echo(f"  {'fit':<10}{columns}")
-    for case in study.cases:
-        bound = "" if case.rmse_over_bound is None else f"{case.rmse_over_bound:.3f}"
-        coverage = "" if case.coverage is None else f"{100 * case.coverage:.1f} %"
-        click.echo(
-            f"  {case.fit:<10}{100 * case.noise:>6.3g} %{case.lines:>7}{case.mean_error:>12.4g}{case.median_error:>10.4g}"
-            f"{f'{case.failed} of {case.repeats}':>12}{100 * case.success[0]:>7.1f} %{bound:>11}{coverage:>10}"
-        )
-    for threshold in study.thresholds:
-        click.echo(f"  {threshold_text(threshold, study.share)}")
-
-
-def _echo_run_ups(result: RunUpResult) -> None:
-    """Critical and threshold speed of every run, measured and by every method, in rpm; then how far each method is determined."""
-    click.echo(f"run-ups of {result.rotor}: critical speed / threshold [rpm]")
-    names = ["measured", *(method.name for method in result.methods)]
-    click.echo(f"  {'run':<12}{'load [N]':>9}" + "".join(f"{name:>17}" for name in names))
-    for run in result.runs:
-        told = [run, *(method.prediction(run.name) for method in result.methods)]
-        click.echo(f"  {run.name:<12}{run.load:>9.4g}" + "".join(f"{_speeds(one):>17}" for one in told))
-    for method in result.methods:
-        if method.rank is not None:
-            chi2 = "" if method.chi2_per_datum is None else f", chi2 per datum {method.chi2_per_datum:.2f}"
-            click.echo(f"  {method.title}: {method.verdict}, rank {method.rank} of {method.unknowns}{chi2}")
-    _echo_findings([result.findings], "rotors")
-
-
-def _speeds(one: MeasuredRun | RunPrediction | None) -> str:
-    known = () if one is None else (one.critical_speed, one.threshold)
-    return " / ".join("-" if speed is None else f"{speed.value * 30 / math.pi:.0f}" for speed in known) or "-"
 
 
 def _found(value: float | str | None) -> str:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from labpipe.records.settings import setting
+from labpipe.records.settings import Settings, setting
 
 
 @dataclass(frozen=True)
-class CalibrationSettings:
+class CalibrationSettings(Settings):
     """One straight-line fit: a table's column *y* over its column *x*, once per value of *group* if given."""
 
-    table: str = setting("text", "table file (CSV), relative to this file")
+    table: str = setting("file", "table file (CSV), relative to this file", file_kind="path", into="path")
     x: str = setting("text", "column of the known or set value")
     y: str = setting("text", "column of the answer")
     x_unit: str = setting("text", "unit of x; default: in brackets behind the column's name", default="")

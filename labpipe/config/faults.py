@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from labpipe.errors import ConfigError, ConfigErrors
 from labpipe.marked_yaml import Marked
 from labpipe.quantities import UnitError
@@ -9,9 +11,10 @@ from labpipe.registry import nearest
 
 
 class Faults:
-    """The faults found so far; `raise_any` ends the pass."""
+    """The faults of one file so far; `raise_any` ends the pass. *folder*: of the file, to which the files that it names are relative."""
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Path = Path()) -> None:
+        self.folder = folder
         self._faults: list[ConfigError] = []
 
     def add(self, node: Marked, key: str, what: str, hint: str = "") -> None:
@@ -22,6 +25,10 @@ class Faults:
     def add_unit(self, node: Marked, key: str, error: UnitError) -> None:
         """A value that could not be read, with the hint of the unit table."""
         self.add(node, key, error.what, error.hint)
+
+    def add_missing_file(self, node: Marked, key: str) -> None:
+        """A fault for the name of a file that is not there."""
+        self.add(node, key, f"no such file '{node.text}'", "paths are relative to the file that names them")
 
     def merge(self, error: ConfigError) -> None:
         """The faults of another file that this one names."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+from dataclasses import MISSING
 from typing import Any, TypeVar
 
 from labpipe.config.faults import Faults, join
-from labpipe.config.values import READERS
-from labpipe.errors import ConfigError
+from labpipe.config.file_kinds import FILE_KINDS
+from labpipe.config.values import read_value
+from labpipe.errors import ConfigError, ConfigErrors
 from labpipe.marked_yaml import Marked
 from labpipe.quantities import UnitError
 from labpipe.records.settings import Setting, settings_of
@@ -28,17 +31,33 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
     if entries:
         faults.unknown_keys(node, key, tuple(settings))
     fields: dict[str, Any] = dict(given)
+    unread: set[str] = set()
     for name, (setting, required) in settings.items():
+        count = len(faults)
         if name in entries:
             fields[name] = read_setting(entries[name], setting, join(key, name), faults)
+            if setting.into:
+                fields[setting.into] = _content(entries[name], fields[name], setting, join(key, name), faults)
         elif required and name not in given:
             faults.add(node, join(key, name), "is missing", setting.help)
-    if len(faults) > before:
+        if len(faults) > count:
+            unread |= {name, setting.into}
+    made = _made(owner, {name: value for name, value in fields.items() if name not in unread}, node, key, faults, unread)
+    return made if len(faults) == before else None
+
+
+def _made(owner: type[Owner], fields: dict[str, Any], node: Marked, key: str, faults: Faults, unread: set[str]) -> Owner | None:
+    """The dataclass, its own faults added to those of its fields; what could not be read is not complained of twice."""
+    if any(field.default is MISSING and field.name not in fields for field in dataclasses.fields(owner)):  # type: ignore[arg-type]
         return None
     try:
         return owner(**fields)
     except ConfigError as error:
-        faults.add(node, key, error.what, error.hint)
+        if error.field in unread and error.field:
+            return None
+        entries = node.content if isinstance(node.content, dict) else {}
+        entry = entries.get(error.field)
+        faults.add(entry or node, join(key, error.field), error.what.removeprefix(f"{error.field}: "), error.hint)
         return None
 
 
@@ -47,11 +66,45 @@ def read_setting(node: Marked, setting: Setting, key: str, faults: Faults) -> An
     if node.text == DECIDE:
         faults.add(node, key, "is still to be decided", setting.help)
         return None
-    if setting.kind == "section":
-        assert setting.section is not None
-        return read_settings(setting.section, node, key, faults)
+    if setting.section is not None:
+        return _sections(node, setting, key, faults)
     try:
-        return READERS[setting.kind](node, setting)
+        value = read_value(node, setting)
     except UnitError as error:
         faults.add_unit(node, key, error)
+        return None
+    if setting.kind == "file" and not (faults.folder / value).is_file():
+        faults.add_missing_file(node, key)
+        return None
+    return value
+
+
+def _sections(node: Marked, setting: Setting, key: str, faults: Faults) -> Any:
+    """A section, sections by name (pairs), or a list of sections; None and faults where one cannot be read."""
+    assert setting.section is not None
+    if setting.kind == "section":
+        return read_settings(setting.section, node, key, faults)
+    before = len(faults)
+    if setting.kind == "sections":
+        named = {name: read_settings(setting.section, entry, join(key, name), faults) for name, entry in faults.mapping(node, key).items()}
+        return None if len(faults) > before else tuple(named.items())
+    if not isinstance(node.content, list):
+        faults.add(node, key, "a list is needed", "each entry begins with '- '")
+        return None
+    listed = [read_settings(setting.section, entry, f"{key}.{number}", faults) for number, entry in enumerate(node.content, 1)]
+    return None if len(faults) > before else tuple(listed)
+
+
+def _content(node: Marked, name: str | None, setting: Setting, key: str, faults: Faults) -> Any:
+    """What the named file holds; None and its faults where it cannot be read."""
+    if name is None:
+        return None
+    try:
+        return FILE_KINDS[setting.file_kind].load(faults.folder / name)
+    except ConfigError as error:
+        # A fault without a place of its own is reported at the entry that names the file.
+        if error.where or isinstance(error, ConfigErrors):
+            faults.merge(error)
+        else:
+            faults.add(node, key, error.what, error.hint)
         return None

@@ -10,20 +10,21 @@ from pathlib import Path
 from typing import Any
 
 from labpipe.config.faults import Faults, join
+from labpipe.config.file_kinds import FileKind
 from labpipe.config.reader import read_settings
 from labpipe.config.sensor_response import read_sensor_response
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.quantities import QUANTITIES, Unit, UnitError, check_dimension, parse_unit, parse_value
 from labpipe.records.recording import ROLES, Channel
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
-from labpipe.records.settings import setting
+from labpipe.records.settings import Settings, setting
 from labpipe.registry import nearest
 
 DEFAULT_ROLES = {"force": "input", "displacement": "output", "velocity": "output", "acceleration": "output"}
 
 
 @dataclass(frozen=True)
-class RigSettings:
+class RigSettings(Settings):
     """The plain entries of a rig file (its channels are read by themselves)."""
 
     name: str = setting("text", "name of the rig, as the report shows it", default="")
@@ -34,7 +35,7 @@ class RigSettings:
 
 
 @dataclass(frozen=True)
-class ChannelSettings:
+class ChannelSettings(Settings):
     """One entry below ``channels:``."""
 
     quantity: str = setting("choice", "what is measured", choices=tuple(QUANTITIES))
@@ -230,3 +231,6 @@ def _limits(known: ChannelSettings, node: Marked, key: str, faults: Faults) -> t
         faults.add_unit(node.content["range"], join(key, "range"), error)
         return None
     return lower, upper
+
+
+RIG_FILE = FileKind(load_rig)

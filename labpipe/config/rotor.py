@@ -3,145 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from labpipe.bearings.journal_kind import JournalSettings
+from labpipe.config.bearing import kind_of
 from labpipe.config.faults import Faults, join
-from labpipe.config.reader import read_settings
+from labpipe.config.file_kinds import FileKind
+from labpipe.config.reader import read_setting, read_settings
+from labpipe.config.rotor_parts import (
+    DampingSettings,
+    DiscSettings,
+    ElementSettings,
+    LoadSettings,
+    MaterialSettings,
+    RotorSettings,
+    SleeveSettings,
+    UnbalanceSettings,
+)
 from labpipe.errors import ConfigError
-from labpipe.identify.settings import FitSettings
 from labpipe.marked_yaml import Marked, load_marked, set_entry
-from labpipe.records.settings import setting
+from labpipe.records.settings import Setting
 from labpipe.registry import nearest
 from labpipe.rigs.rotor_rig import BearingPlace, RotorRig, Unbalance
-from labpipe.rotors.parts import ALUMINIUM, STEEL, Disc, Material, Rotor, ShaftElement, Sleeve
-from labpipe.simulate.journal_rig import VirtualJournalRig
-from labpipe.wear.settings import WearSettings
+from labpipe.rotors.parts import ALUMINIUM, STEEL, Material, Rotor, ShaftElement, Sleeve
 
 MATERIALS = {"steel": STEEL, "aluminium": ALUMINIUM}
-MOST_COPIES = 1000
 
 Owner = TypeVar("Owner")
 Built = TypeVar("Built")
-Named = TypeVar("Named", WearSettings, VirtualJournalRig)
-
-
-@dataclass(frozen=True)
-class RotorSettings:
-    """The plain entries of a rotor file (its lists are read by themselves)."""
-
-    speed: float = setting("value", "speed of the shaft, in Hz or rpm", unit="Hz")
-    name: str = setting("text", "name of the rotor, as the report shows it", default="")
-    description: str = setting("text", "what a reader should know of the rotor", default="")
-    force: int = setting("integer", "node on which the rig is excited", default=1)
-    response: int = setting("integer", "node at which displacements are measured", default=1)
-
-
-@dataclass(frozen=True)
-class MaterialSettings:
-    """One entry below ``materials:``."""
-
-    density: float = setting("value", "density", unit="kg/m^3")
-    elastic_modulus: float = setting("value", "Young's modulus", unit="Pa")
-    shear_modulus: float = setting("value", "shear modulus", unit="Pa")
-    poisson: float = setting("value", "Poisson's ratio, for the shear coefficient", unit="1", default=0.3)
-
-
-@dataclass(frozen=True)
-class ElementSettings:
-    """One entry of ``elements:``, from left to right."""
-
-    length: float = setting("value", "length", unit="m")
-    diameter: float = setting("value", "outer diameter", unit="m")
-    inner_diameter: float = setting("value", "bore", unit="m", default=0.0)
-    material: str = setting("text", "steel, aluminium or one of materials", default="steel")
-    count: int = setting("integer", "equal elements in a row", default=1)
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.count <= MOST_COPIES:
-            raise ConfigError(f"count: from 1 to {MOST_COPIES}, not {self.count}")
-
-
-@dataclass(frozen=True)
-class DiscSettings:
-    """One entry of ``discs:``, by its dimensions and material or by its mass and moments of inertia."""
-
-    node: int = setting("integer", "node it sits on")
-    outer_diameter: float | None = setting("value", "outer diameter", unit="m", default=None)
-    inner_diameter: float = setting("value", "bore", unit="m", default=0.0)
-    length: float | None = setting("value", "length along the shaft", unit="m", default=None)
-    material: str = setting("text", "steel, aluminium or one of materials", default="steel")
-    mass: float | None = setting("value", "mass, instead of dimensions", unit="kg", default=None)
-    polar_inertia: float | None = setting("value", "moment of inertia about the shaft", unit="kg.m^2", default=None)
-    transverse_inertia: float | None = setting("value", "moment of inertia about a diameter", unit="kg.m^2", default=None)
-
-    def __post_init__(self) -> None:
-        if (self.mass is None) == (self.outer_diameter is None):
-            raise ConfigError("one of mass and outer_diameter is needed", hint="a disc is given by its mass, or by its dimensions")
-        if self.outer_diameter is not None and self.length is None:
-            raise ConfigError("length: is missing", hint="a disc of dimensions needs its length along the shaft")
-        if self.mass is not None and None in (self.polar_inertia, self.transverse_inertia):
-            raise ConfigError("polar_inertia and transverse_inertia are needed with mass")
-
-    def disc(self, material: Material) -> Disc:
-        if self.mass is not None:
-            return Disc(self.node, self.mass, self.transverse_inertia or 0.0, self.polar_inertia or 0.0)
-        return Disc.of_dimensions(self.node, self.inner_diameter, self.outer_diameter or 0.0, self.length or 0.0, material)
-
-
-@dataclass(frozen=True)
-class SleeveSettings:
-    """One entry of ``sleeves:``: a ring that adds mass and inertia along an element, no stiffness."""
-
-    element: int = setting("integer", "number of the element it surrounds, from 1")
-    outer_diameter: float = setting("value", "outer diameter", unit="m")
-    material: str = setting("text", "steel, aluminium or one of materials", default="steel")
-
-
-@dataclass(frozen=True)
-class DampingSettings:
-    """Proportional damping of the shaft, C = alpha M + beta K."""
-
-    alpha: float = setting("value", "part of the mass matrix", unit="1/s", default=0.0)
-    beta: float = setting("value", "part of the stiffness matrix", unit="s", default=0.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RotorBearingSettings(JournalSettings):
-    """One entry of ``bearings:``: a journal bearing and its node; its load follows from the rotor."""
-
-    node: int = setting("integer", "node it sits on")
-
-
-@dataclass(frozen=True)
-class LoadSettings:
-    """One entry of ``loads:``: a constant force beside the weight."""
-
-    node: int = setting("integer", "node it acts on")
-    y: float = setting("value", "horizontal force", unit="N", default=0.0)
-    z: float = setting("value", "vertical force, positive up", unit="N", default=0.0)
-
-
-@dataclass(frozen=True)
-class UnbalanceSettings:
-    """One entry of ``unbalances:``."""
-
-    node: int = setting("integer", "node it sits on")
-    size: float = setting("value", "mass times eccentricity", unit="kg.m")
-    phase: float = setting("value", "phase from the keyphasor, with the spin", unit="rad", default=0.0)
 
 
 LISTS: dict[str, type] = {
     "elements": ElementSettings,
     "discs": DiscSettings,
     "sleeves": SleeveSettings,
-    "bearings": RotorBearingSettings,
     "loads": LoadSettings,
     "unbalances": UnbalanceSettings,
 }
-SECTIONS = (*LISTS, "materials", "damping")
+NODE = Setting("integer", "node it sits on")
+SECTIONS = (*LISTS, "bearings", "materials", "damping")
 
 
 def load_rotor(path: Path, overrides: Iterable[str] = ()) -> RotorRig:
@@ -149,7 +49,7 @@ def load_rotor(path: Path, overrides: Iterable[str] = ()) -> RotorRig:
     tree = load_marked(path)
     for assignment in overrides:
         set_entry(tree, assignment)
-    faults = Faults()
+    faults = Faults(path.parent)
     rig = read_rotor(tree, path.stem, faults)
     faults.raise_any()
     assert rig is not None
@@ -165,24 +65,25 @@ def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
         return None
     plain = Marked({k: v for k, v in entries.items() if k not in SECTIONS}, tree.where)
     known = read_settings(RotorSettings, plain, "", faults)
-    materials = _materials(entries.get("materials"), faults)
-    lists = {key: _entries(owner, entries.get(key), key, faults) for key, owner in LISTS.items()}
+    materials = read_materials(entries.get("materials"), faults)
+    lists = {key: read_entries(owner, entries.get(key), key, faults) for key, owner in LISTS.items()}
+    bearings = read_bearings(entries.get("bearings"), faults)
     for key in ("elements", "bearings"):
         if key not in entries:
             faults.add(tree, key, "is missing", "a list; each entry begins with '- '")
     damping = read_settings(DampingSettings, entries["damping"], "damping", faults) if "damping" in entries else DampingSettings()
-    rotor = None if len(faults) > before else _rotor(lists, materials, damping, tree, faults)
+    rotor = None if len(faults) > before else build_rotor(lists, materials, damping, tree, faults)
     if rotor is None or known is None:
         return None
-    places = tuple(BearingPlace(one.name or str(number), one.node, one.bearing()) for number, (_, one) in enumerate(lists["bearings"], 1))
+    places = tuple(place for _, place in bearings)
     loads = tuple((one.node, one.y, one.z) for _, one in lists["loads"])
     unbalances = tuple(Unbalance(one.node, one.size, one.phase) for _, one in lists["unbalances"])
-    _check_nodes(lists, rotor, faults)
+    _check_nodes({**lists, "bearings": bearings}, rotor, faults)
     name = known.name or stem
-    return _tried(lambda: RotorRig(name, rotor, known.speed, places, loads, unbalances, known.force, known.response), tree, "", faults)
+    return tried(lambda: RotorRig(name, rotor, known.speed, places, loads, unbalances, known.force, known.response), tree, "", faults)
 
 
-def _entries(owner: type[Owner], node: Marked | None, key: str, faults: Faults) -> list[tuple[Marked, Any]]:
+def read_entries(owner: type[Owner], node: Marked | None, key: str, faults: Faults) -> list[tuple[Marked, Any]]:
     """The entries of a list that can be read, with their place."""
     if node is None:
         return []
@@ -193,18 +94,18 @@ def _entries(owner: type[Owner], node: Marked | None, key: str, faults: Faults) 
     return [(entry, one) for entry, one in found if one is not None]
 
 
-def _materials(node: Marked | None, faults: Faults) -> dict[str, Material]:
+def read_materials(node: Marked | None, faults: Faults) -> dict[str, Material]:
     materials = dict(MATERIALS)
     for name, entry in (faults.mapping(node, "materials") if node is not None else {}).items():
         key = join("materials", name)
         one = read_settings(MaterialSettings, entry, key, faults)
         if one is not None:
-            made = _tried(lambda one=one: Material(one.density, one.elastic_modulus, one.shear_modulus, one.poisson), entry, key, faults)
+            made = tried(lambda one=one: Material(one.density, one.elastic_modulus, one.shear_modulus, one.poisson), entry, key, faults)
             materials |= {} if made is None else {name: made}
     return materials
 
 
-def _rotor(
+def build_rotor(
     lists: dict[str, list[tuple[Marked, Any]]],
     materials: dict[str, Material],
     damping: DampingSettings | None,
@@ -222,24 +123,24 @@ def _rotor(
     shaft: list[ShaftElement] = []
     for entry, one in lists["elements"]:
         steel = material(entry, one)
-        piece = _tried(lambda one=one, steel=steel: ShaftElement(one.length, one.diameter, steel, one.inner_diameter), entry, "", faults)
+        piece = tried(lambda one=one, steel=steel: ShaftElement(one.length, one.diameter, steel, one.inner_diameter), entry, "", faults)
         shaft.extend([piece] * one.count if piece is not None else [])
-    discs = [_tried(lambda e=e, one=one: one.disc(material(e, one)), e, "", faults) for e, one in lists["discs"]]
+    discs = [tried(lambda e=e, one=one: one.disc(material(e, one)), e, "", faults) for e, one in lists["discs"]]
     sleeves = [Sleeve(one.element, one.outer_diameter, material(entry, one)) for entry, one in lists["sleeves"]]
     if len(faults) > before or damping is None:
         return None
     parts = tuple(disc for disc in discs if disc is not None)
-    return _tried(lambda: Rotor(tuple(shaft), parts, tuple(sleeves), damping.alpha, damping.beta), tree, "", faults)
+    return tried(lambda: Rotor(tuple(shaft), parts, tuple(sleeves), damping.alpha, damping.beta), tree, "", faults)
 
 
 def _check_nodes(lists: dict[str, list[tuple[Marked, Any]]], rotor: Rotor, faults: Faults) -> None:
     """A fault at every entry that sits on no node."""
     for key in ("bearings", "loads", "unbalances"):
         for entry, one in lists[key]:
-            _tried(lambda one=one, key=key: rotor.check_node(one.node, f"this entry of {key}"), entry.content["node"], key, faults)
+            tried(lambda one=one, key=key: rotor.check_node(one.node, f"this entry of {key}"), entry.content["node"], key, faults)
 
 
-def _tried(make: Callable[[], Built], node: Marked, key: str, faults: Faults) -> Built | None:
+def tried(make: Callable[[], Built], node: Marked, key: str, faults: Faults) -> Built | None:
     """What *make* makes; a fault at the node's place where it refuses."""
     try:
         return make()
@@ -248,25 +149,38 @@ def _tried(make: Callable[[], Built], node: Marked, key: str, faults: Faults) ->
         return None
 
 
-def with_rotor(fit: FitSettings, entry: Marked, folder: Path, key: str, faults: Faults) -> FitSettings:
-    """A fit with the rotor that its section wear: names; a fault where that cannot be read."""
-    if fit.wear is None:
-        return fit
-    return replace(fit, wear=on_rotor(fit.wear, entry.content["wear"], folder, faults, join(key, "wear")))
+def read_bearings(node: Marked | None, faults: Faults) -> list[tuple[Marked, BearingPlace]]:
+    """The bearings of a rotor file with their entries, named by their number where they have no name."""
+    if node is None:
+        return []
+    if not isinstance(node.content, list):
+        faults.add(node, "bearings", "a list is needed", "each entry begins with '- '")
+        return []
+    places = [(entry, _bearing_place(entry, number, faults)) for number, entry in enumerate(node.content, 1)]
+    return [(entry, place) for entry, place in places if place is not None]
 
 
-def on_rotor(settings: Named, node: Marked, folder: Path, faults: Faults, key: str = "") -> Named:
-    """Settings with a *rotor* file and a *bearing* in it, and the rotor read; a fault where that cannot be done."""
-    try:
-        rig = load_rotor(folder / settings.rotor)
-        rig.place(settings.bearing)
-        return replace(settings, rig=rig)
-    except ConfigError as error:
-        if error.what == "no such file":
-            hint = "paths are relative to the file that names them"
-            faults.add(node.content["rotor"], join(key, "rotor"), f"no such file '{settings.rotor}'", hint)
-        elif error.what.startswith("no bearing"):
-            faults.add(node.content["bearing"], join(key, "bearing"), error.what, error.hint)
-        else:
-            faults.merge(error)
-    return settings
+def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace | None:
+    """A bearing of any kind on its node; its load and speed follow from the rotor, so their entries are refused."""
+    key, before = f"bearings.{number}", len(faults)
+    entries = faults.mapping(entry, key)
+    kind = kind_of(entry, key, faults) if entries else None
+    if kind is None:
+        return None
+    node = read_setting(entries["node"], NODE, join(key, "node"), faults) if "node" in entries else None
+    if "node" not in entries:
+        faults.add(entry, join(key, "node"), "is missing", NODE.help)
+    plain = Marked({name: part for name, part in entries.items() if name != "node"}, entry.where, entry.key_where)
+    for name in kind.operating:
+        if name in entries:
+            faults.add(entries[name], join(key, name), "follows from the rotor", "leave it out")
+    # Load and speed come with every question to the bearing; until then they are any number above zero.
+    settings = read_settings(kind.on_rotor or kind.settings, plain, key, faults, **dict.fromkeys(kind.operating, 1.0))
+    if settings is None or node is None or len(faults) > before:
+        return None
+    bearing = tried(lambda: kind.mounted(settings), entry, key, faults)
+    name = getattr(settings, "name", "") or str(number)
+    return None if bearing is None else BearingPlace(name, node, bearing, entries["kind"].text)
+
+
+ROTOR_FILE = FileKind(load_rotor)

@@ -9,8 +9,6 @@ from labpipe.config.faults import Faults
 from labpipe.marked_yaml import Marked
 from labpipe.quantities import UnitError
 
-# The name by which rules address the study: study.fit[noise].item.
-STUDY = "study"
 _COMPARISON = re.compile(r"^\s*(>=|<=|>|<)\s*(.+?)\s*$")
 _ADDRESS = re.compile(r"^(?P<fit>[^.\[\]]+)(?:\[(?P<which>[^\]]*)\])?\.(?P<item>.+)$")
 

@@ -1,4 +1,4 @@
-"""Reading a rotor file with ``pins:``: a shaft in pinned ends, on one journal bearing under a load of its own, for run-ups."""
+"""Reading a rotor file with ``pins:``: a shaft in pinned ends, on one bearing under a load of its own, for run-ups."""
 
 from __future__ import annotations
 
@@ -7,28 +7,34 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from labpipe.config.faults import Faults, join
+from labpipe.config.file_kinds import FileKind
 from labpipe.config.reader import read_settings
-from labpipe.config.rotor import LISTS, DampingSettings, _entries, _materials, _rotor, _tried
+from labpipe.config.rotor import LISTS, build_rotor, read_bearings, read_entries, read_materials, tried
+from labpipe.config.rotor_parts import DampingSettings
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.marked_yaml import Marked, load_marked, set_entry
-from labpipe.records.settings import setting
+from labpipe.records.settings import Settings, setting
 from labpipe.registry import nearest
-from labpipe.rigs.rotor_rig import BearingPlace, Unbalance
+from labpipe.rigs.rotor_rig import Unbalance
 from labpipe.rigs.run_up_rotor import RunUpRotor
 from labpipe.run_ups.metamodels import Metamodel, from_entries
-from labpipe.simulate.unbalance_rig import VirtualUnbalanceRig
 
-OWN_LISTS = ("elements", "discs", "sleeves", "bearings", "unbalances")
-SECTIONS = (*OWN_LISTS, "materials", "damping", "planes", "pins")
+OWN_LISTS = ("elements", "discs", "sleeves", "unbalances")
+SECTIONS = (*OWN_LISTS, "bearings", "materials", "damping", "planes", "pins")
 
 
 @dataclass(frozen=True)
-class PinnedSettings:
+class PinnedSettings(Settings):
     """The plain entries of a rotor file with pins."""
 
     name: str = setting("text", "name of the rotor, as the report shows it", default="")
     description: str = setting("text", "what a reader should know of the rotor", default="")
+    speeds: tuple[float, float] | None = setting(
+        "band", "range of the critical speeds, thresholds up to twice its end; default: that of the run-ups", unit="Hz", default=None
+    )
     coefficients: str = setting("text", "FILE#NAME: a metamodel of an identification.json, instead of the film", default="")
 
 
@@ -37,7 +43,7 @@ def load_run_up_rotor(path: Path, overrides: Iterable[str] = ()) -> RunUpRotor:
     tree = load_marked(path)
     for assignment in overrides:
         set_entry(tree, assignment)
-    faults = Faults()
+    faults = Faults(path.parent)
     rig = read_run_up_rotor(tree, path.stem, faults, path.parent)
     faults.raise_any()
     assert rig is not None
@@ -62,19 +68,21 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
             faults.add(tree, key, "is missing", hint)
     pins = _nodes(entries.get("pins"), "pins", faults)
     planes = _planes(entries.get("planes"), faults)
-    lists = {key: _entries(LISTS[key], entries.get(key), key, faults) for key in OWN_LISTS}
+    lists = {key: read_entries(LISTS[key], entries.get(key), key, faults) for key in OWN_LISTS}
+    bearings = read_bearings(entries.get("bearings"), faults)
     if "bearings" in entries and isinstance(entries["bearings"].content, list) and len(entries["bearings"].content) != 1:
-        faults.add(entries["bearings"], "bearings", "a rotor between pins runs on one journal bearing")
-    materials = _materials(entries.get("materials"), faults)
+        faults.add(entries["bearings"], "bearings", "a rotor between pins runs on one bearing")
+    materials = read_materials(entries.get("materials"), faults)
     damping = read_settings(DampingSettings, entries["damping"], "damping", faults) if "damping" in entries else DampingSettings()
     tabulated = read_coefficients(known.coefficients, folder, entries["coefficients"], faults) if known and known.coefficients else None
-    rotor = None if len(faults) > before else _rotor(lists, materials, damping, tree, faults)
+    rotor = None if len(faults) > before else build_rotor(lists, materials, damping, tree, faults)
     if rotor is None or known is None or len(faults) > before:
         return None
-    bearing = lists["bearings"][0][1]
-    place = BearingPlace(bearing.name or "bearing", bearing.node, bearing.bearing())
+    (_, place), *_ = bearings
+    place = replace(place, name="bearing") if place.name == "1" else place
+    speeds = None if known.speeds is None else (2 * np.pi * known.speeds[0], 2 * np.pi * known.speeds[1])
     unbalances = tuple(Unbalance(one.node, one.size, one.phase) for _, one in lists["unbalances"])
-    return _tried(lambda: RunUpRotor(known.name or stem, rotor, pins, place, planes, unbalances, tabulated), tree, "", faults)
+    return tried(lambda: RunUpRotor(known.name or stem, rotor, pins, place, planes, unbalances, tabulated, speeds), tree, "", faults)
 
 
 def read_coefficients(named: str, folder: Path, node: Marked, faults: Faults) -> Metamodel | None:
@@ -129,17 +137,4 @@ def _planes(node: Marked | None, faults: Faults) -> tuple[tuple[str, int], ...]:
     return tuple((name, _node(entry, join("planes", name), faults)) for name, entry in entries.items())
 
 
-def on_run_up_rotor(settings: VirtualUnbalanceRig, node: Marked, folder: Path, faults: Faults) -> VirtualUnbalanceRig:
-    """Settings with their *rotor* file read; a fault where that cannot be done."""
-    path = folder / settings.rotor
-    if not path.exists():
-        faults.add(node.content["rotor"], "rotor", f"no such file '{settings.rotor}'", "paths are relative to the file that names them")
-        return settings
-    try:
-        rig = load_run_up_rotor(path)
-        if not rig.unbalances:
-            faults.add(node.content["rotor"], "rotor", "the rotor has no unbalances", "add unbalances: to the rotor file")
-        return replace(settings, rig=rig)
-    except ConfigError as error:
-        faults.merge(error)
-        return settings
+RUN_UP_ROTOR_FILE = FileKind(load_run_up_rotor, files_of)

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from labpipe.campaign.settings import CompareSettings
-from labpipe.config.calibration import CalibrationSettings
 from labpipe.config.pipeline import ReportSettings
 from labpipe.config.rig import ChannelSettings, RigSettings
-from labpipe.identify.settings import FitSettings
+from labpipe.identify.settings import MODELS, FitSettings, model_kind
 from labpipe.records.settings import Setting, settings_of
-from labpipe.rigs.unbalance_runs import UnbalanceSettings, WearCase
-from labpipe.run_ups.settings import RunSettings, RunUpSettings
+from labpipe.sections import PipelineSection, sections
 from labpipe.spectra.settings import FrfSettings
-from labpipe.study.settings import StudySettings
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _TEXT_OR_NUMBER: dict[str, Any] = {"type": ["string", "number"]}
@@ -55,12 +51,7 @@ def pipeline_schema() -> dict[str, Any]:
         "frfs": _TEXTS,
         "conditions": conditions,
         "frf": _object(FrfSettings),
-        "identify": {"type": "object", "additionalProperties": _object(FitSettings)},
-        "study": _object(StudySettings),
-        "unbalance": _unbalance(),
-        "run_ups": _run_ups(),
-        "calibrate": {"type": "object", "additionalProperties": _object(CalibrationSettings)},
-        "compare": {"type": "object", "additionalProperties": _object(CompareSettings)},
+        **{name: _section(entry) for name, entry in sections()},
         "report": _object(ReportSettings),
         "accept": rules,
         "expect": rules,
@@ -72,6 +63,16 @@ def pipeline_schema() -> dict[str, Any]:
         "properties": properties,
         "additionalProperties": False,
     }
+
+
+def _section(entry: PipelineSection) -> dict[str, Any]:
+    """A section, or a mapping of names to entries; of fits with the sections that models have."""
+    owner = entry.load("settings")
+    schema = _object(owner)
+    if owner is FitSettings:
+        kinds = [kind for kind in map(model_kind, MODELS) if kind.settings is not None]
+        schema["properties"] |= {kind.section: _object(kind.settings) for kind in kinds if kind.settings is not None}
+    return {"type": "object", "additionalProperties": schema} if entry.named else schema
 
 
 def _object(owner: type) -> dict[str, Any]:
@@ -86,9 +87,13 @@ def _described(setting: Setting) -> str:
 
 
 def _kind(setting: Setting) -> dict[str, Any]:
-    if setting.kind == "section":
-        assert setting.section is not None
-        return _object(setting.section)
+    if setting.section is not None:
+        section = _object(setting.section)
+        return {
+            "section": section,
+            "sections": {"type": "object", "additionalProperties": section},
+            "entries": {"type": "array", "items": section},
+        }[setting.kind]
     return {
         "value": _TEXT_OR_NUMBER,
         "uncertain": _TEXT_OR_NUMBER,
@@ -98,6 +103,7 @@ def _kind(setting: Setting) -> dict[str, Any]:
         "integer": {"type": "integer", "minimum": 0},
         "flag": {"type": "boolean"},
         "text": _TEXT_OR_NUMBER,
+        "file": {"type": "string"},
         "choice": {"enum": list(setting.choices)},
         "names": _TEXTS,
         "mass": {"type": ["string", "number", "array"]},
@@ -106,22 +112,5 @@ def _kind(setting: Setting) -> dict[str, Any]:
         "coefficients": {"type": "object", "additionalProperties": _TEXT_OR_NUMBER},
         "groups": {"type": "array"},
         "series": {"type": "object"},
+        "phasors": {"type": "object", "additionalProperties": _TEXT_OR_NUMBER},
     }[setting.kind]
-
-
-def _unbalance() -> dict[str, Any]:
-    """The section `unbalance:`; its cases have names of their own."""
-    section = _object(UnbalanceSettings)
-    section["properties"]["cases"] = {"type": "object", "additionalProperties": _object(WearCase)}
-    return section
-
-
-def _run_ups() -> dict[str, Any]:
-    """The section `run_ups:`; its runs are a list, unbalances have the names of planes."""
-    run = _object(RunSettings)
-    unbalance = "known unbalance by plane, instead of the table's: {disc 1: 50 g.mm at 0 deg}"
-    run["properties"]["unbalance"] = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER, "description": unbalance}
-    section = _object(RunUpSettings)
-    section["properties"]["runs"] = {"type": "array", "items": run}
-    section["required"].append("runs")
-    return section

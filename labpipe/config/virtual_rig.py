@@ -1,38 +1,24 @@
-"""Reading a virtual rig file: what the rig IS. VIRTUAL_RIGS by kind."""
+"""Reading a virtual rig file: what the rig IS."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from labpipe.config.faults import Faults
+from labpipe.config.file_kinds import FileKind
 from labpipe.config.reader import read_settings
-from labpipe.config.rotor import on_rotor
-from labpipe.config.run_up_rotor import on_run_up_rotor
 from labpipe.marked_yaml import load_marked, set_entry
-from labpipe.registry import Registry, nearest
-from labpipe.simulate.unbalance_rig import KIND as RUN_UPS
-
-VIRTUAL_RIGS = Registry(
-    "virtual rig",
-    {
-        "virtual-magnetic-rig": "labpipe.simulate.settings:VirtualRig",
-        "virtual-mdof-rig": "labpipe.simulate.mdof_rig:VirtualMdofRig",
-        "virtual-ball-bearing-rig": "labpipe.simulate.ball_bearing_rig:VirtualBallBearingRig",
-        "virtual-journal-rig": "labpipe.simulate.journal_rig:VirtualJournalRig",
-        "virtual-unbalance-rig": "labpipe.simulate.unbalance_rig:VirtualUnbalanceRig",
-        "virtual-white-noise-rig": "labpipe.simulate.white_noise_rig:WhiteNoiseRig",
-    },
-)
+from labpipe.registry import nearest
+from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS, VirtualRig, VirtualRigKind
 
 
-def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> Any:
+def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> VirtualRig:
     """The settings of a virtual rig file, of the class of its kind; ConfigErrors with every fault at its place."""
     tree = load_marked(path)
     for assignment in overrides:
         set_entry(tree, assignment)
-    faults = Faults()
+    faults = Faults(path.parent)
     entries = faults.mapping(tree, "")
     kind = entries["kind"].text if "kind" in entries else ""
     if not kind:
@@ -40,8 +26,11 @@ def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> Any:
     elif kind not in VIRTUAL_RIGS.names():
         faults.add(entries["kind"], "kind", f"unknown virtual rig '{kind}'", nearest(kind, VIRTUAL_RIGS.names()))
     faults.raise_any()
-    rig = read_settings(VIRTUAL_RIGS.load(kind), tree, "", faults)
-    if rig is not None and "rotor" in entries:
-        rig = (on_run_up_rotor if rig.kind == RUN_UPS else on_rotor)(rig, tree, path.parent, faults)
+    chosen: VirtualRigKind = VIRTUAL_RIGS.load(kind)
+    rig: VirtualRig | None = read_settings(chosen.settings, tree, "", faults)
     faults.raise_any()
+    assert rig is not None
     return rig
+
+
+VIRTUAL_RIG_FILE = FileKind(load_virtual_rig)

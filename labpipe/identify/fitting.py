@@ -25,8 +25,6 @@ from labpipe.records.identification import Fit, FittedCurve, Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.bands import EDGE, lines_in
 from labpipe.spectra.convert import receptance_factor
-from labpipe.wear.fit import worn_fit
-from labpipe.wear.settings import WORN_BEARING
 
 Band = tuple[float, float]
 
@@ -36,10 +34,13 @@ def identify(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, .
 
     Raises ConfigError where settings and response do not fit together, FitError where the data cannot support the fit.
     """
+    return settings.kind.fit(response, settings)
+
+
+def fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
+    """Fits of a model linear in its parameters: one per band or chosen peak."""
     if settings.peaks:
         return tuple(fit for dof, bands in settings.peaks for fit in _diagonal_term(response, settings, dof, bands))
-    if settings.model == WORN_BEARING:
-        return (worn_fit(response, settings),)
     rows, columns = select_ports(response, settings.input, settings.output)
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from labpipe.errors import ConfigError
-from labpipe.records.settings import Uncertain, setting
+from labpipe.identify.model_kinds import ModelKind
+from labpipe.records.setting_values import COEFFICIENT_UNITS as COEFFICIENT_UNITS
+from labpipe.records.setting_values import ESTIMATE as ESTIMATE
+from labpipe.records.settings import Settings, Uncertain, setting
 from labpipe.registry import Registry
-from labpipe.wear.settings import WORN_BEARING, WearSettings
 
-# From the setup of a fit (ports, mass) to a model linear in its parameters; worn-bearing has a search of its own.
+# From the setup of a fit (ports, mass) to a model linear in its parameters, or a ModelKind that fits a response in its own way.
 MODELS = Registry(
     "model",
     {
@@ -17,6 +20,7 @@ MODELS = Registry(
         "rotor-2dof": "labpipe.identify.models:rotor_2dof",
         "rotor-2dof-direct": "labpipe.identify.models:rotor_2dof_direct",
         "mdof": "labpipe.identify.mdof:mdof",
+        "worn-bearing": "labpipe.wear.model_kind:WORN_BEARING",
     },
 )
 # From a measured FRF, a model and the weight of lines to an Estimate.
@@ -33,13 +37,10 @@ WEIGHTS = ("none", "noise")
 DAMPINGS = ("viscous", "proportional")
 
 Mass = float | tuple[float, ...] | tuple[tuple[float, ...], ...] | str
-ESTIMATE = "estimate"
-# The unit of a coefficient by the first letter of its name.
-COEFFICIENT_UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg", "b": "1"}
 
 
 @dataclass(frozen=True)
-class Sliding:
+class Sliding(Settings):
     """The fit is repeated in a band of *width* moved by *step*."""
 
     width: float = setting("value", "width of one band", unit="Hz")
@@ -47,7 +48,7 @@ class Sliding:
 
 
 @dataclass(frozen=True)
-class Support:
+class Support(Settings):
     """Stiffness and damping of the support, subtracted from the direct coefficients with their uncertainty."""
 
     stiffness: Uncertain = setting("uncertain", "stiffness of the support", unit="N/m", default=Uncertain(0.0))
@@ -55,10 +56,10 @@ class Support:
 
 
 @dataclass(frozen=True)
-class FitSettings:
-    """One fit of the pipeline's ``identify:`` section; *name* is its key there."""
+class FitSettings(Settings):
+    """One fit of the pipeline's ``identify:`` section; *name* is its key there, *model_settings*: of the section that its model has."""
 
-    model: str = setting("choice", "what is identified", choices=(*MODELS, WORN_BEARING))
+    model: str = setting("choice", "what is identified", choices=tuple(MODELS))
     mass: Mass = setting("mass", "mass that moves with the response, or `estimate`", unit="kg", default=ESTIMATE)
     estimator: str = setting("choice", "how it is estimated", choices=tuple(ESTIMATORS), default="ml")
     input: tuple[str, ...] = setting("names", "force channel(s); default: all", default=())
@@ -81,9 +82,9 @@ class FitSettings:
     weight: str = setting("choice", "ls, iv, amplitude: all lines weigh alike, or by their noise", choices=WEIGHTS, default="none")
     bootstrap: int = setting("integer", "repeats of the fit on resampled noise, for intervals beyond first order", default=0)
     compare: bool = setting("flag", "hold the model against simpler and richer ones", default=False)
-    wear: WearSettings | None = setting("section", "worn-bearing: how the wear is looked for", section=WearSettings, default=None)
     test: tuple[str, ...] = setting("names", "tests that are fitted; default: all", default=())
     name: str = ""
+    model_settings: Any = None
 
     def __post_init__(self) -> None:
         self._check_bands()
@@ -97,10 +98,18 @@ class FitSettings:
             raise ConfigError("the amplitude fit is for sdof only", hint="estimator: ml")
         if self.model != "mdof" and (self.symmetric or self.lumped_mass or self.scale_mass):
             raise ConfigError("'symmetric', 'lumped_mass' and 'scale_mass' are for mdof only", hint="leave them out")
-        if (self.model == WORN_BEARING) != (self.wear is not None):
-            raise ConfigError(f"the section 'wear' goes with model {WORN_BEARING}", hint="wear: {rotor: ../configs/rotors/FILE.yaml}")
+        kind = self.kind
+        if kind.settings is None and self.model_settings is not None:
+            raise ConfigError(f"model {self.model} has no settings of its own", hint="leave model_settings out")
+        if kind.settings is not None and not isinstance(self.model_settings, kind.settings):
+            raise ConfigError(f"model {self.model} needs the section '{kind.section}'", hint=kind.example)
         if self.scale_mass and self.mass == ESTIMATE:
             raise ConfigError("'scale_mass' needs the mass to be scaled", hint="for example mass: [1 kg, 2 kg]")
+
+    @property
+    def kind(self) -> ModelKind:
+        """How a fit of the settings' model is made; ConfigError for a model that is not known."""
+        return model_kind(self.model)
 
     def _check_bands(self) -> None:
         """ConfigError for settings that say twice which bands or ports are fitted."""
@@ -110,3 +119,13 @@ class FitSettings:
             raise ConfigError("'peaks' names bands and ports by itself", hint="leave out band, bands, sliding, input and output")
         if self.peaks and self.model != "sdof":
             raise ConfigError("'peaks' is for sdof only", hint="for other models name input, output and bands")
+
+
+def model_kind(name: str) -> ModelKind:
+    """The kind of model of that name; a model linear in its parameters is fitted band by band."""
+    entry = MODELS.load(name)
+    if isinstance(entry, ModelKind):
+        return entry
+    from labpipe.identify.fitting import fit_linear
+
+    return ModelKind(fit_linear)

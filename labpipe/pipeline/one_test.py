@@ -17,8 +17,8 @@ from labpipe.identify.settings import FitSettings
 from labpipe.records.identification import Failed, Fit
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.settings import FrfSettings
+from labpipe.stages.fits import fits_of
 from labpipe.stages.frf import frf, frf_file_name, load_response
-from labpipe.stages.identify import fits_of
 from labpipe.stages.ingest import ingest, recording_ref
 
 Tell = Callable[[str], None]

@@ -20,8 +20,9 @@ from labpipe.pipeline.executors import Execute, serially
 from labpipe.pipeline.one_test import Done, Job, Tell, finished_fits, measure, responses_of, silent, work
 from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.records.response import FrequencyResponse
+from labpipe.stages.fits import check_tested
 from labpipe.stages.frf import frf_file_name
-from labpipe.stages.identify import check_tested, identify_stage
+from labpipe.stages.identify import identify_stage
 from labpipe.stages.ingest import unique_names
 
 # Called when a test is done: tests done, tests in all, name of the test.
@@ -80,7 +81,7 @@ def measure_tests(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits
 
 def independent_fits(pipeline: Pipeline) -> list[str]:
     """The fits that a test can make by itself: all but those that begin with what another fit found."""
-    return [settings.name for settings in pipeline.fits if settings.wear is None or not settings.wear.prior]
+    return [settings.name for settings in pipeline.fits if not settings.kind.earlier(settings)]
 
 
 @contextmanager

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Protocol
 
 from labpipe.records.finding import Finding
 from labpipe.records.parameter import Parameter
@@ -119,3 +121,23 @@ class Comparison:
             if amount.name == name:
                 return amount
         raise KeyError(f"no amount '{name}'; known: {', '.join(a.name for a in self.amounts)}")
+
+
+Comparisons = tuple[Comparison, ...]
+
+
+class Named(Protocol):
+    """Settings or result of one comparison."""
+
+    @property
+    def name(self) -> str: ...
+
+
+def names(comparisons: Iterable[Named]) -> tuple[str, ...]:
+    """The names of comparisons or of their settings, by which rules address them."""
+    return tuple(comparison.name for comparison in comparisons)
+
+
+def findings(comparisons: Comparisons) -> tuple[tuple[str, Finding], ...]:
+    """Every finding with the name of its comparison."""
+    return tuple((comparison.name, finding) for comparison in comparisons for finding in comparison.findings)

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.records.comparison import Comparison
 from labpipe.records.finding import Finding
 from labpipe.records.parameter import Parameter as Parameter
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.run_up_result import RunUpResult
-from labpipe.records.study import Study
-from labpipe.records.unbalance import UnbalanceRuns
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ class Fit:
     dof: int
     gof: Goodness
     parameters: tuple[Parameter, ...]
-    condition_number: float
+    condition_number: float = field(metadata={"null": math.inf})
     correlation: NDArray[np.floating]
     converged: bool = True
     iterations: int = 0
@@ -131,7 +129,10 @@ class Failed:
 
 @dataclass(frozen=True)
 class Identification:
-    """All fits of a pipeline with what they came from: the measured responses, the source files, the settings used."""
+    """All fits of a pipeline with what they came from: the measured responses, the source files, the settings used.
+
+    *sections*: the records of the pipeline's other sections by their key (compare, study, run_ups, ...).
+    """
 
     fits: tuple[Fit, ...]
     title: str = ""
@@ -142,11 +143,8 @@ class Identification:
     responses: tuple[FrequencyResponse, ...] = ()
     outcomes: tuple[RuleOutcome, ...] = ()
     version: str = ""
-    studies: tuple[Study, ...] = ()
-    comparisons: tuple[Comparison, ...] = ()
-    unbalance: UnbalanceRuns | None = None
     failed: tuple[Failed, ...] = ()
-    run_ups: RunUpResult | None = None
+    sections: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def accepted(self) -> bool:

@@ -227,3 +227,8 @@ class RunUpResult:
             if run.name == name:
                 return run
         raise KeyError(f"no run '{name}'; known: {', '.join(run.name for run in self.runs)}")
+
+
+def findings(result: RunUpResult) -> tuple[tuple[str, Finding], ...]:
+    """Every finding, its origin named."""
+    return tuple(("run-ups", finding) for finding in result.findings)

@@ -3,47 +3,54 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import MISSING, dataclass
+import functools
+from dataclasses import MISSING
 from typing import Any
 
-KINDS = (
-    "value",  # "15 Hz" -> float in the SI unit
-    "uncertain",  # "134.5 kN/m +- 0.4 kN/m" or "... +- 1 %" -> Uncertain
-    "band",  # "1-250 Hz" -> (low, high) in the SI unit
-    "bands",  # list of bands
-    "peaks",  # {x: 700-1100 Hz, z: [...]} -> (("x", ((700.0, 1100.0),)), ...)
-    "integer",
-    "flag",
-    "text",
-    "choice",  # one of `choices`
-    "names",  # one text or a list of texts -> tuple
-    "mass",  # "0.92 kg", a list (diagonal), a matrix, or `estimate`
-    "values",  # one value or a list of values -> tuple
-    "matrix",  # list of rows -> tuple of tuples
-    "coefficients",  # {k_1_2: 0 N/m} -> (("k_1_2", 0.0), ...)
-    "series",  # {ls: [1, 2]} -> (("ls", (1.0, 2.0)), ...)
-    "groups",  # lists of names -> tuple of tuples
-    "section",  # a nested dataclass
-)
+from labpipe.errors import ConfigError
+from labpipe.quantities import UnitError
+from labpipe.records.setting_values import CONVERTERS, Setting, Uncertain
+
+__all__ = ["Setting", "Settings", "Uncertain", "setting", "settings_of"]
 
 
-@dataclass(frozen=True)
-class Uncertain:
-    """A value with its standard error, both in SI units."""
+class Settings:
+    """Base of every settings dataclass: its values are converted and checked at birth, whoever makes it.
 
-    value: float
-    std_error: float = 0.0
+    FrfSettings("periodic", period="1 s") and FrfSettings("periodic", period=1.0) are the same. ConfigError names the field that is wrong.
+    """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Conversion comes before the checks of the class itself, which see SI numbers only."""
+        super().__init_subclass__(**options)
+        check = cls.__dict__.get("__post_init__")
+        if check is None:
+            return
+
+        @functools.wraps(check)
+        def convert_and_check(self: Settings) -> None:
+            _convert(self)
+            check(self)
+
+        cls.__post_init__ = convert_and_check  # type: ignore[method-assign]
+
+    def __post_init__(self) -> None:
+        _convert(self)
 
 
-@dataclass(frozen=True)
-class Setting:
-    """What a settings field means to people: its kind, SI unit, choices, and one line of help."""
-
-    kind: str
-    help: str
-    unit: str = ""
-    choices: tuple[str, ...] = ()
-    section: type | None = None
+def _convert(settings: Any) -> None:
+    """Every declared field in SI units and of its type; ConfigError with the field's name."""
+    for field in dataclasses.fields(settings):
+        if "setting" not in field.metadata:
+            continue
+        value = getattr(settings, field.name)
+        if value is field.default:
+            continue
+        declared: Setting = field.metadata["setting"]
+        try:
+            object.__setattr__(settings, field.name, CONVERTERS[declared.kind](value, declared))
+        except UnitError as error:
+            raise ConfigError(f"{field.name}: {error.what}", hint=error.hint, field=field.name) from None
 
 
 def setting(
@@ -54,13 +61,18 @@ def setting(
     default: Any = MISSING,
     choices: tuple[str, ...] = (),
     section: type | None = None,
+    file_kind: str = "",
+    into: str = "",
+    needed: bool = False,
 ) -> Any:
-    """A dataclass field that carries a Setting; without a default the YAML must give it."""
-    if kind not in KINDS:
+    """A dataclass field that carries a Setting of a kind of CONVERTERS; without a default the YAML must give it."""
+    if kind not in CONVERTERS:
         raise ValueError(f"unknown kind of setting '{kind}'")
-    return dataclasses.field(default=default, metadata={"setting": Setting(kind, help, unit, choices, section)})
+    declared = Setting(kind, help, unit, choices, section, file_kind, into, needed)
+    return dataclasses.field(default=default, metadata={"setting": declared})
 
 
 def settings_of(owner: type) -> dict[str, tuple[Setting, bool]]:
     """Field name -> (its Setting, whether it must be given) of a settings dataclass, in order of declaration."""
-    return {f.name: (f.metadata["setting"], f.default is MISSING) for f in dataclasses.fields(owner) if "setting" in f.metadata}
+    declared = [(field, field.metadata["setting"]) for field in dataclasses.fields(owner) if "setting" in field.metadata]
+    return {field.name: (setting, field.default is MISSING or setting.needed) for field, setting in declared}

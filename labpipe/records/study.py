@@ -75,3 +75,6 @@ class Study:
     cases: tuple[StudyCase, ...]
     thresholds: tuple[StudyThreshold, ...] = ()
     printed: tuple[tuple[str, tuple[float, ...]], ...] = ()
+
+
+Studies = tuple[Study, ...]

@@ -10,17 +10,14 @@ from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.identification import Fit, Identification, RuleOutcome
 from labpipe.report import figures
 from labpipe.report.candidates import candidate_blocks
-from labpipe.report.comparison import comparison_blocks
 from labpipe.report.cover import cover_facts
 from labpipe.report.document import Block, Code, Document, Paragraph, Section, Table
 from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figure
 from labpipe.report.rotor_drawing import rotor_figures
-from labpipe.report.run_up import run_up_sections
 from labpipe.report.spectral_figures import spectral_blocks
-from labpipe.report.study import study_blocks
-from labpipe.report.unbalance import unbalance_blocks
 from labpipe.report.wear_figures import wear_figures
 from labpipe.report.wording import STARS_EXPLAINED, band_text, fit_title, inflated_text, parameter_row, unit_text
+from labpipe.sections import section
 
 PARAMETER_HEADER = ("parameter", "value", "unit", "std. error", "95 % interval", "t-ratio", "significance", "VIF")
 NUMERIC = (1, 3, 4, 5, 7)
@@ -34,10 +31,7 @@ def build(identification: Identification) -> Document:
         Section("Verdict", _verdict(identification)),
         Section("Warnings", _warnings(identification)),
         *([Section("Notes", notes)] if (notes := _notes(identification)) else []),
-        *(Section(f"Comparison: {each.name}", comparison_blocks(each, identification.responses)) for each in identification.comparisons),
-        *([] if (runs := identification.unbalance) is None else [Section(f"Unbalance: {runs.rotor}", unbalance_blocks(runs))]),
-        *([] if identification.run_ups is None else run_up_sections(identification.run_ups)),
-        *(Section(f"Study: {study.rig}", study_blocks(study)) for study in identification.studies),
+        *(part for name, record in identification.sections.items() for part in section(name).call("report", record, identification)),
         *(Section(f"Result: {_series_title(fits)}", _result(fits)) for fits in series),
         *([Section("Measurement", _measurement(identification))] if identification.responses else []),
         *([Section("Rotor", tuple(rotors))] if (rotors := rotor_figures(identification.settings)) else []),
@@ -96,9 +90,8 @@ SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch", "unsta
 def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
     """Fits and comparisons that must not be used as they stand, named beside the verdict: a rule can hold for the wrong reason."""
     named = {fit_title(fit): [f.code for f in fit.findings if f.code in SERIOUS] for fit in identification.fits}
-    named |= {each.name: [f.code for f in each.findings if f.code in SERIOUS] for each in identification.comparisons}
-    if identification.run_ups is not None:
-        named["run-ups"] = [f.code for f in identification.run_ups.findings if f.code in SERIOUS]
+    for origin, finding in section_findings(identification):
+        named.setdefault(origin, []).extend([finding.code] if finding.code in SERIOUS else [])
     counted = [f"{title} ({', '.join(dict.fromkeys(codes))})" for title, codes in named.items() if codes]
     if not counted:
         return ()
@@ -118,13 +111,15 @@ def _all_findings(identification: Identification, level: str) -> dict[str, list[
     for fit in identification.fits:
         for finding in of_level(level, fit.findings):
             found.setdefault(finding.code, []).append((fit_title(fit), finding))
-    for comparison in identification.comparisons:
-        for finding in of_level(level, comparison.findings):
-            found.setdefault(finding.code, []).append((comparison.name, finding))
-    if identification.run_ups is not None:
-        for finding in of_level(level, identification.run_ups.findings):
-            found.setdefault(finding.code, []).append(("run-ups", finding))
+    for origin, finding in section_findings(identification):
+        if finding.level == level:
+            found.setdefault(finding.code, []).append((origin, finding))
     return found
+
+
+def section_findings(identification: Identification) -> list[tuple[str, Finding]]:
+    """Every finding of the sections beside the fits, with where it comes from."""
+    return [pair for name, record in identification.sections.items() for pair in section(name).call("findings", record)]
 
 
 def _warnings(identification: Identification) -> tuple[Block, ...]:
@@ -264,8 +259,9 @@ def _rig(identification: Identification) -> tuple[Block, ...]:
     rows = tuple((test or "test", key, str(value)) for test, entry in conditions.items() for key, value in entry.items())
     if rows:
         blocks.append(Table(("test", "condition", "value"), rows, "Test conditions"))
-    if not blocks and identification.run_ups is not None:
-        return (Paragraph(f"Run-ups of {identification.run_ups.rotor}, {identification.run_ups.bearing}; each run's conditions above."),)
+    if not blocks and "run_ups" in identification.sections:
+        runs = identification.sections["run_ups"]
+        return (Paragraph(f"Run-ups of {runs.rotor}, {runs.bearing}; each run's conditions above."),)
     return tuple(blocks) or (Paragraph("The FRFs were given as they are; no rig file was named."),)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -10,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.quantities import UnitError, display_unit, si_amount, to_display
-from labpipe.records.identification import Fit, Identification, Parameter
+from labpipe.records.identification import Identification
+from labpipe.records.listed import ListedParameter, listed_parameters
+from labpipe.records.parameter import Parameter
 from labpipe.report.cover import DATES
 from labpipe.report.wording import unit_text
 
@@ -20,7 +23,6 @@ class Value:
     """A parameter of a fit in one result; *label* tells the test from the others, *day* is None where no condition gives it."""
 
     label: str
-    fit: Fit
     parameter: Parameter
     conditions: dict[str, tuple[float, str]]
     day: date | None
@@ -84,21 +86,21 @@ class CoefficientSeries:
 
 
 def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[CoefficientSeries]:
-    """Every parameter that two results or more have, of fits in one band; sliding fits are drawn over frequency instead."""
+    """Every parameter that two results or more have, of fits and other sections; sliding fits are drawn over frequency instead."""
     groups: dict[tuple[str, str], list[Value]] = {}
     for result, identification in results:
-        for fit in single_fits(identification):
-            for parameter in fit.parameters:
-                title = f"{fit.name} of {fit.term}" if fit.term else fit.name
-                groups.setdefault((title, parameter.name), []).append(_value(result, identification, fit, parameter))
+        for listed in single_parameters(identification):
+            title = f"{listed.fit} of {listed.term}" if listed.term else listed.fit
+            groups.setdefault((title, listed.parameter.name), []).append(_value(result, identification, listed))
     series = [CoefficientSeries(fit, name, _ordered(values)) for (fit, name), values in groups.items() if len(values) > 1]
     return [one for one in series if len({value.parameter.unit for value in one.values}) == 1]
 
 
-def single_fits(identification: Identification) -> list[Fit]:
-    """Fits that stand once for their test, name and term."""
-    keys = [(fit.name, fit.test, fit.term) for fit in identification.fits]
-    return [fit for fit, key in zip(identification.fits, keys, strict=True) if keys.count(key) == 1 and fit.model != "straight-line"]
+def single_parameters(identification: Identification) -> list[ListedParameter]:
+    """Parameters that stand once for their fit, test and term."""
+    rows = [listed for listed in listed_parameters(identification) if listed.model != "straight-line"]
+    counts = Counter((listed.fit, listed.test, listed.term, listed.parameter.name) for listed in rows)
+    return [listed for listed in rows if counts[listed.fit, listed.test, listed.term, listed.parameter.name] == 1]
 
 
 def _ordered(values: Sequence[Value]) -> tuple[Value, ...]:
@@ -107,12 +109,12 @@ def _ordered(values: Sequence[Value]) -> tuple[Value, ...]:
     return tuple(sorted(values, key=lambda value: value.day or date.min))
 
 
-def _value(result: str, identification: Identification, fit: Fit, parameter: Parameter) -> Value:
-    label = f"{result}, {fit.test}" if fit.test and result else fit.test or result
-    conditions = identification.test_conditions.get(fit.test, {})
+def _value(result: str, identification: Identification, listed: ListedParameter) -> Value:
+    label = f"{result}, {listed.test}" if listed.test and result else listed.test or result
+    conditions = identification.test_conditions.get(listed.test, {})
     amounts = {name: amount for name, text in conditions.items() if (amount := _amount(str(text))) is not None}
     days = (_day(str(text)) for name, text in conditions.items() if name.lower() in DATES)
-    return Value(label, fit, parameter, amounts, next((day for day in days if day is not None), None))
+    return Value(label, listed.parameter, amounts, next((day for day in days if day is not None), None))
 
 
 def _amount(text: str) -> tuple[float, str] | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from labpipe.records.identification import Identification
+from labpipe.sections import section
 
 DATES = ("date", "recorded", "day")
 MOST_CONDITIONS = 6
@@ -13,8 +14,8 @@ MOST_CONDITIONS = 6
 def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, str], ...]:
     """(what, which): rig, dates of the recordings where their conditions give them, conditions, sources, version; no clock."""
     rigs = dict.fromkeys(str(one.rig["name"]) for one in identifications if one.rig.get("name"))
-    run_ups = [one.run_ups for one in identifications if one.run_ups is not None]
-    rigs |= dict.fromkeys(one.rotor for one in run_ups)
+    of_sections = [section(name).call("cover", record, default={}) for one in identifications for name, record in one.sections.items()]
+    rigs |= dict.fromkeys(facts["rig"] for facts in of_sections if "rig" in facts)
     tests = [response for one in identifications for response in one.responses]
     dates = sorted({str(value) for test in tests for key, value in test.conditions.items() if key.lower() in DATES})
     conditions: dict[str, list[str]] = {}
@@ -27,7 +28,7 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
         "rig": ", ".join(rigs),
         "recorded": " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "",
         "tests": f"{len(tests)} measured, from {len(sources)} source file(s)" if tests else "",
-        "run-ups": ", ".join(f"{run.name} ({run.load:.3g} N, {run.role})" for one in run_ups for run in one.runs),
+        **{key: which for facts in of_sections for key, which in facts.items() if key != "rig"},
         **{key: _listed(values) for key, values in list(conditions.items())[:MOST_CONDITIONS]},
         "pipeline": ", ".join(dict.fromkeys(one.pipeline for one in identifications if one.pipeline)),
         "computed by": ", ".join(dict.fromkeys(f"labpipe {one.version}" for one in identifications)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from labpipe.records.identification import Identification
 from labpipe.records.run_up_result import HELD_OUT, MetamodelResult, RunUpMethod, RunUpResult
 from labpipe.report.document import Block, Paragraph, Section
 from labpipe.report.run_up_coefficients import coefficient_figure, convergence_figure, spread_figure, surface_figures
@@ -21,6 +22,16 @@ FRAME = (
     "x lies along the static load, y a quarter turn further with the spin. The critical speed is that of the largest displacement on the "
     "orbit, read between the measured speeds; the threshold is the onset speed of instability."
 )
+
+
+def run_up_report(result: RunUpResult, _identification: Identification) -> tuple[Section, ...]:
+    """The sections of run-ups."""
+    return run_up_sections(result)
+
+
+def cover_facts(result: RunUpResult) -> dict[str, str]:
+    """The rotor, and its runs with their loads."""
+    return {"rig": result.rotor, "run-ups": ", ".join(f"{run.name} ({run.load:.3g} N, {run.role})" for run in result.runs)}
 
 
 def run_up_sections(result: RunUpResult) -> tuple[Section, ...]:

@@ -8,8 +8,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
-from labpipe.records.study import Study, StudyCase
-from labpipe.report.document import Block, Figure, Paragraph, Table
+from labpipe.records.identification import Identification
+from labpipe.records.study import Studies, Study, StudyCase
+from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.drawing import COLOURS, STYLE
 from labpipe.report.figures import logarithmic, stacked_axes
 from labpipe.report.wording import threshold_text
@@ -21,6 +22,11 @@ EXPLAINED = (
     "did not converge or were refused; their last numbers are in the errors, not in RMSE and coverage. RMSE / CRLB: scatter against "
     "the Cramer-Rao bound, 1 is the best an unbiased estimate can reach. Coverage: share of 95 % intervals that hold the truth."
 )
+
+
+def study_sections(studies: Studies, _identification: Identification) -> tuple[Section, ...]:
+    """One section for every study."""
+    return tuple(Section(f"Study: {study.rig}", study_blocks(study)) for study in studies)
 
 
 def study_blocks(study: Study) -> tuple[Block, ...]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import matplotlib as mpl
 import numpy as np
 
+from labpipe.records.identification import Identification
 from labpipe.records.unbalance import UnbalanceRuns
-from labpipe.report.document import Block, Figure, Paragraph, Table
+from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.drawing import COLOURS, STYLE
 from labpipe.report.figures import logarithmic, stacked_axes
 
@@ -16,6 +17,11 @@ EXPLAINED = (
     "An unbalance turns with the shaft. Bearings that are alike in all directions answer with a forward circle only; the backward circle "
     "measures how unlike they are, and wear of one bearing enlarges it. Radii of the circles, 0-to-peak, once per revolution."
 )
+
+
+def unbalance_sections(runs: UnbalanceRuns, _identification: Identification) -> tuple[Section, ...]:
+    """The section of a response to unbalance."""
+    return (Section(f"Unbalance: {runs.rotor}", unbalance_blocks(runs)),)
 
 
 def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:

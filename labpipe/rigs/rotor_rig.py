@@ -1,4 +1,4 @@
-"""A rotor in journal bearings as one thing: shaft, bearings with their static loads, speed, and where it is excited and measured."""
+"""A rotor on its bearings: shaft, bearings with their static loads, speed, and where it is excited and measured."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.bearings.journal import DEFAULT_MESH, JournalBearing, JournalEquilibrium, journal_equilibrium
 from labpipe.bearings.journal_mesh import FilmMesh
+from labpipe.bearings.kinds import Bearing, OperatingPoint
 from labpipe.errors import ConfigError
 from labpipe.registry import nearest
 from labpipe.rotors.assembly import bearing_loads
@@ -17,11 +18,23 @@ from labpipe.rotors.parts import Rotor, Support
 
 @dataclass(frozen=True)
 class BearingPlace:
-    """A journal bearing on a node of the rotor; *name* as people call it."""
+    """A bearing on a node of the rotor; *name* as people call it, *kind* as its file does."""
 
     name: str
     node: int
-    bearing: JournalBearing
+    bearing: Bearing
+    kind: str = "journal-bearing"
+
+    @property
+    def is_film(self) -> bool:
+        """True for an oil film, whose parameters can be changed and estimated."""
+        return isinstance(self.bearing, JournalBearing)
+
+    def film(self, method: str) -> JournalBearing:
+        """The journal bearing; ConfigError that names the *method* which needs its oil film, where there is none."""
+        if isinstance(self.bearing, JournalBearing):
+            return self.bearing
+        raise ConfigError(f"{method} needs an oil film, bearing '{self.name}' is a {self.kind}", hint="name a journal-bearing")
 
 
 @dataclass(frozen=True)
@@ -50,7 +63,7 @@ class RotorRig:
     response: int = 1
 
     def __post_init__(self) -> None:
-        if not self.speed > 0:
+        if self.speed < 0 or (self.speed == 0 and any(place.is_film for place in self.bearings)):
             raise ConfigError(f"speed: oil films need a speed above zero, not {self.speed:g} Hz")
         if len(self.bearings) < 2:
             raise ConfigError("bearings: a rotor rests on at least two", hint="name each with its node")
@@ -95,22 +108,50 @@ class RotorRig:
         }
 
     def equilibria(self, mesh: FilmMesh = DEFAULT_MESH) -> dict[str, JournalEquilibrium]:
-        """Where every journal runs at the rig's speed, by bearing."""
+        """Where the journal of every oil film runs at the rig's speed, by bearing."""
         loads = self.static_loads()
-        return {place.name: journal_equilibrium(place.bearing, loads[place.name], self.omega, mesh) for place in self.bearings}
+        return {
+            place.name: journal_equilibrium(place.film("an equilibrium"), loads[place.name], self.omega, mesh)
+            for place in self.bearings
+            if place.is_film
+        }
 
     def supports(self, mesh: FilmMesh = DEFAULT_MESH) -> list[Support]:
-        """The bearings as springs and dampers at the rig's speed."""
-        found = self.equilibria(mesh)
-        return [Support(place.node, found[place.name].stiffness, found[place.name].damping) for place in self.bearings]
+        """The bearings as springs and dampers, their motion at the frequency of the rig's speed; *mesh*: of oil films."""
+        films = self.equilibria(mesh)
+        loads = self.static_loads()
+        coefficients = {
+            place.name: films.get(place.name) or place.bearing.at(OperatingPoint(loads[place.name], self.omega, self.omega))
+            for place in self.bearings
+        }
+        return [Support(place.node, coefficients[place.name].stiffness, coefficients[place.name].damping) for place in self.bearings]
 
     def at_speed(self, speed: float) -> RotorRig:
         """The same rig at another speed [Hz]."""
         return replace(self, speed=speed)
 
     def with_bearings(self, names: Iterable[str] = (), **changes: float) -> RotorRig:
-        """The rig with *changes* (wear_depth, viscosity, ...) in the bearings of these *names*; in all, where none is named."""
-        names = tuple(names) or tuple(place.name for place in self.bearings)
+        """The rig with *changes* (wear_depth, viscosity, ...) in the oil films of these *names*; in all, where none is named.
+
+        ConfigError for a bearing without an oil film.
+        """
+        names = tuple(names) or tuple(place.name for place in self.bearings if place.is_film)
         chosen = [self.place(name) for name in names]
-        bearings = tuple(replace(place, bearing=replace(place.bearing, **changes)) if place in chosen else place for place in self.bearings)
-        return replace(self, bearings=bearings)
+        what = f"a change of {', '.join(changes)}"
+        return replace(
+            self,
+            bearings=tuple(
+                replace(place, bearing=replace(place.film(what), **changes)) if place in chosen else place for place in self.bearings
+            ),
+        )
+
+
+def worn_place(rig: RotorRig, name: str) -> BearingPlace:
+    """The worn bearing by its name, the last one without a name; ConfigError where there is none, or none with an oil film."""
+    try:
+        place = rig.place(name)
+        place.film("wear")
+    except ConfigError as error:
+        error.field = "bearing" if name else "rotor"
+        raise
+    return place

@@ -1,19 +1,21 @@
-"""The rotor behind run-ups: a pinned shaft on one loaded journal bearing, what its planes show, and its critical and threshold speeds.
+"""The rotor behind run-ups: a pinned shaft on one loaded bearing, what its planes show, and its critical and threshold speeds.
 
 Frame: x along the static load, y a quarter turn further with the spin (the rotor's y and z; a round rotor has no direction of its own).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.bearings.journal import JournalBearing
 from labpipe.bearings.journal_curve import journal_curve, sommerfeld_number
+from labpipe.bearings.kinds import OperatingPoint
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.records.run_up import DIRECTIONS, RunUp
 from labpipe.registry import nearest
@@ -24,9 +26,10 @@ from labpipe.rotors.pinned import CondensedRotor, PinnedRotor, condensed_rotor, 
 from labpipe.rotors.threshold import CoefficientsAtSpeed, Stability, resonance_speed, threshold_speed
 
 RPM = np.pi / 30
-# Where critical and threshold speeds are looked for [rad/s].
-CRITICAL_SEARCH = np.arange(400.0, 3001.0, 20.0) * RPM
-THRESHOLD_SEARCH = np.arange(400.0, 6001.0, 200.0) * RPM
+# Speeds at which a peak, and a threshold, is looked for; a threshold up to a multiple of the highest speed.
+N_CRITICAL, N_THRESHOLD, BEYOND = 131, 29, 2.0
+# From the bearing's frame (y, z; load along -z) to x along the load and y a quarter turn further with the spin.
+ALONG_LOAD = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
@@ -44,10 +47,37 @@ class TabulatedCoefficients(Protocol):
 
 
 @dataclass(frozen=True)
+class SpeedSearch:
+    """Where critical speeds are looked for: between *low* and *high* [rad/s]; thresholds of instability up to *highest*."""
+
+    low: float
+    high: float
+
+    @property
+    def highest(self) -> float:
+        return BEYOND * self.high
+
+    @property
+    def critical(self) -> Array:
+        """Speeds (n_speed,) [rad/s] at which a peak is looked for."""
+        return np.linspace(self.low, self.high, N_CRITICAL)
+
+    @property
+    def threshold(self) -> Array:
+        """Speeds (n_speed,) [rad/s] at which the sign of the growth rate is looked at."""
+        return np.linspace(self.low, self.highest, N_THRESHOLD)
+
+    @property
+    def words(self) -> str:
+        return f"{self.low / RPM:.0f} and {self.high / RPM:.0f} rpm"
+
+
+@dataclass(frozen=True)
 class RunUpRotor:
     """A rotor file with pins: *pins* and *planes* (name, node) sit on nodes of the *rotor*; *unbalances*: the known ones.
 
-    *tabulated*: journal coefficients that take the place of the film's own; beyond their speeds K and Omega C are held.
+    *tabulated*: journal coefficients that take the place of the film's own; beyond their speeds K and Omega C are held. *speeds*: where
+    critical speeds are looked for [rad/s], thresholds up to twice the highest; without them those of the run-ups (`over`).
 
     ConfigError where something sits on no node or outside the pins, or two planes have one name.
     """
@@ -59,6 +89,7 @@ class RunUpRotor:
     planes: tuple[tuple[str, int], ...]
     unbalances: tuple[Unbalance, ...] = ()
     tabulated: TabulatedCoefficients | None = None
+    speeds: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if not self.planes:
@@ -69,6 +100,20 @@ class RunUpRotor:
             self.pinned.dofs(node)
         for one in self.unbalances:
             self.plane_at(one.node)
+
+    @property
+    def search(self) -> SpeedSearch:
+        """The speeds to look at; ConfigError where neither the rotor file nor a run-up says them."""
+        if self.speeds is None:
+            raise ConfigError("speeds: are missing, and there is no run-up to take them from", hint="for example speeds: 400-3000 rpm")
+        return SpeedSearch(*self.speeds)
+
+    def over(self, runs: Iterable[RunUp]) -> RunUpRotor:
+        """The rotor with the speeds of *runs* as its range of search, unless it has a range already."""
+        if self.speeds is not None:
+            return self
+        ends = [(float(run.speed[0]), float(run.speed[-1])) for run in runs]
+        return replace(self, speeds=(min(low for low, _ in ends), max(high for _, high in ends))) if ends else self
 
     @cached_property
     def pinned(self) -> PinnedRotor:
@@ -126,14 +171,22 @@ class RunUpRotor:
         return condensed_rotor(self.pinned, self.place.node, frequency, forces, nodes, run.speed)
 
     def start_coefficients(self, load: float, speed: Array) -> tuple[Array, Array]:
-        """K [N/m] and C [N s/m], (n_speed, 2, 2), from the Sommerfeld number of the rotor file's bearing, or as *tabulated*."""
+        """K [N/m] and C [N s/m], (n_speed, 2, 2), of the rotor file's bearing (a film's from its Sommerfeld number), or as *tabulated*."""
         bearing, speed = self.place.bearing, np.asarray(speed, np.float64)
         if self.tabulated is not None:
             return carried_beyond(partial(self.tabulated.predict, load), *self.tabulated.speeds)(speed)
+        if not isinstance(bearing, JournalBearing):
+            return self._by_speed(load, speed)
         curve = journal_curve(bearing.length / bearing.diameter, bearing.groove_width)
         found = curve.coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
         scale = load / bearing.clearance
         return found.stiffness * scale, found.damping * scale / speed[..., None, None]
+
+    def _by_speed(self, load: float, speed: Array) -> tuple[Array, Array]:
+        """K and C (n_speed, 2, 2) of a bearing that is asked speed by speed, in the frame of the load."""
+        points = [self.place.bearing.at(OperatingPoint((0.0, -load), omega, omega)) for omega in speed.tolist()]
+        stiffness, damping = (np.stack([getattr(point, name) for point in points]) for name in ("stiffness", "damping"))
+        return ALONG_LOAD @ stiffness @ ALONG_LOAD.T, ALONG_LOAD @ damping @ ALONG_LOAD.T
 
     def start(self, load: float) -> CoefficientsAtSpeed:
         """The same as a function of speed alone."""
@@ -150,11 +203,13 @@ class RunUpRotor:
         Of the orbit's major semi-axis, or of the amplitude in *direction* x or y. FitError without a peak within the search.
         """
         number = [node for _, node in self.planes].index(self.node(plane)) if plane else -1
-        grid = self._displacement(CRITICAL_SEARCH, coefficients, direction)[:, number]
+        search = self.search.critical
+        grid = self._displacement(search, coefficients, direction)[:, number]
         top = int(np.argmax(grid))
         if top in (0, grid.size - 1):
-            raise FitError("the response to unbalance has no peak between 400 and 3000 rpm", hint="look at the response over speed")
-        low, high = CRITICAL_SEARCH[top - 1], CRITICAL_SEARCH[top + 1]
+            hint = "look at the response over speed; speeds: in the rotor file sets the range"
+            raise FitError(f"the response to unbalance has no peak between {self.search.words}", hint=hint)
+        low, high = search[top - 1], search[top + 1]
         # Between three points of a smooth peak a fine grid and a parabola are exact to a millionth.
         fine = np.linspace(low, high, 41)
         values = self._displacement(fine, coefficients, direction)[:, number]
@@ -168,11 +223,11 @@ class RunUpRotor:
 
     def resonance(self, coefficients: CoefficientsAtSpeed) -> float | None:
         """Speed [rad/s] that equals the imaginary part of an eigenvalue; None when there is none."""
-        return resonance_speed(self.stability, coefficients, CRITICAL_SEARCH[::5])
+        return resonance_speed(self.stability, coefficients, self.search.critical[::5])
 
     def threshold(self, coefficients: CoefficientsAtSpeed) -> float | None:
-        """Onset speed of instability [rad/s] below 6000 rpm; None when there is none."""
-        return threshold_speed(self.stability, coefficients, THRESHOLD_SEARCH)
+        """Onset speed of instability [rad/s], up to twice the highest speed of the search; None when there is none."""
+        return threshold_speed(self.stability, coefficients, self.search.threshold)
 
 
 def largest_displacement(response: ComplexArray) -> Array:

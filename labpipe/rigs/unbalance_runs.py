@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.bearings.journal_kind import Wear
 from labpipe.errors import ConfigError
-from labpipe.records.settings import setting
+from labpipe.records.settings import Settings, setting
 from labpipe.records.unbalance import UnbalanceCase, UnbalanceRuns
 from labpipe.rigs.rotor_rig import RotorRig
 from labpipe.rotors.response import forward_backward_motion, unbalance_response
@@ -19,25 +20,21 @@ Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
-class WearCase:
-    """One entry of ``unbalance.cases:``; no wear by default."""
+class UnbalanceSettings(Settings):
+    """The ``unbalance:`` section of a pipeline; *rig* is what `rotor` names."""
 
-    depth: float = setting("value", "deepest wear", unit="m", default=0.0)
-    angle: float = setting("value", "place of the deepest wear from the bottom, positive with the spin", unit="rad", default=0.0)
-
-
-@dataclass(frozen=True)
-class UnbalanceSettings:
-    """The ``unbalance:`` section of a pipeline; *rig* and *cases* (name, wear) are what its `rotor` and `cases` name."""
-
-    rotor: str = setting("text", "rotor file with its unbalances, relative to the pipeline file")
+    rotor: str = setting("file", "rotor file with its unbalances, relative to the pipeline file", file_kind="rotor", into="rig")
     speeds: tuple[float, float] = setting("band", "range of speeds", unit="Hz")
+    cases: tuple[tuple[str, Wear], ...] = setting(
+        "sections", "states of wear by name, for example {healthy: {depth: 0 um}}", section=Wear, default=(), needed=True
+    )
     step: float = setting("value", "step of speed", unit="Hz", default=0.5)
     bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
-    cases: tuple[tuple[str, WearCase], ...] = ()
     rig: RotorRig | None = None
 
     def __post_init__(self) -> None:
+        if not self.cases:
+            raise ConfigError("cases: are missing", hint="for example cases: {healthy: {depth: 0 um}}", field="cases")
         if not 0 < self.speeds[0] < self.speeds[1]:
             raise ConfigError("'speeds' must rise from above zero", hint="for example speeds: 40-65 Hz")
         if not 0 < self.step <= self.speeds[1] - self.speeds[0]:
@@ -47,7 +44,7 @@ class UnbalanceSettings:
         if self.rig is None:
             return
         if not self.rig.unbalances:
-            raise ConfigError("the rotor has no unbalances", hint="add unbalances: to the rotor file")
+            raise ConfigError("the rotor has no unbalances", hint="add unbalances: to the rotor file", field="rotor")
         for _, case in self.cases:
             self.rig.with_bearings((self.rig.place(self.bearing).name,), wear_depth=case.depth, wear_angle=case.angle)
 

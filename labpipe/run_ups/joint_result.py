@@ -102,7 +102,7 @@ class JointFit:
         return self._predicted(lambda values: self.rig.critical_speed(self.family.at_load(values, load), plane))
 
     def threshold(self, load: float) -> Uncertain | None:
-        """Onset speed of instability [rad/s]; None when there is none below 6000 rpm."""
+        """Onset speed of instability [rad/s]; None when there is none up to twice the highest speed of the search."""
         if self.rig.threshold(self.at_load(load)) is None:
             return None
         return self._predicted(lambda values: self._known_threshold(values, load))
@@ -110,7 +110,8 @@ class JointFit:
     def _known_threshold(self, values: Array, load: float) -> float:
         found = self.rig.threshold(self.family.at_load(values, load))
         if found is None:
-            raise FitError("the threshold speed leaves the range of the search within its own uncertainty", hint="it is above 6000 rpm")
+            hint = f"it is above {self.rig.search.highest * 30 / np.pi:.0f} rpm"
+            raise FitError("the threshold speed leaves the range of the search within its own uncertainty", hint=hint)
         return found
 
     def caution(self, load: float) -> str:

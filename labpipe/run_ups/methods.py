@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
@@ -109,15 +110,6 @@ def solve_process(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSett
     return Solved(method, _joint_at(fit), anywhere=fit)
 
 
-METHODS: dict[str, Callable[[RunUpRotor, Sequence[RunUp], RunUpSettings], Solved]] = {
-    START: solve_start,
-    "amplitudes": solve_amplitudes,
-    "points": solve_points,
-    "joint": solve_joint,
-    "process": solve_process,
-}
-
-
 def joint_method(name: str, title: str, fit: JointFit) -> RunUpMethod:
     """The record of a joint fit, its predictions to come."""
     return RunUpMethod(
@@ -169,7 +161,7 @@ def _points_at(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> Predictor:
     return at
 
 
-def _of_points(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> dict[str, float | int | None]:
+def _of_points(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> dict[str, Any]:
     """What all points together say of their doubt; the worst rank and condition."""
     chi2, datum, effective = sum(f.chi2 for f in fits), sum(f.n_datum for f in fits), sum(f.n_effective for f in fits)
     left = datum - effective
@@ -202,8 +194,8 @@ def _convergence(fit: AmplitudeFit) -> Convergence:
     evaluations = np.diff(rows.evaluations[:, 0], prepend=0)
     best = fit.coefficients[point] / fit.start[point]
     where = f"{fit.load:.3g} N, {fit.speed[point] / RPM:.0f} rpm"
-    parts = (column(values) for values in (rows.objective[:, 0], rows.mesh[:, 0], evaluations))
-    return Convergence(where, *parts, bool(fit.capped[point]), column(best))
+    objective, mesh, counts = (column(values) for values in (rows.objective[:, 0], rows.mesh[:, 0], evaluations))
+    return Convergence(where, objective, mesh, counts, bool(fit.capped[point]), column(best))
 
 
 def _spreads(rig: RunUpRotor, runs: Sequence[RunUp], settings: RunUpSettings) -> tuple[StartSpread, ...]:

@@ -22,7 +22,6 @@ RPM = np.pi / 30
 CURVE_STEP = 40 * RPM
 # About a peak, where the phasor turns fast: step [rad/s] and points to either side.
 PEAK_STEP, PEAK_POINTS = 8 * RPM, 16
-STABLE = "no threshold below 6000 rpm"
 
 Array = NDArray[np.floating]
 
@@ -62,7 +61,8 @@ def predict(own: RunUpRotor, run: RunUp, found: AtLoad | str, plane: str, curves
     critical = _tried(lambda: _critical(own, found, plane), "no critical speed", notes) if run.shaker is None else None
     before = len(notes)
     threshold = _tried(lambda: _threshold(own, found), "no threshold", notes)
-    notes += [STABLE] if threshold is None and len(notes) == before else []
+    stable = f"no threshold below {own.search.highest / RPM:.0f} rpm"
+    notes += [stable] if threshold is None and len(notes) == before else []
     speed = _drawn_speeds(run, threshold, critical)
     motion = motions(run.planes, _curve(own, run, found, speed)) if curves else ()
     return RunPrediction(

@@ -1,7 +1,7 @@
 """The joint fit times a smooth factor: where chi-square rejects the film's family, a Gaussian process takes up what the family cannot say.
 
 Minimises |r|^2 + sum ((Omega_th - Omega_meas) / s)^2 + sum (p / prior)^2 + sum z^2 over the family's twelve parameters p and the fields'
-z (see `unbalance_process_field`) from the joint fit on. Size and lengths of the fields maximise the marginal likelihood of the responses,
+z (see `process_field`) from the joint fit on. Size and lengths of the fields maximise the marginal likelihood of the responses,
 made linear about the last minimum (Rasmussen and Williams 2006, section 5.4.1), times log-normal priors of these three (HYPER).
 """
 
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize
 
 from labpipe.errors import FitError
-from labpipe.optimise.levenberg import minimise, sum_of_squares
+from labpipe.optimise.levenberg import minimise
 from labpipe.records.run_up import RunUp
-from labpipe.records.settings import Uncertain
 from labpipe.rigs.film_family import PARAMETERS, PRIOR
 from labpipe.rigs.run_up_rotor import RunUpRotor
-from labpipe.run_ups.joint import family_about, threshold_row
+from labpipe.run_ups.joint import family_about
 from labpipe.run_ups.joint_result import JointFit
 from labpipe.run_ups.misfit import LoadRuns, rank_of, runs_by_load
+from labpipe.run_ups.problem import RunUpProblem, Thresholds, measured_thresholds, threshold_row
 from labpipe.run_ups.process_field import ProcessFamily, SmoothField, SquaredExponential, places_of
 from labpipe.run_ups.process_result import ProcessFit
 
@@ -40,65 +40,23 @@ SEARCH = {"xatol": 0.02, "fatol": 0.05, "maxfev": 120}
 Array = NDArray[np.floating]
 
 
-@dataclass(frozen=True)
-class ProcessProblem:
-    """Residual and slopes of everything measured, of the family's priors and of the fields' z."""
-
-    rig: RunUpRotor
-    family: ProcessFamily
-    groups: tuple[LoadRuns, ...]
-    thresholds: tuple[tuple[float, Uncertain], ...]
-
-    @property
-    def size(self) -> float:
-        """Signal over noise of all responses."""
-        parts = (run.run.response / run.run.amplitude_error for group in self.groups for run in group.runs)
-        return float(np.sqrt(sum(float(np.sum(np.abs(part) ** 2)) for part in parts)))
-
-    @property
-    def spread(self) -> Array:
-        """Standard deviations of all parameters before any run-up is seen."""
-        return np.concatenate([PRIOR, np.ones(8 * self.family.field.n_mode)])
-
-    def residual(self, parameters: Array) -> Array:
-        measured = [self._response(group, parameters)[0] for group in self.groups]
-        return np.concatenate([*measured, self._thresholds(parameters)[0], parameters / self.spread])
-
-    def jacobian(self, parameters: Array) -> Array:
-        return np.concatenate([self.data_slopes(parameters), np.diag(1 / self.spread)])
-
-    def data_slopes(self, parameters: Array) -> Array:
-        """Of responses and thresholds, without the priors."""
-        measured = [self._response(group, parameters)[1] for group in self.groups]
-        return np.concatenate([*measured, self._thresholds(parameters)[1]])
-
-    def chi2(self, parameters: Array) -> float:
-        return sum_of_squares(self.residual, parameters)
-
-    def _response(self, group: LoadRuns, values: Array) -> tuple[Array, Array]:
-        eight, by_parameter = self.family.coefficients_and_slopes(values, np.full(group.speed.size, group.load), group.speed)
-        residual, slopes = group.residual_and_slopes(eight)
-        return residual.ravel(), (slopes @ by_parameter).reshape(-1, values.size)
-
-    def _thresholds(self, values: Array) -> tuple[Array, Array]:
-        rows = [threshold_row(self.rig, self.family, values, load, measured) for load, measured in self.thresholds]
-        return np.array([row[0] for row in rows]), np.array([row[1] for row in rows]).reshape(-1, values.size)
-
-
 def fit_with_process(rig: RunUpRotor, runs: Iterable[RunUp], joint: JointFit | None = None, use_thresholds: bool = True) -> ProcessFit:
     """The fit with smooth factors on all eight coefficients, from a *joint* fit of the same runs or from the rotor file's bearing.
 
     FitError when no minimum is found.
     """
+    runs = list(runs)
+    rig = rig.over(runs)
     groups = tuple(runs_by_load(rig, runs))
-    measured = [(group.load, run.run.threshold) for group in groups for run in group.runs if run.run.threshold is not None]
-    thresholds = tuple(measured) if use_thresholds else ()
+    thresholds = measured_thresholds(groups) if use_thresholds else ()
     places = _places(groups, thresholds)
     ranges = _ranges(places)
     family = joint.family if joint is not None else family_about(rig, groups)
 
-    def problem_of(kernel: SquaredExponential) -> ProcessProblem:
-        return ProcessProblem(rig, ProcessFamily(family, SmoothField.of(kernel, places)), groups, thresholds)
+    def problem_of(kernel: SquaredExponential) -> RunUpProblem[ProcessFamily]:
+        field = SmoothField.of(kernel, places)
+        spread = np.concatenate([PRIOR, np.ones(8 * field.n_mode)])
+        return RunUpProblem.of(rig, ProcessFamily(family, field), groups, thresholds, spread)
 
     problem = problem_of(_kernel(np.log([median for median, _ in HYPER]), ranges))
     first = np.zeros(len(PARAMETERS)) if joint is None else joint.values
@@ -111,7 +69,7 @@ def fit_with_process(rig: RunUpRotor, runs: Iterable[RunUp], joint: JointFit | N
     return _result(problem, values, steps)
 
 
-def _places(groups: tuple[LoadRuns, ...], thresholds: tuple[tuple[float, Uncertain], ...]) -> Array:
+def _places(groups: tuple[LoadRuns, ...], thresholds: Thresholds) -> Array:
     own = [places_of(group.load, group.speed) for group in groups]
     return np.concatenate([*own, *(places_of(load, np.array([speed.value])) for load, speed in thresholds)])
 
@@ -127,7 +85,7 @@ def _kernel(logarithms: Array, ranges: Array) -> SquaredExponential:
     return SquaredExponential(float(size), float(load * ranges[0]), float(speed * ranges[1]))
 
 
-def _minimum(problem: ProcessProblem, start: Array) -> tuple[Array, int]:
+def _minimum(problem: RunUpProblem[ProcessFamily], start: Array) -> tuple[Array, int]:
     found = minimise(problem, start, NEAR)
     if not found.converged:
         raise FitError("no minimum of the fit with smooth factors was found", hint="check unbalance, phases, standard errors, rotor file")
@@ -156,7 +114,7 @@ class LinearData:
     by_family: Array
 
     @classmethod
-    def at(cls, problem: ProcessProblem, values: Array, places: Array) -> LinearData:
+    def at(cls, problem: RunUpProblem[ProcessFamily], values: Array, places: Array) -> LinearData:
         n = len(PARAMETERS)
         eight, slopes = problem.family.coefficients_and_slopes(values, places[:, 0], places[:, 1])
         by_family = slopes[..., :n] / eight[..., None]
@@ -181,7 +139,7 @@ class LinearData:
         return float(reduced @ reduced / 2 - np.sum(np.log(np.diag(factor))))
 
 
-def _rows_by_place(problem: ProcessProblem, values: Array, eight: Array) -> list[tuple[Array, Array]]:
+def _rows_by_place(problem: RunUpProblem[ProcessFamily], values: Array, eight: Array) -> list[tuple[Array, Array]]:
     """Residual (n_equation,) and its slopes by ln coefficients (n_equation, 8) at every place of the data."""
     rows, first = [], 0
     for group in problem.groups:
@@ -212,7 +170,7 @@ def _likeliest(data: LinearData, places: Array, ranges: Array) -> SquaredExponen
     return SquaredExponential(likeliest.size, CAUTION * likeliest.load, CAUTION * likeliest.speed)
 
 
-def _result(problem: ProcessProblem, values: Array, steps: int) -> ProcessFit:
+def _result(problem: RunUpProblem[ProcessFamily], values: Array, steps: int) -> ProcessFit:
     slopes, spread = problem.data_slopes(values), problem.spread
     covariance = np.linalg.inv(slopes.T @ slopes + np.diag(spread**-2.0))
     residual = problem.residual(values)[: slopes.shape[0]]

@@ -12,8 +12,8 @@ from labpipe.rigs.film_family import as_matrices
 from labpipe.rigs.run_up_rotor import RunUpRotor, largest_displacement
 from labpipe.rotors.threshold import CoefficientsAtSpeed
 from labpipe.run_ups.amplitudes import displacement_slopes
-from labpipe.run_ups.joint import nearby_threshold
 from labpipe.run_ups.joint_result import LOAD_SLACK
+from labpipe.run_ups.problem import nearby_threshold
 from labpipe.run_ups.process_field import ProcessFamily, SquaredExponential, places_of
 
 # Half-width of the differences about a peak, as a part of its speed.
@@ -101,7 +101,7 @@ class ProcessFit:
         return Uncertain(speed, self._error(load, around, by_eight))
 
     def threshold(self, load: float) -> Uncertain | None:
-        """Onset speed of instability [rad/s]; None when there is none below 6000 rpm."""
+        """Onset speed of instability [rad/s]; None when there is none up to twice the highest speed of the search."""
         found = self.rig.threshold(self.at_load(load))
         if found is None:
             return None

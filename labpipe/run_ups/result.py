@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
+from labpipe.bearings.journal import JournalBearing
 from labpipe.errors import LabpipeError
 from labpipe.records.finding import Finding, note
 from labpipe.records.run_up import RunUp
@@ -13,11 +15,10 @@ from labpipe.rigs.run_up_rotor import RunUpRotor
 from labpipe.run_ups.joint_result import REJECTED
 from labpipe.run_ups.measured import ReadRun, measured_run
 from labpipe.run_ups.metamodel_results import metamodels
-from labpipe.run_ups.methods import METHODS, Predictor, Solved
+from labpipe.run_ups.methods import Predictor, Solved, solve_start
 from labpipe.run_ups.predictions import RPM, predict, with_unbalance_of
 from labpipe.run_ups.rank import RankStatement, measured_statement, rank_statements
-from labpipe.run_ups.settings import METHODS as NAMES
-from labpipe.run_ups.settings import RunUpSettings
+from labpipe.run_ups.settings import METHODS, RunUpSettings
 
 Tell = Callable[[str], None]
 
@@ -26,9 +27,10 @@ def run_up_result(settings: RunUpSettings, rig: RunUpRotor, read: Sequence[ReadR
     """All methods that the settings name, fitted to the trained runs, held against every run."""
     measured = [measured_run(one, settings.plane) for one in read]
     runs = [one.run for one in read]
+    rig = rig.over(runs)
     trained = [one.run for one in read if one.settings.role == TRAINED]
     solved = []
-    for name in [START, *(name for name in NAMES if name in settings.methods)]:
+    for name in [START, *(name for name in METHODS if name in settings.methods)]:
         tell(f"run-ups   {name}")
         solved.append(_solved(name, rig, trained, settings))
     methods = [_with_predictions(one, rig, runs, settings.plane) for one in solved]
@@ -51,7 +53,9 @@ def run_up_result(settings: RunUpSettings, rig: RunUpRotor, read: Sequence[ReadR
 
 def _solved(name: str, rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
     try:
-        return METHODS[name](rig, trained, settings)
+        solve = solve_start if name == START else METHODS[name]
+        solved: Solved = solve(rig, trained, settings)
+        return solved
     except LabpipeError as error:
         error.where = error.where or f"run_ups, method {name}"
         raise
@@ -69,11 +73,13 @@ def prediction(predictor: Predictor, rig: RunUpRotor, run: RunUp, plane: str, cu
 
 def _bearing_words(rig: RunUpRotor) -> str:
     bearing = rig.place.bearing
+    if not isinstance(bearing, JournalBearing):
+        return f"{rig.place.kind} '{rig.place.name}'"
     size = f"L {1e3 * bearing.length:.4g} mm, D {1e3 * bearing.diameter:.4g} mm, clearance {1e6 * bearing.clearance:.4g} um"
     return f"journal bearing '{rig.place.name}': {size}, viscosity {bearing.viscosity:.4g} Pa s"
 
 
-def _ranks(rig: RunUpRotor, trained: Sequence[RunUp]) -> dict[str, object]:
+def _ranks(rig: RunUpRotor, trained: Sequence[RunUp]) -> dict[str, Any]:
     """What such data can tell at the load and speed in the middle, and what the data at hand do."""
     loads = sorted({run.load for run in trained})
     load = loads[len(loads) // 2]

@@ -8,24 +8,38 @@ from pathlib import Path
 from labpipe.errors import ConfigError
 from labpipe.records.rig import Rig
 from labpipe.records.run_up_result import HELD_OUT, TRAINED
-from labpipe.records.settings import Uncertain, setting
-from labpipe.registry import nearest
+from labpipe.records.settings import Settings, Uncertain, setting
+from labpipe.registry import Registry, nearest
+from labpipe.rigs.run_up_rotor import RunUpRotor
 
-METHODS = ("amplitudes", "points", "joint", "process")
+# From rotor, trained runs and settings to a Solved: labpipe.run_ups.methods.
+METHODS = Registry(
+    "run-up method",
+    {
+        "amplitudes": "labpipe.run_ups.methods:solve_amplitudes",
+        "points": "labpipe.run_ups.methods:solve_points",
+        "joint": "labpipe.run_ups.methods:solve_joint",
+        "process": "labpipe.run_ups.methods:solve_process",
+    },
+)
 METAMODELS = ("response-surface", "network", "gaussian-process", "physical")
 SEARCHES = ("pattern", "cobyqa")
 
 
 @dataclass(frozen=True)
-class RunSettings:
+class RunSettings(Settings):
     """One entry of ``run_ups.runs:``, a table or a recording; *unbalance* [kg m] by plane, complex: in place of the table's.
 
-    path, subtracted: the files with their folder; own_rig: what `rig` names.
+    path, subtracted: the files with their folder; recorded_by: what `rig` names.
     """
 
-    file: str = setting("text", "table of the run-up (CSV), relative to the pipeline file", default="")
-    recording: str = setting("text", "time recording of the run-up with a tacho, instead of a table", default="")
-    rig: str = setting("text", "rig file of a raw recording; dofs name planes: disc1.x, disc1.y", default="")
+    file: str = setting("file", "table of the run-up (CSV), relative to the pipeline file", default="", file_kind="path", into="path")
+    recording: str = setting(
+        "file", "time recording of the run-up with a tacho, instead of a table", default="", file_kind="path", into="path"
+    )
+    rig: str = setting(
+        "file", "rig file of a raw recording; dofs name planes: disc1.x, disc1.y", default="", file_kind="rig", into="recorded_by"
+    )
     tacho: str = setting("text", "channel with the tacho's pulses", default="")
     pulses: int = setting("integer", "pulses of the tacho per revolution", default=1)
     harmonics: int = setting("integer", "multiples of the speed fitted along", default=2)
@@ -34,23 +48,31 @@ class RunSettings:
     role: str = setting("choice", "fits see trained runs only", choices=(TRAINED, HELD_OUT), default=TRAINED)
     load: float | None = setting("value", "static load; default: the table's", unit="N", default=None)
     threshold: Uncertain | None = setting("uncertain", "measured threshold of instability; default: the table's", unit="Hz", default=None)
-    subtract: str = setting("text", "run of the residual unbalance, subtracted phasor by phasor (a file of the same kind)", default="")
+    subtract: str = setting(
+        "file",
+        "run of the residual unbalance, subtracted phasor by phasor (a file of the same kind)",
+        default="",
+        file_kind="path",
+        into="subtracted",
+    )
     printed_critical_speed: tuple[float, ...] = setting(
         "values", "printed elsewhere, shown for reference: measured, original, enhanced", unit="Hz", default=()
     )
     printed_threshold: tuple[float, ...] = setting("values", "the same of the threshold", unit="Hz", default=())
-    unbalance: tuple[tuple[str, complex], ...] = ()
+    unbalance: tuple[tuple[str, complex], ...] = setting(
+        "phasors", "known unbalance by plane, instead of the table's: {disc 1: 50 g.mm at 0 deg}", unit="kg.m", default=()
+    )
     path: Path = Path()
     subtracted: Path | None = None
-    own_rig: Rig | None = None
+    recorded_by: Rig | None = None
 
     def __post_init__(self) -> None:
+        if not self.name:
+            object.__setattr__(self, "name", Path(self.file or self.recording).name.split(".")[0])
         if bool(self.file) == bool(self.recording):
             raise ConfigError("one of 'file' and 'recording' is needed", hint="file: load-1.csv, or recording: run.parquet with tacho:")
-        if self.recording and not self.tacho:
-            raise ConfigError("'tacho' is missing", hint="name the channel with the tacho's pulses")
-        if self.recording and self.load is None:
-            raise ConfigError("'load' is missing", hint="a recording does not state it; for example load: 3.66 N")
+        if self.recording:
+            self._check_recording()
         if self.load is not None and self.load <= 0:
             raise ConfigError("'load' must be positive")
         if self.threshold is not None and not (self.threshold.value > 0 and self.threshold.std_error > 0):
@@ -58,18 +80,31 @@ class RunSettings:
         for name in ("printed_critical_speed", "printed_threshold"):
             if len(getattr(self, name)) not in (0, 3):
                 raise ConfigError(f"'{name}' has three values", hint="measured, original and enhanced")
-        if self.recording and min(self.pulses, self.harmonics, self.revolutions - 1) < 1:
+
+    def _check_recording(self) -> None:
+        """ConfigError for what a table says and a recording does not."""
+        if not self.tacho:
+            raise ConfigError("'tacho' is missing", hint="name the channel with the tacho's pulses")
+        if self.load is None:
+            raise ConfigError("'load' is missing", hint="a recording does not state it; for example load: 3.66 N")
+        if not self.unbalance:
+            hint = "a recording does not state it; for example {disc 1: 50 g.mm at 0 deg}"
+            raise ConfigError("unbalance: is missing", hint=hint, field="unbalance")
+        if min(self.pulses, self.harmonics, self.revolutions - 1) < 1:
             raise ConfigError("'pulses' and 'harmonics' are at least 1, 'revolutions' at least 2")
 
 
 @dataclass(frozen=True)
-class RunUpSettings:
-    """The ``run_ups:`` section; *rotor_path*: the rotor file with its folder."""
+class RunUpSettings(Settings):
+    """The ``run_ups:`` section; *rig* is what `rotor` names."""
 
-    rotor: str = setting("text", "rotor file with pins, relative to the pipeline file")
+    rotor: str = setting("file", "rotor file with pins, relative to the pipeline file", file_kind="run-up-rotor", into="rig")
+    runs: tuple[RunSettings, ...] = setting(
+        "entries", "the run-ups, for example - {file: load-1.csv}", section=RunSettings, default=(), needed=True
+    )
     methods: tuple[str, ...] = setting("names", f"what is fitted: {', '.join(METHODS)}", default=("points", "joint"))
     metamodels: tuple[str, ...] = setting("names", f"of coefficients over load and speed: {', '.join(METAMODELS)}", default=())
-    metamodels_of: str = setting("choice", "the method whose coefficients they are fitted to", choices=METHODS, default="joint")
+    metamodels_of: str = setting("choice", "the method whose coefficients they are fitted to", choices=tuple(METHODS), default="joint")
     plane: str = setting("text", "plane of the critical speeds; default: the last one", default="")
     bound: float = setting("value", "largest change of a coefficient (amplitudes, points)", unit="1", default=0.3)
     ridge: float = setting("value", "standard deviation of that change before a run is seen (points)", unit="1", default=0.15)
@@ -77,13 +112,40 @@ class RunUpSettings:
     starts: int = setting("integer", "starts of that search at one load and speed, to show their spread", default=20)
     seed: int = setting("integer", "of random starts and networks", default=1)
     source: str = setting("text", "where the printed values are from", default="")
-    runs: tuple[RunSettings, ...] = ()
-    rotor_path: Path = Path()
+    rig: RunUpRotor | None = None
 
     def __post_init__(self) -> None:
-        for names, known in ((self.methods, METHODS), (self.metamodels, METAMODELS)):
-            for name in names:
+        for field, known in (("methods", METHODS), ("metamodels", METAMODELS)):
+            for name in getattr(self, field):
                 if name not in known:
-                    raise ConfigError(f"unknown name '{name}'", hint=nearest(name, known))
+                    raise ConfigError(f"unknown name '{name}'", hint=nearest(name, known), field=field)
         if not (0 < self.bound < 1 and self.ridge > 0):
             raise ConfigError("'bound' lies between 0 and 100 %, 'ridge' above 0", hint="for example bound: 30 %")
+        if self.plane and self.rig is not None:
+            self._check_plane(self.rig)
+        self._check_metamodels()
+        self._check_runs()
+
+    def _check_plane(self, rig: RunUpRotor) -> None:
+        try:
+            rig.node(self.plane)
+        except ConfigError as error:
+            error.field = "plane"
+            raise
+
+    def _check_metamodels(self) -> None:
+        """ConfigError for metamodels whose method is not among those that are fitted."""
+        needed = {self.metamodels_of} | ({"joint"} if "physical" in self.metamodels else set()) if self.metamodels else set()
+        for name in sorted(needed - set(self.methods)):
+            hint = f"add {name} to run_ups.methods"
+            raise ConfigError(f"metamodels need the method '{name}', which is not wanted", hint=hint, field="metamodels")
+
+    def _check_runs(self) -> None:
+        if not self.runs:
+            raise ConfigError("a list of runs is needed", hint="for example - {file: load-1.csv}", field="runs")
+        names = [run.name for run in self.runs]
+        for name in names:
+            if names.count(name) > 1:
+                raise ConfigError(f"a second run named '{name}'", hint="give it a name of its own", field="runs")
+        if all(run.role == HELD_OUT for run in self.runs):
+            raise ConfigError("every run is held out, and nothing is left to fit", hint="leave out role: of some", field="runs")

@@ -7,7 +7,7 @@ threaded shaft through a long string, and read from the string's frequency or fr
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,11 +20,12 @@ from labpipe.bearings.rolling_settings import BallBearingSettings
 from labpipe.errors import ConfigError
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import setting
-from labpipe.registry import nearest
+from labpipe.records.settings import Settings, setting
 from labpipe.signals.excitation import design_multisine
+from labpipe.simulate.logged import force_and_accelerations
 from labpipe.simulate.magnetic_rig import SimulatedRun
 from labpipe.simulate.mechanics import line_frequencies, steady_state
+from labpipe.simulate.virtual_rigs import LoggedTable, Simulation, Truth, VirtualRigKind, chosen_runs
 
 KIND = "virtual-ball-bearing-rig"
 FORCES = ("x", "z", "by")
@@ -33,7 +34,7 @@ CALIBRATION_POINTS = 12
 
 
 @dataclass(frozen=True)
-class TestedBearing:
+class TestedBearing(Settings):
     """One bearing on the rig, the preloads at which it is tested, and the shaft's bending stiffness under its load."""
 
     name: str = setting("text", "short name, with which the names of the runs begin")
@@ -49,7 +50,7 @@ class TestedBearing:
 
 
 @dataclass(frozen=True)
-class Sampling:
+class Sampling(Settings):
     """How a shaker test is recorded: in the steady state of a multisine."""
 
     rate: float = setting("value", "sampling rate", unit="Hz", default=3200.0)
@@ -60,7 +61,7 @@ class Sampling:
 
 
 @dataclass(frozen=True)
-class RigNoise:
+class RigNoise(Settings):
     """Standard deviations of what is not the same twice."""
 
     acceleration: float = setting("value", "accelerometers", unit="m/s^2", default=0.3)
@@ -71,7 +72,7 @@ class RigNoise:
 
 
 @dataclass(frozen=True)
-class VirtualBallBearingRig:
+class VirtualBallBearingRig(Settings):
     """Bearings, shaft, sensors, and what the theory does not know: how much stiffer the bearings are than it says."""
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
@@ -124,18 +125,15 @@ def shaker_tests(rig: VirtualBallBearingRig) -> dict[str, ShakerTest]:
     return tests
 
 
-def run_names(rig: VirtualBallBearingRig) -> list[str]:
+def run_names(rig: VirtualBallBearingRig) -> tuple[str, ...]:
     """Shaker tests, then the calibrations "string" and "strip"."""
-    return [*shaker_tests(rig), "string", "strip"]
+    return (*shaker_tests(rig), "string", "strip")
 
 
-def simulate_ball_bearing(rig: VirtualBallBearingRig, seed: int, runs: Iterable[str] | None = None) -> tuple[SimulatedRun, ...]:
-    """The named runs (default: all); a run's samples depend on rig, seed and its name only."""
-    known, tests = run_names(rig), shaker_tests(rig)
-    names = known if runs is None else list(runs)
-    for name in names:
-        if name not in known:
-            raise ConfigError(f"no run '{name}'", hint=nearest(name, known))
+def simulate_ball_bearing(rig: VirtualBallBearingRig, seed: int, runs: Sequence[str] | None = None) -> tuple[SimulatedRun, ...]:
+    """The named runs (all unless named); a run's samples depend on rig, seed and its name only."""
+    tests = shaker_tests(rig)
+    names = chosen_runs(rig, runs)
     return tuple(_shaken(rig, tests[name], name, seed) if name in tests else _calibration(rig, name, seed) for name in names)
 
 
@@ -199,3 +197,49 @@ def _calibration(rig: VirtualBallBearingRig, name: str, seed: int) -> SimulatedR
     voltage = (force - rig.strip_offset) / rig.strip_factor
     table = {"strip [V]": voltage, "force [N]": force + rng.normal(0.0, rig.noise.strip, force.size)}
     return SimulatedRun(name, {"b": rig.strip_factor, "c": rig.strip_offset}, table=table)
+
+
+def _simulate(rig: VirtualBallBearingRig, seed: int, runs: Sequence[str]) -> Simulation:
+    made = simulate_ball_bearing(rig, seed, runs)
+    return Simulation({run.name: _logged(run) for run in made}, {"runs": {run.name: run.truth for run in made}})
+
+
+def _logged(run: SimulatedRun) -> LoggedTable:
+    if run.recording is not None:
+        return force_and_accelerations(run.recording)
+    assert run.table is not None
+    return LoggedTable(run.table, text=True)
+
+
+def _recordings(rig: VirtualBallBearingRig, seed: int, runs: Sequence[str]) -> list[Recording]:
+    return [run.recording for run in simulate_ball_bearing(rig, seed, runs) if run.recording is not None]
+
+
+def _parameters(rig: VirtualBallBearingRig, runs: Sequence[str]) -> Truth:
+    """k and k_row_column of the dofs that are shaken [N/m], as measured at the arm, at the preload that was to be set; k of a single run.
+
+    ConfigError for runs of several bearings or preloads, and for calibrations.
+    """
+    tests = [test for name, test in shaker_tests(rig).items() if name in runs]
+    if len({(test.tested.name, test.preload, test.way) for test in tests}) != 1 or len(tests) != len(runs):
+        raise ConfigError("'runs' of one bearing, preload and way give one FRF matrix", hint="for example runs: [6208-427N-up-z]")
+    stiffness = true_stiffness(rig, tests[0], tests[0].preload) / np.outer(lever(rig), lever(rig))
+    places = [DOFS.index(dof) for dof in FORCES]
+    terms = {f"k_{DOFS[row]}_{DOFS[column]}": float(stiffness[row, column]) for row in places for column in places}
+    single = terms[f"k_{tests[0].force}_{tests[0].force}"] if len(tests) == 1 else None
+    return terms if single is None else {**terms, "k": single, "c": rig.damping_factor * single}
+
+
+def _at_level(rig: VirtualBallBearingRig, level: float) -> VirtualBallBearingRig:
+    noise = rig.noise
+    return replace(rig, noise=replace(noise, acceleration=level * noise.acceleration, force=level * noise.force))
+
+
+BALL_BEARING_RIG = VirtualRigKind(
+    settings=VirtualBallBearingRig,
+    runs=run_names,
+    simulate=_simulate,
+    parameters=_parameters,
+    noisy=_at_level,
+    recordings=_recordings,
+)

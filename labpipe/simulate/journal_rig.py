@@ -7,27 +7,28 @@ an identification uses.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from labpipe.bearings.journal_kind import Wear
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.errors import ConfigError
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import setting
-from labpipe.registry import nearest
-from labpipe.rigs.rotor_rig import RotorRig
+from labpipe.records.settings import Settings, setting
+from labpipe.rigs.rotor_rig import RotorRig, worn_place
 from labpipe.rotors.reduction import ReducedRotor, reduced_rotor
+from labpipe.simulate.logged import force_and_displacements
+from labpipe.simulate.virtual_rigs import Simulation, Truth, VirtualRigKind
 
 KIND = "virtual-journal-rig"
 AXES = ("y", "z")
-# Depth [um] and angle [deg] of the bearings of Mendes et al. (2017).
-WEAR = {"healthy": (0.0, 0.0), "wear-1": (22.27, 11.0), "wear-2": (22.27, -11.0), "wear-3": (40.19, 8.0), "wear-4": (48.26, 17.0)}
-RUNS = tuple(f"{state}-{axis}" for state in WEAR for axis in AXES)
+HEALTHY = (("healthy", Wear()),)
 # Lines that are solved at once: the free rotor has four equations per node.
 LINES_AT_ONCE = 512
 
@@ -35,7 +36,7 @@ Complex = NDArray[np.complexfloating]
 
 
 @dataclass(frozen=True)
-class JournalNoise:
+class JournalNoise(Settings):
     """Standard deviations of the measuring noise, white up to half the sampling rate."""
 
     displacement: float = setting("value", "displacement sensors", unit="m", default=1e-6)
@@ -43,16 +44,17 @@ class JournalNoise:
 
 
 @dataclass(frozen=True)
-class VirtualJournalRig:
+class VirtualJournalRig(Settings):
     """The rotor of a rotor file with a model error, its shaker and its sensors; *rig* is what `rotor` names."""
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
-    rotor: str = setting("text", "rotor file, relative to this file")
+    rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
     name: str = setting("text", "name of the rig", default="Virtual rotor in journal bearings")
     bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
     viscosity_error: float = setting("value", "true viscosity over the rotor file's, less one", unit="1", default=0.0)
     clearance_error: float = setting("value", "true clearance over the rotor file's, less one", unit="1", default=0.0)
     cavitation_pressure: float = setting("value", "true pressure at which the film tears", unit="Pa", default=0.0)
+    states: tuple[tuple[str, Wear], ...] = setting("sections", "states of the worn bearing by name", section=Wear, default=HEALTHY)
     cells_around: int = setting("integer", "cells of the oil film around the journal", default=480)
     cells_across: int = setting("integer", "cells of the oil film across the bearing", default=60)
     force: float = setting("value", "rms force of the shaker", unit="N", default=30.0)
@@ -64,6 +66,10 @@ class VirtualJournalRig:
     rig: RotorRig | None = None
 
     def __post_init__(self) -> None:
+        if self.rig is not None:
+            worn_place(self.rig, self.bearing)
+        if not self.states:
+            raise ConfigError("states: are missing", hint="for example states: {healthy: {}}", field="states")
         for what in ("force", "bandwidth", "sample_rate", "duration"):
             if not getattr(self, what) > 0:
                 raise ConfigError(f"{what} must be positive")
@@ -74,6 +80,15 @@ class VirtualJournalRig:
                 raise ConfigError(f"{what} must lie between -50 % and 50 %")
         if self.cavitation_pressure > 0:
             raise ConfigError("cavitation_pressure is above the ambient pressure", hint="give zero or less")
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """Every state under a force in y, then in z."""
+        return tuple(f"{state}-{axis}" for state, _ in self.states for axis in AXES)
+
+    def wear(self, run: str) -> Wear:
+        """The wear of the bearing in a run."""
+        return dict(self.states)[run.rpartition("-")[0]]
 
     @property
     def n_sample(self) -> int:
@@ -88,10 +103,11 @@ def true_rig(virtual: VirtualJournalRig, depth: float, angle: float) -> RotorRig
     """The rotor as it truly is, with a wear of *depth* [m] at *angle* [rad]; ConfigError without a rotor."""
     if virtual.rig is None:
         raise ConfigError("no rotor was read for this virtual rig", hint="name it with rotor:")
-    nominal = virtual.rig.place(virtual.bearing)
+    nominal = worn_place(virtual.rig, virtual.bearing)
+    film = nominal.film("wear")
     rig = virtual.rig.with_bearings(
-        viscosity=nominal.bearing.viscosity * (1 + virtual.viscosity_error),
-        clearance=nominal.bearing.clearance * (1 + virtual.clearance_error),
+        viscosity=film.viscosity * (1 + virtual.viscosity_error),
+        clearance=film.clearance * (1 + virtual.clearance_error),
         cavitation_pressure=virtual.cavitation_pressure,
     )
     return rig.with_bearings([nominal.name], wear_depth=depth, wear_angle=angle)
@@ -106,26 +122,21 @@ def receptance(rig: RotorRig, frequency: NDArray[np.floating], mesh: FilmMesh) -
     return np.concatenate([part.on(supports).response(rig.response, rig.force) for part in free])
 
 
-def journal_runs(virtual: VirtualJournalRig, seed: int, names: Iterable[str] | None = None) -> tuple[Recording, ...]:
-    """The named runs (default: all of RUNS): force f along one axis, displacements y and z [SI]; each with noise of its own.
+def journal_runs(virtual: VirtualJournalRig, seed: int, names: Sequence[str]) -> tuple[Recording, ...]:
+    """The named runs: force f along one axis, displacements y and z [SI]; each with noise of its own.
 
     The force is periodic in the whole run and band-limited, so the motion is the exact steady state.
     """
-    chosen = list(RUNS) if names is None else list(names)
-    for name in chosen:
-        if name not in RUNS:
-            raise ConfigError(f"no run '{name}'", hint=nearest(name, RUNS))
-    states = dict.fromkeys(name.rpartition("-")[0] for name in chosen)
-    responses = {state: _response(virtual, state) for state in states}
+    responses = {wear: _response(virtual, wear) for wear in dict.fromkeys(virtual.wear(name) for name in names)}
     return tuple(
-        _run(virtual, name, responses[name.rpartition("-")[0]], np.random.default_rng([seed, zlib.crc32(name.encode())])) for name in chosen
+        _run(virtual, name, responses[virtual.wear(name)], np.random.default_rng([seed, zlib.crc32(name.encode())])) for name in names
     )
 
 
-def _response(virtual: VirtualJournalRig, state: str) -> Complex:
+@lru_cache(maxsize=8)
+def _response(virtual: VirtualJournalRig, wear: Wear) -> Complex:
     """H on every line of a run up to the bandwidth and at the shaft speed, which comes last, (n_line + 1, 2, 2) [m/N]."""
-    depth, angle = WEAR[state]
-    rig = true_rig(virtual, depth * 1e-6, float(np.deg2rad(angle)))
+    rig = true_rig(virtual, wear.depth, wear.angle)
     return receptance(rig, np.append(_lines(virtual), rig.speed), virtual.mesh)
 
 
@@ -161,6 +172,38 @@ def truth(virtual: VirtualJournalRig) -> dict[str, Any]:
     """The bearings as they truly are, and wear depth [m] and angle [rad] of every state."""
     rig = true_rig(virtual, 0.0, 0.0)
     bearing = rig.place(virtual.bearing).bearing
-    states = {state: {"wear_depth": depth * 1e-6, "wear_angle": float(np.deg2rad(angle))} for state, (depth, angle) in WEAR.items()}
+    states = {state: {"wear_depth": wear.depth, "wear_angle": wear.angle} for state, wear in virtual.states}
     own = {name: getattr(bearing, name) for name in ("viscosity", "clearance", "cavitation_pressure")}
     return {**own, "loads": {name: list(load) for name, load in rig.static_loads().items()}, "states": states}
+
+
+def _simulate(virtual: VirtualJournalRig, seed: int, runs: Sequence[str]) -> Simulation:
+    """One file per state and force direction."""
+    files = {run.name: force_and_displacements(run) for run in journal_runs(virtual, seed, runs)}
+    return Simulation(files, {"truth": truth(virtual)})
+
+
+def _parameters(virtual: VirtualJournalRig, runs: Sequence[str]) -> Truth:
+    """Wear and film of the state of the runs; ConfigError where they are of several states."""
+    states = dict.fromkeys(virtual.wear(run) for run in runs)
+    if len(states) != 1:
+        raise ConfigError("'runs' of one state of wear give one FRF matrix", hint="for example runs: [healthy-y, healthy-z]")
+    (wear,) = states
+    known = truth(virtual)
+    film = {name: float(known[name]) for name in ("viscosity", "clearance", "cavitation_pressure")}
+    return {"wear_depth": wear.depth, "wear_angle": wear.angle, **film}
+
+
+def _at_level(virtual: VirtualJournalRig, level: float) -> VirtualJournalRig:
+    noise = virtual.noise
+    return replace(virtual, noise=replace(noise, displacement=level * noise.displacement, force=level * noise.force))
+
+
+JOURNAL_RIG = VirtualRigKind(
+    settings=VirtualJournalRig,
+    runs=lambda virtual: virtual.runs,
+    simulate=_simulate,
+    parameters=_parameters,
+    noisy=_at_level,
+    recordings=journal_runs,
+)

@@ -13,9 +13,9 @@ from labpipe.bearings.magnetic_loop import ControlLoop, dynamic_stiffness
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.signals.excitation import Multisine, design_multisine
+from labpipe.simulate.magnetic_settings import VirtualMagneticRig
 from labpipe.simulate.mechanics import PERIODS, line_frequencies, negative_stiffness
 from labpipe.simulate.sampled_loop import CONTROL_RATE, OUTPUTS, Suspended, sampled_loop, straight
-from labpipe.simulate.settings import VirtualRig
 
 READING, BEFORE, AFTER, OUTPUT, CURRENT = range(len(OUTPUTS))
 HOVER_CORNER = 5.0
@@ -41,20 +41,20 @@ class LoopRun:
     recording: Recording
 
 
-def suspended(rig: VirtualRig, loop: ControlLoop | None = None) -> Suspended:
+def suspended(rig: VirtualMagneticRig, loop: ControlLoop | None = None) -> Suspended:
     """Pedestal and rotor on all bearings in one direction; the bias field is that of the rig's own loop, whatever gains *loop* has."""
     own = rig.levitation
     pull = negative_stiffness(own)
     return Suspended(loop or own.loop, pull, rig.rotor_mass, own.bearings, rig.pedestal_stiffness, rig.pedestal_damping)
 
 
-def rotor_alone(rig: VirtualRig) -> Suspended:
+def rotor_alone(rig: VirtualMagneticRig) -> Suspended:
     """The share of the levitated rotor that one bearing carries."""
     own = rig.levitation
     return Suspended(own.loop, negative_stiffness(own), (rig.rotor_mass - rig.pedestal_mass) / own.bearings)
 
 
-def radial(rig: VirtualRig, name: str, rng: np.random.Generator) -> LoopRun:
+def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> LoopRun:
     """The levitated rotor under one force at 45 deg, 1-250 Hz every 1 Hz, 1 + 5 periods; x, y, current and controller output."""
     loop = replace(rig.levitation.loop, proportional=GAINS.get(name, rig.levitation.loop.proportional))
     plant = suspended(rig, loop)
@@ -79,7 +79,7 @@ def radial(rig: VirtualRig, name: str, rng: np.random.Generator) -> LoopRun:
     return LoopRun(name, _radial_truth(rig, plant, force), Recording(tuple(channels), np.column_stack(columns), rate, name))
 
 
-def _radial_truth(rig: VirtualRig, plant: Suspended, force: Multisine) -> dict[str, Any]:
+def _radial_truth(rig: VirtualMagneticRig, plant: Suspended, force: Multisine) -> dict[str, Any]:
     omega = line_frequencies(force)
     bearing = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
     return {
@@ -94,7 +94,7 @@ def _radial_truth(rig: VirtualRig, plant: Suspended, force: Multisine) -> dict[s
     }
 
 
-def injection(rig: VirtualRig, name: str, rng: np.random.Generator) -> LoopRun:
+def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> LoopRun:
     """The rotor alone; a multisine, 4-1000 Hz every 2 Hz, is added between probe and controller, both sides recorded; 1 + 5 periods."""
     plant = rotor_alone(rig)
     added = design_multisine((4.0, 1000.0), 2.0, INJECTION)
@@ -112,7 +112,7 @@ def injection(rig: VirtualRig, name: str, rng: np.random.Generator) -> LoopRun:
     return LoopRun(name, {"mass": plant.mass, "injection_rms": INJECTION}, Recording(tuple(channels), samples, rate, name))
 
 
-def run_up(rig: VirtualRig, name: str, rng: np.random.Generator) -> LoopRun:
+def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> LoopRun:
     """The rotor alone from 1200 to 8000 rpm on both bearings and the passive axial one: x, y at both ends, z, tacho."""
     low, high, lasts = RUN_UP
     rate, length = 2000.0, _length(lasts)
@@ -158,12 +158,12 @@ def _inputs(force: Samples, noise: Samples) -> Samples:
     return np.stack([force[:-1], force[1:], noise, np.zeros_like(noise)], axis=2)
 
 
-def _probe_noise(rig: VirtualRig, rate: float, shape: tuple[int, int], rng: np.random.Generator) -> Samples:
+def _probe_noise(rig: VirtualMagneticRig, rate: float, shape: tuple[int, int], rng: np.random.Generator) -> Samples:
     """White noise in the loop that has the rig's standard deviation in a recording at *rate* [Hz]."""
     return rng.normal(0.0, rig.noise.displacement * np.sqrt(CONTROL_RATE / rate), shape)
 
 
-def _hover_force(rig: VirtualRig, plant: Suspended, shape: tuple[int, int], rng: np.random.Generator) -> Samples:
+def _hover_force(rig: VirtualMagneticRig, plant: Suspended, shape: tuple[int, int], rng: np.random.Generator) -> Samples:
     """A slow force that makes the rotor wander by the stated rms: white noise through a first-order low pass."""
     # Loading scipy.signal takes longer than most runs.
     from scipy import signal
@@ -183,7 +183,7 @@ def _logged(outputs: Samples, rate: float, n_sample: int) -> Samples:
     return signal.resample_poly(outputs, 1, round(CONTROL_RATE / rate), axis=0)[:n_sample]
 
 
-LOOP_RUNS: dict[str, Callable[[VirtualRig, str, np.random.Generator], LoopRun]] = {
+LOOP_RUNS: dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], LoopRun]] = {
     "loop-0rpm": radial,
     **dict.fromkeys(GAINS, radial),
     "loop-injection": injection,

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.errors import ConfigError
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.registry import nearest
 from labpipe.signals.excitation import design_multisine
 from labpipe.simulate import mechanics
+from labpipe.simulate.logged import whole_numbers
 from labpipe.simulate.loop_runs import LOOP_RUNS
+from labpipe.simulate.magnetic_settings import VirtualMagneticRig
 from labpipe.simulate.mechanics import Timing
-from labpipe.simulate.one_dof import ONE_DOF
-from labpipe.simulate.settings import VirtualRig
+from labpipe.simulate.one_dof import ONE_DOF, expected_std_error
+from labpipe.simulate.virtual_rigs import LoggedTable, Simulation, Truth, VirtualRigKind, chosen_runs
 
+# What the virtual logger writes for a channel: (recorded unit, recorded value per SI value). y comes as the probe's voltage.
+RECORDED = {"f": ("N", 1.0), "x": ("um", 1e6), "y": ("V", 8e3), "z": ("um", 1e6)}
+TEXT_RUNS = ("pedestal", "axial")
 HOVER_CORNER = 5.0
 ECCENTRICITIES = (0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
 GAIN_CORNER = 0.4
@@ -37,21 +40,27 @@ class SimulatedRun:
     table: dict[str, NDArray[np.floating]] | None = None
 
 
-def simulate(rig: VirtualRig, seed: int, runs: Iterable[str] | None = None) -> tuple[SimulatedRun, ...]:
-    """The named runs; the same rig and seed give the same samples, whatever other runs are made.
-
-    Default: all of RUNS; on a rig under its control loop those that close the loop in the time domain, LOOP_RUNS.
-    """
-    closed = rig.levitation.law == "control-loop"
-    known = {**RUNS, **(dict.fromkeys(LOOP_RUNS, _closed) if closed else {})}
-    names = list(LOOP_RUNS if closed else RUNS) if runs is None else list(runs)
-    for name in names:
-        if name not in known:
-            raise ConfigError(f"no run '{name}'", hint=nearest(name, known))
-    return tuple(known[name](rig, name, _generator(seed, name)) for name in names)
+def simulate(rig: VirtualMagneticRig, seed: int, runs: Sequence[str] | None = None) -> tuple[SimulatedRun, ...]:
+    """The named runs, all of `run_names` unless named; the same rig and seed give the same samples, whatever other runs are made."""
+    known = {**RUNS, **_loop_runs(rig)}
+    return tuple(known[name](rig, name, _generator(seed, name)) for name in chosen_runs(rig, runs))
 
 
-def _closed(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+def run_names(rig: VirtualMagneticRig) -> tuple[str, ...]:
+    """All of RUNS; of a rig under its control loop also those that close the loop in the time domain, LOOP_RUNS."""
+    return tuple({**RUNS, **_loop_runs(rig)})
+
+
+def usual_runs(rig: VirtualMagneticRig) -> tuple[str, ...]:
+    """What is made unless runs are named: of a rig under its control loop the time-domain runs."""
+    return tuple(_loop_runs(rig) or RUNS)
+
+
+def _loop_runs(rig: VirtualMagneticRig) -> dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], SimulatedRun]]:
+    return dict.fromkeys(LOOP_RUNS, _closed) if rig.levitation.law == "control-loop" else {}
+
+
+def _closed(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
     run = LOOP_RUNS[name](rig, name, rng)
     return SimulatedRun(name, run.truth, run.recording)
 
@@ -76,7 +85,7 @@ def _displacement_channel(name: str) -> Channel:
     return Channel(name, "displacement", "output", name, AXIS_ANGLES.get(name))
 
 
-def single(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+def single(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
     """One force and one displacement that starts at rest: the runs of ONE_DOF."""
     run = ONE_DOF[name](rig)
     timing = run.timing
@@ -91,7 +100,7 @@ def single(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun
     return SimulatedRun(name, run.truth, _recording(name, channels, samples, timing.sample_rate))
 
 
-def radial(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
     """The levitated rotor under one force at 45 deg: x and y move alike, since the rig is symmetric; 1-250 Hz every 1 Hz."""
     rotating = name.endswith("rpm") and not name.endswith("-0rpm")
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
@@ -122,7 +131,7 @@ def radial(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun
     return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
 
 
-def _hover(rig: VirtualRig, timing: Timing, rng: np.random.Generator) -> NDArray[np.floating]:
+def _hover(rig: VirtualMagneticRig, timing: Timing, rng: np.random.Generator) -> NDArray[np.floating]:
     """Slow random wander of the levitated rotor: white noise through a first-order low pass, with the stated rms."""
     # Loading scipy.signal takes longer than most runs.
     from scipy import signal
@@ -133,7 +142,7 @@ def _hover(rig: VirtualRig, timing: Timing, rng: np.random.Generator) -> NDArray
     return rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
 
 
-def _rotation(rig: VirtualRig, timing: Timing, quarter: float) -> NDArray[np.floating]:
+def _rotation(rig: VirtualMagneticRig, timing: Timing, quarter: float) -> NDArray[np.floating]:
     """1x of the unbalance and cogging lines at 2x and 4x of speed; speed is no multiple of the spacing."""
     t = np.arange(timing.n_sample * timing.periods) / timing.sample_rate
     angle = 2 * np.pi * rig.speed * t - quarter
@@ -141,7 +150,7 @@ def _rotation(rig: VirtualRig, timing: Timing, quarter: float) -> NDArray[np.flo
     return motion
 
 
-def two_directions(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
     """A cross-coupled support under a force along x (or y): all eight coefficients show in the two runs together."""
     dof = name[-1]
     column = "xy".index(dof)
@@ -161,7 +170,7 @@ def two_directions(rig: VirtualRig, name: str, rng: np.random.Generator) -> Simu
     return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
 
 
-def actuator_gain(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+def actuator_gain(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
     """Force over control voltage at seven levels and seven eccentricities; the gain falls as 1 / (1 + (e / 0.4)^4)."""
     levels = np.linspace(0.08, 0.56, 7)
     gains = [rig.actuator_gain / (1 + (e / GAIN_CORNER) ** 4) for e in ECCENTRICITIES]
@@ -174,7 +183,7 @@ def actuator_gain(rig: VirtualRig, name: str, rng: np.random.Generator) -> Simul
     return SimulatedRun(name, truth, table=table)
 
 
-def static(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+def static(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
     """Static magnet force over displacement: F = k_0 x (1 - (x / 300 um)^2), straight within 2.3 % up to 45 um."""
     displacement = np.arange(0, 91, 3) * 1e-6
     k_0 = rig.levitation.static
@@ -182,7 +191,7 @@ def static(rig: VirtualRig, name: str, rng: np.random.Generator) -> SimulatedRun
     return SimulatedRun(name, {"k_0": k_0}, table={"displacement [um]": displacement * 1e6, "force [N]": force})
 
 
-RUNS: dict[str, Callable[[VirtualRig, str, np.random.Generator], SimulatedRun]] = {
+RUNS: dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], SimulatedRun]] = {
     "pedestal": single,
     "radial-0rpm": radial,
     "radial-8000rpm": radial,
@@ -192,3 +201,63 @@ RUNS: dict[str, Callable[[VirtualRig, str, np.random.Generator], SimulatedRun]] 
     "actuator-gain": actuator_gain,
     "static": static,
 }
+
+
+def _simulate(rig: VirtualMagneticRig, seed: int, runs: Sequence[str]) -> Simulation:
+    made = simulate(rig, seed, runs)
+    return Simulation({run.name: logged(run) for run in made}, {"runs": {run.name: run.truth for run in made}})
+
+
+def logged(run: SimulatedRun) -> LoggedTable:
+    """A run as the logger stores it: tables and short runs as text, runs under the control loop as whole numbers."""
+    if run.table is not None:
+        return LoggedTable(run.table, text=True)
+    assert run.recording is not None
+    if run.name in LOOP_RUNS:
+        return whole_numbers(run.recording)
+    columns = _recorded_columns(run.recording)
+    if run.name not in TEXT_RUNS:
+        return LoggedTable({title: column.astype(np.float32) for title, column in columns.items()})
+    return LoggedTable({"t [s]": np.arange(run.recording.n_sample) / run.recording.sample_rate, **columns}, text=True)
+
+
+def _recorded_columns(recording: Recording) -> dict[str, NDArray[np.floating]]:
+    """The channels as the logger records them: "force [N]", "x [um]", "y [V]"."""
+    columns = {}
+    for number, channel in enumerate(recording.channels):
+        unit, per_si = RECORDED[channel.name]
+        title = "force" if channel.name == "f" else channel.name
+        columns[f"{title} [{unit}]"] = recording.samples[:, number] * per_si
+    return columns
+
+
+def _recordings(rig: VirtualMagneticRig, seed: int, runs: Sequence[str]) -> list[Recording]:
+    return [run.recording for run in simulate(rig, seed, runs) if run.recording is not None]
+
+
+def _parameters(rig: VirtualMagneticRig, runs: Sequence[str]) -> Truth:
+    (first,) = simulate(rig, 0, runs[:1])
+    return {name: float(number) for name, number in first.truth.items() if isinstance(number, (int, float))}
+
+
+def _at_level(rig: VirtualMagneticRig, level: float) -> VirtualMagneticRig:
+    noise = rig.noise
+    scaled = replace(noise, displacement=level * noise.displacement, force=level * noise.force, hover=level * noise.hover)
+    return replace(rig, noise=scaled)
+
+
+def _std_errors(rig: VirtualMagneticRig, runs: Sequence[str], band: tuple[float, float]) -> Truth:
+    """Of k and c of a one-dof run whose mass is known; none for others."""
+    return expected_std_error(rig, runs[0], band) if runs[0] in ONE_DOF else {}
+
+
+MAGNETIC_RIG = VirtualRigKind(
+    settings=VirtualMagneticRig,
+    runs=run_names,
+    usual=usual_runs,
+    simulate=_simulate,
+    parameters=_parameters,
+    noisy=_at_level,
+    recordings=_recordings,
+    std_errors=_std_errors,
+)

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
-from labpipe.records.settings import setting
+from labpipe.records.settings import Settings, setting
+from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind
 
 KIND = "virtual-mdof-rig"
 
 
 @dataclass(frozen=True)
-class Lines:
+class Lines(Settings):
     """Equally spaced frequency lines."""
 
     first: float = setting("value", "lowest frequency", unit="Hz")
@@ -24,7 +26,7 @@ class Lines:
 
 
 @dataclass(frozen=True)
-class VirtualMdofRig:
+class VirtualMdofRig(Settings):
     """M q'' + C q' + K q = f on dofs 1, 2, ..., a force and a response on each."""
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
@@ -83,3 +85,23 @@ def truth(rig: VirtualMdofRig) -> dict[str, float]:
     mass = np.array(rig.mass, float)
     matrices = {"k": np.array(rig.stiffness), "c": np.array(rig.damping), "m": np.diag(mass) if mass.ndim == 1 else mass}
     return {f"{letter}_{i + 1}_{j + 1}": float(value) for letter, m in matrices.items() for (i, j), value in np.ndenumerate(m)}
+
+
+def _simulate(rig: VirtualMdofRig, seed: int, _runs: Sequence[str]) -> Simulation:
+    """One FRF table: this rig has no recordings."""
+    return Simulation({"frf": simulated_response(rig, np.random.default_rng(seed))}, {"truth": truth(rig)})
+
+
+def _response(rig: VirtualMdofRig, seeds: Sequence[int] | None) -> FrequencyResponse:
+    return simulated_response(rig, None if seeds is None else np.random.default_rng(tuple(seeds)))
+
+
+MDOF_RIG = VirtualRigKind(
+    settings=VirtualMdofRig,
+    runs=lambda _rig: (),
+    simulate=_simulate,
+    parameters=lambda rig, _runs: truth(rig),
+    noisy=lambda rig, level: replace(rig, noise=level),
+    response=_response,
+    with_lines=lambda rig, count: replace(rig, lines=replace(rig.lines, count=count)),
+)

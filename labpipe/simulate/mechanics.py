@@ -11,7 +11,7 @@ from scipy import fft
 
 from labpipe.bearings.magnetic_loop import dynamic_stiffness, inferred_negative_stiffness
 from labpipe.signals.excitation import Multisine
-from labpipe.simulate.settings import Levitation, VirtualRig
+from labpipe.simulate.magnetic_settings import Levitation, VirtualMagneticRig
 
 Complex = NDArray[np.complexfloating]
 
@@ -78,13 +78,13 @@ def one_dof(mass: float, stiffness: float, damping: float, omega: NDArray[np.flo
     return dynamic
 
 
-def levitated(rig: VirtualRig, omega: NDArray[np.floating]) -> Complex:
+def levitated(rig: VirtualMagneticRig, omega: NDArray[np.floating]) -> Complex:
     """Dynamic stiffness of pedestal and levitated rotor in one direction at *omega* [rad/s], (n_line,) [N/m]."""
     pedestal = one_dof(rig.rotor_mass, rig.pedestal_stiffness, rig.pedestal_damping, omega)
     return pedestal + levitation_stiffness(rig.levitation, omega)
 
 
-def coupled(rig: VirtualRig, omega: NDArray[np.floating]) -> Complex:
+def coupled(rig: VirtualMagneticRig, omega: NDArray[np.floating]) -> Complex:
     """Dynamic stiffness matrix of the cross-coupled support, (n_line, 2, 2) [N/m]."""
     w = omega[:, None, None]
     matrix: Complex = COUPLED_STIFFNESS + 1j * w * COUPLED_DAMPING - w**2 * rig.rotor_mass * np.eye(2)

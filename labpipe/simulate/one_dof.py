@@ -12,8 +12,8 @@ from labpipe.errors import ConfigError
 from labpipe.registry import nearest
 from labpipe.signals.excitation import Multisine, design_multisine
 from labpipe.simulate import mechanics
+from labpipe.simulate.magnetic_settings import VirtualMagneticRig
 from labpipe.simulate.mechanics import PERIODS, Timing
-from labpipe.simulate.settings import VirtualRig
 
 # Forces [N rms] by which pedestal and rotor stay within 40 um.
 PEDESTAL_FORCE, AXIAL_FORCE = 0.3, 0.3
@@ -51,22 +51,22 @@ class OneDofRun:
         }
 
 
-def pedestal(rig: VirtualRig) -> OneDofRun:
+def pedestal(rig: VirtualMagneticRig) -> OneDofRun:
     """The pedestal alone: 1-100 Hz every 0.5 Hz."""
     force = design_multisine((1.0, 100.0), 0.5, PEDESTAL_FORCE)
     return OneDofRun(force, Timing(1000.0, 0.5, 3), "y", rig.pedestal_mass, rig.pedestal_stiffness, rig.pedestal_damping)
 
 
-def axial(rig: VirtualRig) -> OneDofRun:
+def axial(rig: VirtualMagneticRig) -> OneDofRun:
     """The axial direction: 1-50 Hz every 0.5 Hz."""
     force = design_multisine((1.0, 50.0), 0.5, AXIAL_FORCE)
     return OneDofRun(force, Timing(500.0, 0.5, 1), "z", rig.axial_mass, rig.axial_stiffness, rig.axial_damping)
 
 
-ONE_DOF: dict[str, Callable[[VirtualRig], OneDofRun]] = {"pedestal": pedestal, "axial": axial}
+ONE_DOF: dict[str, Callable[[VirtualMagneticRig], OneDofRun]] = {"pedestal": pedestal, "axial": axial}
 
 
-def expected_std_error(rig: VirtualRig, name: str, band: tuple[float, float]) -> dict[str, float]:
+def expected_std_error(rig: VirtualMagneticRig, name: str, band: tuple[float, float]) -> dict[str, float]:
     """Cramer-Rao standard errors of k [N/m] and c [N.s/m] from the lines of run *name* within *band* [Hz], mass known.
 
     With both channels noisy, the residual Y - H F of a line has the variance s_y^2 + |H|^2 s_f^2, where s^2 = 4 sigma^2 / n over

@@ -9,7 +9,7 @@ unstable it has no steady amplitude, and the table has no row.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError
 from labpipe.records.run_up import RunUp, Shaker
-from labpipe.records.settings import Uncertain, setting
-from labpipe.registry import nearest
+from labpipe.records.settings import Settings, Uncertain, setting
 from labpipe.rigs.film_family import BOUND, FilmFamily, as_eight, as_matrices
 from labpipe.rigs.run_up_rotor import RunUpRotor
 from labpipe.rotors.modes import GROWTH_TOLERANCE
 from labpipe.rotors.threshold import CoefficientsAtSpeed
+from labpipe.simulate.virtual_rigs import Simulation, Truth, VirtualRigKind, chosen_runs
 
 KIND = "virtual-unbalance-rig"
 # factors: every coefficient times a smooth field of its own over load and speed; inside: the family of the joint fit; outside: not.
@@ -39,7 +39,7 @@ Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
-class RunUpNoise:
+class RunUpNoise(Settings):
     """Standard deviations of what is read off: relative for amplitude and threshold."""
 
     amplitude: float = setting("value", "of the amplitude itself", unit="1", default=0.01)
@@ -52,14 +52,14 @@ class RunUpNoise:
 
 
 @dataclass(frozen=True)
-class VirtualUnbalanceRig:
+class VirtualUnbalanceRig(Settings):
     """The rotor of a rotor file with a model error, its loads and its noise; *rig* is what `rotor` names.
 
     Entries marked 'outside' belong to the truth of that name, the others to all. The virtual rotor has the known unbalances of the file.
     """
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
-    rotor: str = setting("text", "rotor file with pins, relative to this file")
+    rotor: str = setting("file", "rotor file with pins, relative to this file", file_kind="run-up-rotor", into="rig")
     name: str = setting("text", "name of the rig", default="Virtual unbalance rig")
     truth: str = setting("choice", "how the bearing differs from the rotor file's", choices=TRUTHS, default="outside")
     viscosity_error: float = setting("value", "outside: true viscosity over the rotor file's, less one", unit="1", default=-0.15)
@@ -80,6 +80,8 @@ class VirtualUnbalanceRig:
     rig: RunUpRotor | None = None
 
     def __post_init__(self) -> None:
+        if self.rig is not None and not self.rig.unbalances:
+            raise ConfigError("the rotor has no unbalances", hint="add unbalances: to the rotor file", field="rotor")
         if not 2 <= self.count <= MOST_SPEEDS or not 0 < self.speeds[0] < self.speeds[1]:
             raise ConfigError(f"a run-up has 2 to {MOST_SPEEDS} speeds that rise from above zero")
         if not self.loads or min(*self.loads, self.held_out) <= 0:
@@ -96,13 +98,13 @@ class VirtualUnbalanceRig:
 
     @property
     def known(self) -> RunUpRotor:
-        """ConfigError without a rotor."""
+        """The rotor file's rotor, its range of search that of the run-ups where the file has none; ConfigError without a rotor."""
         if self.rig is None:
             raise ConfigError("no rotor was read for this virtual rig", hint="name it with rotor:")
-        return self.rig
+        return self.rig if self.rig.speeds is not None else replace(self.rig, speeds=(float(self.omega[0]), float(self.omega[-1])))
 
     @property
-    def runs(self) -> dict[str, float]:
+    def load_of_run(self) -> dict[str, float]:
         """Load [N] of every run by its name."""
         by_name = {f"load-{number}": load for number, load in enumerate(self.loads, 1)}
         extra = {f"{name}-second": load for name, load in by_name.items()} if self.second_unbalance else {}
@@ -120,8 +122,8 @@ def true_coefficients(virtual: VirtualUnbalanceRig, load: float) -> Coefficients
 
 
 def family(rig: RunUpRotor, loads: Iterable[float]) -> FilmFamily:
-    """The family about a rotor file's bearing, with references in the middle of the loads [N] and at 1500 rpm."""
-    return FilmFamily(rig.place.bearing, 50 * np.pi, float(np.exp(np.mean(np.log(list(loads))))))
+    """The family about a rotor file's bearing, with references in the middle of the loads [N] and of the speeds."""
+    return FilmFamily(rig.place.film("a virtual run-up"), rig.search.high / 2, float(np.exp(np.mean(np.log(list(loads))))))
 
 
 def smooth_factors(load: float, speed: Array, loads: tuple[float, float], speeds: tuple[float, float]) -> Array:
@@ -149,7 +151,7 @@ def _with_factors(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSp
 
 def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
     """Other grooves, and a viscosity that falls with the square of the speed: no parameter of the family says so."""
-    own = virtual.known.place.bearing
+    own = virtual.known.place.film("a virtual run-up")
     clearance = own.clearance * (1 + virtual.clearance_error)
     highest = 2 * np.pi * virtual.speeds[1]
 
@@ -164,17 +166,14 @@ def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
     return coefficients
 
 
-def run_ups(virtual: VirtualUnbalanceRig, seed: int, names: Iterable[str] | None = None) -> tuple[RunUp, ...]:
-    """The named runs (default: all); each with noise of its own, at the speeds where the rotor is stable."""
-    chosen = list(virtual.runs) if names is None else list(names)
-    for name in chosen:
-        if name not in virtual.runs:
-            raise ConfigError(f"no run '{name}'", hint=nearest(name, virtual.runs))
+def run_ups(virtual: VirtualUnbalanceRig, seed: int, names: Sequence[str] | None = None) -> tuple[RunUp, ...]:
+    """The named runs (all unless named); each with noise of its own, at the speeds where the rotor is stable."""
+    chosen = chosen_runs(virtual, names)
     return tuple(_run(virtual, name, np.random.default_rng([seed, zlib.crc32(name.encode())])) for name in chosen)
 
 
 def _run(virtual: VirtualUnbalanceRig, name: str, rng: np.random.Generator) -> RunUp:
-    rig, load = virtual.known, virtual.runs[name]
+    rig, load = virtual.known, virtual.load_of_run[name]
     coefficients = true_coefficients(virtual, load)
     speed = virtual.omega
     speed = speed[rig.stability.growth(speed, *coefficients(speed)) <= GROWTH_TOLERANCE]
@@ -200,7 +199,7 @@ def _excitation(virtual: VirtualUnbalanceRig, name: str) -> tuple[dict[str, comp
 
 
 def _threshold(virtual: VirtualUnbalanceRig, name: str, coefficients: CoefficientsAtSpeed, rng: np.random.Generator) -> Uncertain | None:
-    """The threshold with its noise, on the first run-up of a load; None where there is none below 6000 rpm."""
+    """The threshold with its noise, on the first run-up of a load; None where there is none within the search."""
     if name.endswith(("-second", "-shaker")):
         return None
     exact = virtual.known.threshold(coefficients)
@@ -212,7 +211,7 @@ def _threshold(virtual: VirtualUnbalanceRig, name: str, coefficients: Coefficien
 def truth(virtual: VirtualUnbalanceRig) -> dict[str, Any]:
     """Per load: the true critical speed and threshold [rad/s], and the eight coefficients at the run-up's speeds [N/m, N s/m]."""
     rig, found = virtual.known, {}
-    for name, load in virtual.runs.items():
+    for name, load in virtual.load_of_run.items():
         if name.endswith(("-second", "-shaker")):
             continue
         coefficients = true_coefficients(virtual, load)
@@ -226,3 +225,30 @@ def truth(virtual: VirtualUnbalanceRig) -> dict[str, Any]:
         }
     bounds = {"inside": dict(zip(("logarithms", "bounds"), (INSIDE.tolist(), BOUND.tolist()), strict=True))}
     return {"kind": virtual.truth, "speeds": virtual.omega.tolist(), **bounds.get(virtual.truth, {}), "loads": found}
+
+
+def _simulate(virtual: VirtualUnbalanceRig, seed: int, runs: Sequence[str]) -> Simulation:
+    """One table of 1x amplitudes and phases over speed per run."""
+    return Simulation({run.name: run for run in run_ups(virtual, seed, runs)}, {"truth": truth(virtual)})
+
+
+def _parameters(virtual: VirtualUnbalanceRig, runs: Sequence[str]) -> Truth:
+    """Critical and threshold speed of the first run [rad/s]."""
+    coefficients = true_coefficients(virtual, virtual.load_of_run[runs[0]])
+    threshold = virtual.known.threshold(coefficients)
+    return {"critical_speed": virtual.known.critical_speed(coefficients)} | ({} if threshold is None else {"threshold": threshold})
+
+
+def _at_level(virtual: VirtualUnbalanceRig, level: float) -> VirtualUnbalanceRig:
+    noise = virtual.noise
+    scaled = RunUpNoise(level * noise.amplitude, level * noise.phase, level * noise.threshold)
+    return replace(virtual, noise=scaled)
+
+
+UNBALANCE_RIG = VirtualRigKind(
+    settings=VirtualUnbalanceRig,
+    runs=lambda virtual: tuple(virtual.load_of_run),
+    simulate=_simulate,
+    parameters=_parameters,
+    noisy=_at_level,
+)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,9 @@ from scipy import fft
 from labpipe.errors import ConfigError
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import setting
-from labpipe.registry import nearest
+from labpipe.records.settings import Settings, setting
+from labpipe.simulate.logged import force_and_displacements
+from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind
 
 KIND = "virtual-white-noise-rig"
 RUNS = {"along-x": "x", "along-y": "y"}
@@ -23,7 +24,7 @@ AXES = ("x", "y")
 
 
 @dataclass(frozen=True)
-class SensorNoise:
+class SensorNoise(Settings):
     """Standard deviations of the measuring noise, white up to half the sampling rate."""
 
     displacement: float = setting("value", "displacement sensors", unit="m", default=5e-6)
@@ -31,7 +32,7 @@ class SensorNoise:
 
 
 @dataclass(frozen=True)
-class WhiteNoiseRig:
+class WhiteNoiseRig(Settings):
     """m q'' + C q' + K q = f of the rotor's centre (x, y), with an unbalance that turns from x to y.
 
     Force, sampling and blocks are those of Mendes et al.; bending near 82 Hz as on their rig, unbalance as on Machado's.
@@ -74,16 +75,12 @@ def receptance(rig: WhiteNoiseRig, frequency: NDArray[np.floating]) -> NDArray[n
     return h
 
 
-def white_noise_runs(rig: WhiteNoiseRig, seed: int, names: Iterable[str] | None = None) -> tuple[Recording, ...]:
-    """The named runs (default: both): force f, displacements x and y [SI]; each has noise of its own.
+def white_noise_runs(rig: WhiteNoiseRig, seed: int, names: Sequence[str] = tuple(RUNS)) -> tuple[Recording, ...]:
+    """The named runs: force f, displacements x and y [SI]; each has noise of its own.
 
     The force is periodic in the whole run and band-limited, so x = H f line by line is the exact steady state, without aliasing.
     """
-    chosen = list(RUNS) if names is None else list(names)
-    for name in chosen:
-        if name not in RUNS:
-            raise ConfigError(f"no run '{name}'", hint=nearest(name, RUNS))
-    return tuple(_run(rig, name, np.random.default_rng([seed, zlib.crc32(name.encode())])) for name in chosen)
+    return tuple(_run(rig, name, np.random.default_rng([seed, zlib.crc32(name.encode())])) for name in names)
 
 
 def _run(rig: WhiteNoiseRig, name: str, rng: np.random.Generator) -> Recording:
@@ -121,3 +118,24 @@ def truth(rig: WhiteNoiseRig) -> dict[str, Any]:
     matrices = (("k", rig.stiffness), ("c", rig.damping))
     found: dict[str, Any] = {f"{letter}_{AXES[r]}{AXES[c]}": m[r][c] for letter, m in matrices for r in range(2) for c in range(2)}
     return {"mass": rig.mass, **found, "speed_hz": rig.speed, "unbalance": rig.unbalance}
+
+
+def _simulate(rig: WhiteNoiseRig, seed: int, runs: Sequence[str]) -> Simulation:
+    """One file per force direction."""
+    files = {run.name: force_and_displacements(run) for run in white_noise_runs(rig, seed, runs)}
+    return Simulation(files, {"truth": truth(rig)})
+
+
+def _at_level(rig: WhiteNoiseRig, level: float) -> WhiteNoiseRig:
+    noise = rig.noise
+    return replace(rig, noise=replace(noise, displacement=level * noise.displacement, force=level * noise.force))
+
+
+WHITE_NOISE_RIG = VirtualRigKind(
+    settings=WhiteNoiseRig,
+    runs=lambda _rig: tuple(RUNS),
+    simulate=_simulate,
+    parameters=lambda rig, _runs: truth(rig),
+    noisy=_at_level,
+    recordings=white_noise_runs,
+)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from labpipe.errors import ConfigError
-from labpipe.records.settings import setting
+from labpipe.records.settings import Settings, setting
 
 EXCITATIONS = ("periodic", "random", "impact")
 ESTIMATORS = ("H1", "H2", "Hv")
@@ -13,7 +13,7 @@ DETRENDS = ("constant", "linear", "none")
 
 
 @dataclass(frozen=True)
-class ShaftLines:
+class ShaftLines(Settings):
     """The lines of a turning shaft: its speed or the channel that tells it, and how many harmonics count."""
 
     speed: float | None = setting("value", "shaft speed, e.g. 50 Hz or 3000 rpm", unit="Hz", default=None)
@@ -44,7 +44,7 @@ class MaskSettings(ShaftLines):
 
 
 @dataclass(frozen=True)
-class ImpactSettings:
+class ImpactSettings(Settings):
     """How the hits of a hammer are found, windowed and judged; levels as shares of the hit's peak."""
 
     trigger: float = setting("value", "a hit begins where the force exceeds this share of the largest hit", unit="1", default=0.1)
@@ -67,7 +67,7 @@ class ImpactSettings:
 
 
 @dataclass(frozen=True)
-class FrfSettings:
+class FrfSettings(Settings):
     """How recordings become a frequency response; times in s, frequencies in Hz."""
 
     excitation: str = setting("choice", "kind of excitation", choices=EXCITATIONS)
@@ -96,9 +96,6 @@ class FrfSettings:
             raise ConfigError(f"'{needed}' is missing", hint=f"{self.excitation} excitation needs it, e.g. {needed}: 1 s")
         if length <= 0:
             raise ConfigError(f"'{needed}' must be positive")
-        for count in ("skip", "smooth"):
-            if getattr(self, count) < 0:
-                raise ConfigError(f"'{count}' must not be negative")
         if not 0 <= self.overlap < 1:
             raise ConfigError("'overlap' must be at least 0 and below 100 %")
         if self.realisations and self.excitation != "periodic":

@@ -3,79 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from labpipe import __version__
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.bearings.coefficients import BearingCoefficients, BearingKind
-from labpipe.config.faults import Faults
-from labpipe.config.reader import read_settings
-from labpipe.errors import ConfigError, LabpipeError
+from labpipe.bearings.coefficients import BearingCoefficients
+from labpipe.config.bearing import BearingFile
 from labpipe.formats.frf_csv import write_frf_csv
-from labpipe.marked_yaml import Marked, load_marked, set_entry
-from labpipe.registry import Registry, nearest
+from labpipe.marked_yaml import set_entry
 from labpipe.stages.sweep import Sweep
 
 SCHEMA = "labpipe/bearing/1"
-BEARINGS = Registry(
-    "bearing",
-    {
-        "ball-bearing": "labpipe.bearings.rolling_kinds:BALL",
-        "roller-bearing": "labpipe.bearings.rolling_kinds:ROLLER",
-        "journal-bearing": "labpipe.bearings.journal_kind:JOURNAL_KIND",
-        "magnetic-bearing": "labpipe.bearings.magnetic_kind:MAGNETIC_KIND",
-    },
-)
-
-
-@dataclass(frozen=True)
-class BearingFile:
-    """A bearing file that is being read: its path, kind, and the tree of its entries."""
-
-    path: Path
-    kind_name: str
-    kind: BearingKind
-    tree: Marked
-
-    def settings(self) -> Any:
-        """The settings as the file has them now; ConfigErrors with every fault at its place."""
-        faults = Faults()
-        settings = read_settings(self.kind.settings, self.tree, "", faults)
-        faults.raise_any()
-        return settings
-
-    def coefficients(self, settings: list[Any]) -> list[BearingCoefficients]:
-        """The coefficients of every settings; errors say which file."""
-        try:
-            return self.kind.coefficients(settings)
-        except LabpipeError as error:
-            error.where = error.where or str(self.path)
-            raise
-
-
-def open_bearing(path: Path, overrides: Iterable[str] = ()) -> BearingFile:
-    """The bearing file with its kind known; ConfigError where the file or its kind cannot be read."""
-    tree = load_marked(path)
-    for assignment in overrides:
-        set_entry(tree, assignment)
-    faults = Faults()
-    entries = faults.mapping(tree, "")
-    faults.raise_any()
-    if "kind" not in entries:
-        raise ConfigError("kind: is missing", where=tree.place, hint=f"known: {', '.join(BEARINGS.names())}")
-    name = entries["kind"].text
-    if name not in BEARINGS.names():
-        raise ConfigError(f"kind: unknown bearing '{name}'", where=entries["kind"].place, hint=nearest(name, BEARINGS.names()))
-    kind: BearingKind = BEARINGS.load(name)
-    for key, unit in kind.bare_units.items():
-        if key in entries and isinstance(entries[key].content, (int, float)):
-            entries[key].text += f" {unit}"
-    return BearingFile(path, name, kind, tree)
 
 
 def swept(file: BearingFile, sweep: Sweep) -> list[BearingCoefficients]:

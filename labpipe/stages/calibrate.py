@@ -14,6 +14,7 @@ from labpipe.formats.table import Table, check_columns, open_table
 from labpipe.identify.calibration import fit_line, line_fit, linear_range, linear_range_of_curve
 from labpipe.quantities import Unit, UnitError, parse_unit
 from labpipe.records.identification import Fit, Parameter
+from labpipe.stages.work import Work
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,11 @@ class _Column:
 
     values: NDArray[np.float64]
     unit: str
+
+
+def run_calibrations(settings: Iterable[CalibrationSettings], work: Work) -> list[Fit]:  # noqa: ARG001 (one signature for all sections)
+    """The section calibrate: the straight lines of all its entries."""
+    return calibrate(settings)
 
 
 def calibrate(calibrations: Iterable[CalibrationSettings]) -> list[Fit]:

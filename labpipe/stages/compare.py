@@ -12,34 +12,33 @@ from labpipe.campaign.compare import Evidence, Theory, compare
 from labpipe.campaign.prediction import MagneticTheory
 from labpipe.campaign.settings import MAGNETIC_KINDS, CompareSettings, TheorySettings
 from labpipe.campaign.theory import TheoryAt
-from labpipe.config.pipeline import Pipeline
+from labpipe.config.bearing import BearingFile, open_bearing
 from labpipe.errors import ConfigError, LabpipeError
 from labpipe.marked_yaml import set_entry
-from labpipe.records.comparison import Comparison
-from labpipe.records.identification import Failed, Fit
-from labpipe.records.response import FrequencyResponse
-from labpipe.stages.bearing import BearingFile, open_bearing
+from labpipe.records.comparison import Comparison, Comparisons
+from labpipe.records.identification import Failed
+from labpipe.stages.work import Work
 
 # The condition is raised by this share for the slope of the theory.
 STEP = 1e-3
 COMPARE_PREFIX = "compare."
 
 
-def compare_tests(
-    pipeline: Pipeline, fits: Sequence[Fit], responses: Sequence[FrequencyResponse], go_on: bool = False
-) -> tuple[tuple[Comparison, ...], tuple[Failed, ...]]:
-    """Every comparison of the pipeline, in its order, and with *go_on* those that failed; otherwise LabpipeError names the comparison."""
-    evidence = Evidence(tuple(fits), tuple(responses), pipeline.fits)
+def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparisons:
+    """The section compare: every comparison in its order. One that lacks a failed test is named among the work's failures.
+
+    Otherwise LabpipeError names the comparison.
+    """
+    evidence = Evidence(tuple(work.fits), tuple(work.responses), work.pipeline.fits)
     made: list[Comparison] = []
-    failed: list[Failed] = []
-    for settings in pipeline.comparisons:
+    for comparison in settings:
         try:
-            made.append(_compared(pipeline.path, settings, evidence))
+            made.append(_compared(work.pipeline.path, comparison, evidence))
         except LabpipeError as error:
-            if not go_on:
+            if not work.go_on:
                 raise
-            failed.append(Failed(COMPARE_PREFIX + settings.name, str(error)))
-    return tuple(made), tuple(failed)
+            work.failed.append(Failed(COMPARE_PREFIX + comparison.name, str(error)))
+    return tuple(made)
 
 
 def _compared(path: Path, settings: CompareSettings, evidence: Evidence) -> Comparison:

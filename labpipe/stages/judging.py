@@ -3,36 +3,19 @@
 from __future__ import annotations
 
 import operator
-import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
-from labpipe.config.rules import STUDY, Rule
-from labpipe.config.run_ups import RUN_UPS
-from labpipe.config.unbalance import UNBALANCE
-from labpipe.config.values import parse_uncertain
+from labpipe.config.rules import Rule
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, parse_value
-from labpipe.records.comparison import Comparison
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Fit, RuleOutcome
-from labpipe.records.run_up_result import RunUpResult
-from labpipe.records.study import Study, StudyCase
-from labpipe.records.unbalance import UnbalanceRuns
+from labpipe.records.setting_values import parse_uncertain
 from labpipe.registry import nearest
-from labpipe.stages.judging_comparisons import comparison_outcome
-from labpipe.stages.judging_run_ups import run_up_outcome
-from labpipe.stages.judging_unbalance import unbalance_outcome
+from labpipe.sections import names_of, section
 
 _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
-_STUDIED = re.compile(r"^(?P<fit>[^.\[\]]+)(?:\[(?P<noise>[^\]]*)\])?\.(?P<item>\w+)$")
-_CASE_VALUES: dict[str, Callable[[StudyCase], float | None]] = {
-    "mean_error": lambda case: case.mean_error,
-    "median_error": lambda case: case.median_error,
-    "failed": lambda case: float(case.failed),
-    "success": lambda case: case.success[0],
-    "rmse_over_bound": lambda case: case.rmse_over_bound,
-    "coverage": lambda case: case.coverage,
-}
 _FIT_VALUES = {
     "gof": lambda fit: fit.gof.r2_adjusted,
     "r2": lambda fit: fit.gof.r2,
@@ -43,28 +26,16 @@ _FIT_VALUES = {
 }
 
 
-def judge(
-    rules: Iterable[Rule],
-    fits: Sequence[Fit],
-    studies: Sequence[Study] = (),
-    comparisons: Sequence[Comparison] = (),
-    unbalance: UnbalanceRuns | None = None,
-    run_ups: RunUpResult | None = None,
-    incomplete: bool = False,
-) -> tuple[RuleOutcome, ...]:
-    """The outcome of every rule; ConfigError at the rule's place when it addresses what the result does not have.
+def judge(rules: Iterable[Rule], fits: Sequence[Fit], records: Mapping[str, Any], incomplete: bool = False) -> tuple[RuleOutcome, ...]:
+    """The outcome of every rule on fits, and on the *records* of sections by their key.
 
-    In an *incomplete* result, where tests failed, such a rule fails.
+    ConfigError at the rule's place when it addresses what the result does not have; in an *incomplete* result, where tests failed, such a
+    rule fails.
     """
     outcomes: list[RuleOutcome] = []
     for rule in rules:
         try:
-            if unbalance is not None and rule.fit == UNBALANCE:
-                outcomes.append(unbalance_outcome(rule, unbalance, _held))
-            elif run_ups is not None and rule.fit == RUN_UPS:
-                outcomes.append(run_up_outcome(rule, run_ups, _held))
-            else:
-                outcomes.append(_ruled(rule, fits, studies, comparisons))
+            outcomes.append(_ruled(rule, fits, records))
         except ConfigError:
             if not incomplete:
                 raise
@@ -72,40 +43,13 @@ def judge(
     return tuple(outcomes)
 
 
-def _ruled(rule: Rule, fits: Sequence[Fit], studies: Sequence[Study], comparisons: Sequence[Comparison]) -> RuleOutcome:
-    if rule.fit == STUDY:
-        return _study_outcome(rule, studies)
-    if any(comparison.name == rule.fit for comparison in comparisons):
-        return comparison_outcome(rule, comparisons, _held)
+def _ruled(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> RuleOutcome:
+    for name, record in records.items():
+        outcome = section(name).load("outcome")
+        if outcome is not None and rule.fit in names_of(name, record):
+            ruled: RuleOutcome = outcome(rule, record, compare_number)
+            return ruled
     return _outcome(rule, _addressed(rule, fits))
-
-
-def _study_outcome(rule: Rule, studies: Sequence[Study]) -> RuleOutcome:
-    """A rule on "fit[noise].item", or "fit.item" for every noise level; threshold is the noise at which success ends."""
-    match = _STUDIED.match(rule.item)
-    if match is None:
-        raise ConfigError(f"{rule.section}.{rule.address}: is no address", where=rule.place, hint="write study.fit[1 %].coverage")
-    if match["item"] == "threshold":
-        found = [t.noise for study in studies for t in study.thresholds if t.fit == match["fit"]]
-    else:
-        cases = [case for study in studies for case in study.cases if case.fit == match["fit"] and _is_noise(match["noise"], case.noise)]
-        found = [_studied(rule, case, match["item"]) for case in cases]
-    if not found:
-        raise ConfigError(f"{rule.section}.{rule.address}: no such case in the study", where=rule.place)
-    held = [_held(rule, value, "1") for value in found]
-    value, passed = next((pair for pair in held if not pair[1]), held[0])
-    return RuleOutcome(rule.section, rule.text, value, passed)
-
-
-def _studied(rule: Rule, case: StudyCase, item: str) -> float | None:
-    if item not in _CASE_VALUES:
-        hint = nearest(item, [*_CASE_VALUES, "threshold"])
-        raise ConfigError(f"{rule.section}.{rule.address}: the study has no '{item}'", where=rule.place, hint=hint)
-    return _CASE_VALUES[item](case)
-
-
-def _is_noise(text: str | None, noise: float) -> bool:
-    return text is None or abs(parse_value(text, "1") - noise) < 1e-6 * noise
 
 
 def _addressed(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
@@ -128,7 +72,7 @@ def _is_centre(text: str, centre: float) -> bool:
 def _outcome(rule: Rule, fits: list[Fit]) -> RuleOutcome:
     """A rule on several fits (bands, tests) must hold for each; the value shown is the first that fails, or the first."""
     if rule.item == "count":
-        held = [_held(rule, float(len(fits)), "1")]
+        held = [compare_number(rule, float(len(fits)), "1")]
     elif rule.item == "warnings":
         held = [_warnings_held(rule, fit) for fit in fits]
     else:
@@ -173,18 +117,18 @@ def _split(item: str, fits: Sequence[Fit]) -> tuple[str, str]:
 
 def _item_held(rule: Rule, fit: Fit) -> tuple[float | str | None, bool]:
     if rule.item in _FIT_VALUES:
-        return _held(rule, _FIT_VALUES[rule.item](fit), "1")
+        return compare_number(rule, _FIT_VALUES[rule.item](fit), "1")
     name, attribute = _split(rule.item, [fit])
     parameter = fit.parameter(name)
     if attribute == "significant":
         word = str(bool(parameter.significant)).lower()
         return word, word == rule.bound
     if attribute == "std_error":
-        return _held(rule, parameter.std_error, parameter.unit)
-    return _held(rule, parameter.value, parameter.unit)
+        return compare_number(rule, parameter.std_error, parameter.unit)
+    return compare_number(rule, parameter.value, parameter.unit)
 
 
-def _held(rule: Rule, value: float | None, unit: str) -> tuple[float | None, bool]:
+def compare_number(rule: Rule, value: float | None, unit: str) -> tuple[float | None, bool]:
     """Whether a number meets the rule; a number that could not be given meets none."""
     try:
         if rule.kind == "+-":

@@ -6,16 +6,22 @@ from collections.abc import Callable
 from pathlib import Path
 
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.config.run_up_rotor import load_run_up_rotor
 from labpipe.records.run_up_result import RunUpResult
 from labpipe.run_ups.result import run_up_result
 from labpipe.run_ups.settings import RunUpSettings
 from labpipe.stages.run_ups_reading import read_run
+from labpipe.stages.work import Work
 
 Tell = Callable[[str], None]
 
 
+def run_run_ups(settings: RunUpSettings, work: Work) -> RunUpResult:
+    """The section run_ups: every run read, all methods fitted to the trained runs and held against every run."""
+    return identify_run_ups(settings, work.output, work.pipeline.folder, work.tell)
+
+
 def identify_run_ups(settings: RunUpSettings, output: OutputFolder, folder: Path, tell: Tell = lambda _: None) -> RunUpResult:
     """All methods that the section wants, on the trained runs, held against every run. *folder*: of the pipeline file."""
-    rig = load_run_up_rotor(settings.rotor_path)
+    rig = settings.rig
+    assert rig is not None
     return run_up_result(settings, rig, [read_run(one, rig, output, folder) for one in settings.runs], tell)

@@ -76,9 +76,9 @@ def _less(run: RunUp, residual: RunUp) -> RunUp:
 
 
 def _opened(path: Path, settings: RunSettings, output: OutputFolder, folder: Path) -> StoredRecording:
-    if settings.own_rig is None and not is_recording(path):
+    if settings.recorded_by is None and not is_recording(path):
         raise DataError("a raw file needs its rig file", where=str(path), hint="add rig: FILE to the entry")
-    return ingest(path, settings.own_rig or Rig("", ()), output, f"recordings/{path.name.split('.')[0]}", folder)
+    return ingest(path, settings.recorded_by or Rig("", ()), output, f"recordings/{path.name.split('.')[0]}", folder)
 
 
 def _tracked(recording: StoredRecording, lines: ShaftLines, settings: RunSettings, unbalance: dict[str, complex]) -> RunUp:

@@ -1,21 +1,20 @@
-"""study: the fits of a pipeline repeated on its virtual rig."""
+"""The section study: the fits of a pipeline repeated on its virtual rig."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from labpipe.config.pipeline import Pipeline
 from labpipe.errors import LabpipeError
-from labpipe.records.study import Study
+from labpipe.records.study import Studies
+from labpipe.stages.work import Work
+from labpipe.study.settings import StudySettings
 from labpipe.study.study import run_study
 
 
-def study(pipeline: Pipeline, tell: Callable[[str], None], jobs: int) -> tuple[Study, ...]:
-    """The pipeline's study, or none; *jobs* processes, 0 for one per processor."""
-    if pipeline.study is None:
-        return ()
+def run_studies(settings: StudySettings, work: Work) -> Studies:
+    """The study of all fits of the pipeline; LabpipeError names the section."""
+    pipeline = work.pipeline
+    assert settings.virtual_rig is not None
     try:
-        return (run_study(pipeline.study.rig, pipeline.study.settings, pipeline.fits, pipeline.frf, tell, jobs),)
+        return (run_study(settings.virtual_rig, settings, pipeline.fits, pipeline.frf, work.tell, work.jobs),)
     except LabpipeError as error:
         error.where = error.where or f"{pipeline.path}: study"
         raise

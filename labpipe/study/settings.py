@@ -5,16 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from labpipe.errors import ConfigError
-from labpipe.records.settings import setting
+from labpipe.records.settings import Settings, setting
+from labpipe.simulate.virtual_rigs import VirtualRig
 
 FEWEST_REPEATS = 10
 
 
 @dataclass(frozen=True)
-class StudySettings:
-    """Which virtual rig, how noisy, how often."""
+class StudySettings(Settings):
+    """Which virtual rig, how noisy, how often; *virtual_rig* is what `rig` names."""
 
-    rig: str = setting("text", "virtual rig file, relative to the pipeline file")
+    rig: str = setting("file", "virtual rig file, relative to the pipeline file", file_kind="virtual-rig", into="virtual_rig")
     noise: tuple[float, ...] = setting(
         "values", "noise levels: of a rig given by its FRF the share of the largest |H|, of others relative to the rig's noise", unit="1"
     )
@@ -28,6 +29,7 @@ class StudySettings:
         "series", "mean errors printed elsewhere, by fit, one for each noise level, to stand beside", unit="1", default=()
     )
     thresholds: bool = setting("flag", "search the noise level where the success rate falls under the share", default=False)
+    virtual_rig: VirtualRig | None = None
 
     def __post_init__(self) -> None:
         if self.repeats < FEWEST_REPEATS:

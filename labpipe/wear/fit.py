@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import FitError
 from labpipe.identify.diagnostics import MISMATCH_P, collinear_groups, estimate_findings, quality_findings
 from labpipe.identify.regression import triangle_of
 from labpipe.identify.settings import FitSettings
@@ -81,9 +81,7 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
 
     ConfigError where settings, rotor and response do not fit together, FitError where the response cannot support the fit.
     """
-    wear = settings.wear
-    if wear is None:
-        raise ConfigError("worn-bearing needs the section wear:", hint="wear: {rotor: ../configs/rotors/FILE.yaml}")
+    wear: WearSettings = settings.model_settings
     data = worn_data(response, settings, wear)
     solved = _solve(data, wear)
     estimate = _estimate(solved)

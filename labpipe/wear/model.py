@@ -123,7 +123,8 @@ def _reach(settings: WearSettings, known: Gaussian, rig: RotorRig) -> tuple[Rang
         box["cavitation_pressure"] = (box["cavitation_pressure"][0], min(box["cavitation_pressure"][1], 0.0))
     viscosity, clearance = (_factor(known, box, name) for name in ("viscosity", "clearance"))
     # A pressure that is given, not estimated, needs its axis in the table as well.
-    lowest = min(box.get("cavitation_pressure", (0.0,))[0], *(1.25 * place.bearing.cavitation_pressure for place in rig.bearings))
+    films = [place.film("wear") for place in rig.bearings if place.is_film]
+    lowest = min(box.get("cavitation_pressure", (0.0,))[0], *(1.25 * film.cavitation_pressure for film in films))
     return Ranges(settings.depth_limit, settings.angle_limit, viscosity, clearance, lowest), box
 
 

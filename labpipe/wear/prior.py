@@ -11,7 +11,7 @@ from labpipe.errors import ConfigError
 from labpipe.identify.settings import FitSettings
 from labpipe.records.identification import Fit
 from labpipe.registry import nearest
-from labpipe.wear.settings import NUISANCES, Gaussian
+from labpipe.wear.settings import NUISANCES, Gaussian, WearSettings
 
 # A parameter that ended at its bound is known no better than this part of its value.
 LEAST_SHARE = 1e-3
@@ -19,12 +19,12 @@ LEAST_SHARE = 1e-3
 
 def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
     """The settings of a fit with what its `prior` found, an earlier fit; unchanged without one. ConfigError when there is none."""
-    wear = settings.wear
-    if wear is None or not wear.prior:
+    wear: WearSettings = settings.model_settings
+    if not wear.prior:
         return settings
     for fit in fits:
         if fit.name == wear.prior:
-            return replace(settings, wear=replace(wear, posterior=posterior(fit)))
+            return replace(settings, model_settings=replace(wear, posterior=posterior(fit)))
     hint = nearest(wear.prior, [fit.name for fit in fits])
     raise ConfigError(f"wear.prior: no earlier fit '{wear.prior}'", hint=f"fits are made in their order; {hint}")
 

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError
-from labpipe.records.settings import Uncertain, setting
-from labpipe.rigs.rotor_rig import RotorRig
+from labpipe.records.settings import Settings, Uncertain, setting
+from labpipe.rigs.rotor_rig import RotorRig, worn_place
 
-WORN_BEARING = "worn-bearing"
 RESPONSES = ("FRF", "dFRF")
 TERMS = ("full", "direct", "cross")
 OBJECTIVES = ("complex", "log")
@@ -36,10 +35,10 @@ class Gaussian:
 
 
 @dataclass(frozen=True)
-class WearSettings:
+class WearSettings(Settings):
     """How wear is looked for; *rig* and *posterior* are what `rotor` and `prior` name."""
 
-    rotor: str = setting("text", "rotor file, relative to this file")
+    rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
     bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
     healthy: bool = setting("flag", "no wear: tune viscosity, clearance, ... to a healthy rig", default=False)
     response: str = setting("choice", "in y and z (FRF), or forward and backward (dFRF)", choices=RESPONSES, default="FRF")
@@ -85,6 +84,8 @@ class WearSettings:
         if self.healthy and not self.nuisances:
             raise ConfigError("nothing to tune", hint=f"give one or more of {', '.join(NUISANCES)} with its doubt")
         self._check_nuisances()
+        if self.rig is not None and not self.healthy:
+            worn_place(self.rig, self.bearing)
 
     def _check_nuisances(self) -> None:
         for name in NUISANCES:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from labpipe.bearings.journal import JournalBearing, JournalEquilibrium, journal_equilibrium
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.bearings.journal_table import PARAMETERS, JournalTable, TableRange, journal_table
+from labpipe.bearings.kinds import OperatingPoint
 from labpipe.errors import ConfigError
 from labpipe.rigs.rotor_rig import BearingPlace
 from labpipe.rotors.parts import Support
@@ -143,6 +144,8 @@ class TabledBearing:
 
         *with_slopes*: the film's slopes as well; else those of the last correction, made nearby.
         """
+        if not self.place.is_film:
+            return self
         bearing = self._bearing(values)
         film = journal_equilibrium(bearing, self.load, self.speed, mesh)
         if self.table is None:
@@ -158,18 +161,22 @@ class TabledBearing:
 
     def _bearing(self, values: Mapping[str, float]) -> JournalBearing:
         own = {name: values[name] for name in PARAMETERS if name in values and (self.worn or name not in WEAR)}
-        return replace(self.place.bearing, **own)
+        return replace(self.place.film("wear"), **own)
 
 
 def tabled(place: BearingPlace, load: tuple[float, float], speed: float, worn: bool, ranges: Ranges, mesh: FilmMesh) -> TabledBearing:
     """A bearing of the rig ready to be asked; ConfigError when one with a wear of its own must follow other parameters."""
+    if not place.is_film and not worn:
+        coefficients = place.bearing.at(OperatingPoint(load, speed, speed))
+        return TabledBearing(place, load, speed, worn, None, Support(place.node, coefficients.stiffness, coefficients.damping))
+    bearing = place.film("wear")
     if not worn and not ranges.wide:
-        film = journal_equilibrium(place.bearing, load, speed, mesh)
+        film = journal_equilibrium(bearing, load, speed, mesh)
         return TabledBearing(place, load, speed, worn, None, Support(place.node, film.stiffness, film.damping))
-    if place.bearing.wear_depth > 0 and not worn:
+    if bearing.wear_depth > 0 and not worn:
         raise ConfigError(
             f"'{place.name}' has a wear of its own, which does not go with viscosity, clearance or cavitation estimated along",
             hint="leave them out, or its wear",
         )
-    table = kept_table(place.bearing, load, speed, ranges.of_table(worn), mesh)
+    table = kept_table(bearing, load, speed, ranges.of_table(worn), mesh)
     return TabledBearing(place, load, speed, worn, table)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labpipe.bearings.magnetic_loop import dynamic_stiffness
-from labpipe.stages.bearing import open_bearing
+from labpipe.config.bearing import open_bearing
 
 
 @pytest.fixture

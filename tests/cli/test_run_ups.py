@@ -41,7 +41,7 @@ def test_run_leaves_result_and_report_and_is_fresh(labpipe, pipeline: Path, tmp_
     assert "(b) complex, point by point: not determined, rank 4 of 8" in ended.out and "warning collinear" in ended.out
     path = tmp_path / "out/identification.json"
     found = read_identification(path)
-    assert found.run_ups is not None and [Path(one["path"]).name for one in found.sources] == [
+    assert "run_ups" in found.sections and [Path(one["path"]).name for one in found.sources] == [
         "falah.yaml",
         "load-1.csv",
         "load-4.csv",

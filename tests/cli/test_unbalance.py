@@ -42,15 +42,15 @@ def test_run_leaves_result_and_report(labpipe, pipeline: Path, tmp_path: Path) -
     assert "the rotor, its nodes numbered from the left" in report
     path = tmp_path / "out" / "identification.json"
     found = read_identification(path)
-    assert found.unbalance is not None and found.unbalance.speed == (50.0, 51.0, 52.0, 53.0)
+    assert "unbalance" in found.sections and found.sections["unbalance"].speed == (50.0, 51.0, 52.0, 53.0)
     assert [source["path"].endswith("laval.yaml") for source in found.sources] == [True]
     write_identification(tmp_path / "again.json", found)
     assert json.loads((tmp_path / "again.json").read_text("utf-8")) == json.loads(path.read_text("utf-8"))
 
-    _, table, figure = unbalance_blocks(found.unbalance)
+    _, table, figure = unbalance_blocks(found.sections["unbalance"])
     assert isinstance(table, Table) and isinstance(figure, Figure)
     assert [row[0] for row in table.rows] == ["healthy", "wear 1"] and table.rows[1][1:3] == ("20.52", "21")
-    worn = found.unbalance.cases[1]
+    worn = found.sections["unbalance"].cases[1]
     assert float(table.rows[1][7]) == pytest.approx(max(worn.backward) / max(worn.forward), abs=1e-3)
     drawn = {line.get_label(): line.get_ydata() for line in figure.drawing.axes[1].get_lines()}
     np.testing.assert_allclose(drawn["wear 1"], 1e6 * np.array(worn.backward))

@@ -11,7 +11,7 @@ import pytest
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
 from labpipe.simulate.magnetic_rig import simulate
-from labpipe.simulate.settings import VirtualRig
+from labpipe.simulate.magnetic_settings import VirtualMagneticRig
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 
@@ -22,7 +22,7 @@ FIT = FitSettings("sdof", mass=0.79, band=(60.0, 70.0), name="pedestal")
 
 @pytest.fixture(scope="module")
 def fits():  # type: ignore[no-untyped-def]
-    rig = VirtualRig("virtual-magnetic-rig")
+    rig = VirtualMagneticRig("virtual-magnetic-rig")
     runs = (simulate(rig, seed, ["pedestal"])[0].recording for seed in range(1000, 1000 + REPEATS))
     return [identify(measure([run], FRF), FIT)[0] for run in runs]
 

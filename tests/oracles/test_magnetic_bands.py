@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from labpipe.bearings.magnetic_loop import dynamic_stiffness
-from labpipe.stages.bearing import open_bearing
+from labpipe.config.bearing import open_bearing
 
 
 @pytest.fixture

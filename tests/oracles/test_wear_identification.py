@@ -54,7 +54,7 @@ def measured(
 
 def fitted(found: FrequencyResponse, **wear: object) -> Fit:
     settings = WearSettings(**{"rotor": "mendes.yaml", "rig": RIG, **wear})  # type: ignore[arg-type]
-    (fit,) = identify(found, FitSettings("worn-bearing", wear=settings, name="wear"))
+    (fit,) = identify(found, FitSettings("worn-bearing", model_settings=settings, name="wear"))
     return fit
 
 
@@ -71,7 +71,7 @@ def test_noise_free_recovery(wear: tuple[float, float]) -> None:
     The truth's films have the cells of the identification's: only then is there nothing but the search and the tables to err.
     """
     settings = WearSettings("mendes.yaml", rig=RIG, response="dFRF")
-    data = worn_data(measured(SEVEN, wear, OWN, None), FitSettings("worn-bearing", wear=settings), settings)
+    data = worn_data(measured(SEVEN, wear, OWN, None), FitSettings("worn-bearing", model_settings=settings), settings)
     misfit = MISFITS["complex"](worn_model(settings, SEVEN), data)
     found = minima(misfit, start_mesh(settings, misfit))
     assert found[0].starts >= 10 and sum(one.starts for one in found) == 20

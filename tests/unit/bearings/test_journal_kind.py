@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from labpipe.bearings.journal_kind import JOURNAL_KIND
+from labpipe.config.bearing import open_bearing
 from labpipe.errors import ConfigError
-from labpipe.stages.bearing import open_bearing
 
 REFERENCE = [
     # load N, depth um, angle deg, eccentricity ratio, attitude deg, K Cr/W and C Cr Omega/W in the order yy yz zy zz

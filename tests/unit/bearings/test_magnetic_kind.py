@@ -11,10 +11,10 @@ import pytest
 from labpipe.bearings.magnetic_circuit import MU_0, Magnet, magnet_factors
 from labpipe.bearings.magnetic_kind import MAGNETIC_KIND, MagneticFile, verdict
 from labpipe.bearings.magnetic_loop import ControlLoop, dynamic_stiffness
+from labpipe.config.bearing import open_bearing
 from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.errors import ConfigError
 from labpipe.simulate import mechanics
-from labpipe.stages.bearing import open_bearing
 
 FILE = MagneticFile(kind="magnetic-bearing", mass=0.065, frequency=50.0, static_stiffness=1694.0)
 MAGNET = Magnet(turns=180, gap=0.45e-3, pole_area=60e-6, bias_current=0.2)

@@ -9,12 +9,12 @@ import numpy as np
 
 from labpipe.bearings.magnetic_kind import MagneticFile
 from labpipe.campaign.loop_view import View, receptance
+from labpipe.config.bearing import open_bearing
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings, Sliding, Support
 from labpipe.records.identification import Fit, Goodness
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.settings import Uncertain
-from labpipe.stages.bearing import open_bearing
 
 ROOT = Path(__file__).parents[3]
 FREQUENCY = np.arange(1.0, 251.0)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from labpipe.artefacts.comparison_entry import comparison_entry, read_comparison
+from labpipe.artefacts.typed_json import entry_of, record_of
 from labpipe.campaign.bandwise import TwoTests, bandwise, holm
 from labpipe.campaign.compare import Evidence, compare
 from labpipe.campaign.loop_file import with_unknowns
@@ -144,7 +144,7 @@ def test_bands_without_errors_are_left_out_and_counted() -> None:
 
 def test_it_survives_its_file_and_is_reported() -> None:
     found = compared(made([(1e4, 5.0), (1e4, 5.0)], "a"), made([(1e4, 5.0), (11_000.0, 5.0)], "b"))
-    assert read_comparison(json.loads(json.dumps(comparison_entry(found)))) == found
+    assert record_of(json.loads(json.dumps(entry_of(found))), Comparison) == found
     blocks = comparison_blocks(found, ())
     (figure,) = (block for block in blocks if isinstance(block, Figure))
     assert [axes.get_ylabel() for axes in figure.drawing.axes] == ["k: ratio", "c: ratio"]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.artefacts.comparison_entry import comparison_entry, read_comparison
+from labpipe.artefacts.typed_json import entry_of, record_of
 from labpipe.campaign.compare import COMPARISONS, Evidence, compare
 from labpipe.campaign.settings import KINDS, CompareSettings, TheorySettings
 from labpipe.campaign.theory import TheoryAt
@@ -78,8 +78,8 @@ def test_every_kind_answers_with_a_documented_verdict_and_survives_its_file(evid
         assert comparison.kind == kind
         assert comparison.verdict in VERDICTS[kind]
         assert comparison.verdict in comparison.statement or kind == "ratio"
-        entry = json.loads(json.dumps(comparison_entry(comparison)))
-        assert read_comparison(entry) == comparison
+        entry = json.loads(json.dumps(entry_of(comparison)))
+        assert record_of(entry, Comparison) == comparison
         for verdict in VERDICTS[kind]:
             assert verdict in readme
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.artefacts.comparison_entry import comparison_entry, read_comparison
+from labpipe.artefacts.typed_json import entry_of, record_of
 from labpipe.bearings.magnetic_kind import MagneticFile
 from labpipe.bearings.magnetic_loop import dynamic_stiffness
 from labpipe.campaign.compare import Evidence, compare
@@ -123,7 +123,7 @@ def test_what_cannot_be_predicted_is_said(settings: dict[str, object], message: 
 
 def test_a_prediction_survives_its_file_and_is_reported(rng: np.random.Generator) -> None:
     found = predicted(with_unknowns(GEOMETRY, {"gap": 0.46e-3}), rng, estimate=("gap", "delay"))
-    assert read_comparison(json.loads(json.dumps(comparison_entry(found)))) == found
+    assert record_of(json.loads(json.dumps(entry_of(found))), Comparison) == found
     blocks = comparison_blocks(found, ())
     (figure,) = (block for block in blocks if isinstance(block, Figure))
     above, middle, below = figure.drawing.axes

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from labpipe.artefacts.comparison_entry import comparison_entry, read_comparison
+from labpipe.artefacts.typed_json import entry_of, record_of
 from labpipe.bearings.magnetic_stability import sensitivity
 from labpipe.campaign.compare import Evidence, compare
 from labpipe.campaign.loop_file import with_unknowns
 from labpipe.campaign.sensitivity import loop_sensitivity, measured_sensitivity, peak_of
 from labpipe.campaign.settings import CompareSettings, TheorySettings
 from labpipe.errors import ConfigError, FitError
+from labpipe.records.comparison import Comparison
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure
@@ -123,7 +124,7 @@ def test_without_noise_or_with_one_signal_twice_there_is_no_answer(rng: np.rando
 
 def test_it_survives_its_file_and_is_drawn(rng: np.random.Generator) -> None:
     found = loop_sensitivity(ASKED, response(rng), FILE)
-    assert read_comparison(json.loads(json.dumps(comparison_entry(found)))) == found
+    assert record_of(json.loads(json.dumps(entry_of(found))), Comparison) == found
     (figure,) = (block for block in comparison_blocks(found, ()) if isinstance(block, Figure))
     (axes,) = figure.drawing.axes
     labels = [line.get_label() for line in axes.lines]

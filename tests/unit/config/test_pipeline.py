@@ -8,10 +8,10 @@ import pytest
 
 from labpipe.config.pipeline import load_pipeline
 from labpipe.config.schema import pipeline_schema, rig_schema
-from labpipe.config.values import parse_uncertain
 from labpipe.errors import ConfigErrors
 from labpipe.identify.settings import Sliding
 from labpipe.marked_yaml import load_marked
+from labpipe.records.setting_values import parse_uncertain
 from labpipe.records.settings import Uncertain
 
 ROOT = Path(__file__).parents[3]

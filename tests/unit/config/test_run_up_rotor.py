@@ -131,7 +131,7 @@ def test_two_journal_bearings_between_pins_are_refused(tmp_path: Path, text: str
     line = next(one for one in text.splitlines() if one.lstrip().startswith("- {name: journal"))
     path = tmp_path / "two.yaml"
     path.write_text(text.replace(line, f"{line}\n{line}"))
-    with pytest.raises(ConfigError, match="runs on one journal bearing"):
+    with pytest.raises(ConfigError, match="runs on one bearing"):
         load_run_up_rotor(path)
 
 

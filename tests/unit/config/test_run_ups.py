@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.artefacts.typed_json import entry_of
 from labpipe.config.pipeline import Pipeline, load_pipeline
-from labpipe.config.run_ups import parse_unbalance, run_ups_entry
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError
+from labpipe.records.setting_values import parse_phasor
 
 ROOT = Path(__file__).parents[3]
 HEAD = "title: t\nrun_ups:\n  rotor: {root}/configs/rotors/falah.yaml\n"
@@ -32,8 +33,7 @@ def refused(tmp_path: Path, text: str) -> str:
 def test_defaults_and_files(tmp_path: Path) -> None:
     run = "    - {{file: {root}/sample_data/falah/held-out.csv, role: held-out, load: 17 N, threshold: 4000 rpm +- 8 rpm}}\n"
     pipeline = read(tmp_path, HEAD + RUNS + run)
-    section = pipeline.run_ups
-    assert section is not None
+    section = pipeline.sections["run_ups"]
     assert section.methods == ("points", "joint") and section.metamodels == () and section.bound == 0.3
     assert [(one.name, one.role) for one in section.runs] == [("load-1", "trained"), ("held-out", "held-out")]
     held = section.runs[1]
@@ -43,20 +43,20 @@ def test_defaults_and_files(tmp_path: Path) -> None:
 
 def test_an_unbalance_is_a_size_at_an_angle(tmp_path: Path) -> None:
     text = HEAD + RUNS.replace("}}", ", unbalance: {{disc 1: 50 g.mm at 60 deg, disc 2: 30 g.mm}}}}")
-    section = read(tmp_path, text).run_ups
-    assert section is not None
+    section = read(tmp_path, text).sections["run_ups"]
     known = dict(section.runs[0].unbalance)
     assert known["disc 1"] == pytest.approx(5e-5 * np.exp(1j * np.pi / 3)) and known["disc 2"] == pytest.approx(3e-5)
-    entry = run_ups_entry(section)
-    assert entry["runs"][0]["unbalance"]["disc 2"] == pytest.approx([3e-5, 0.0])
+    entry = entry_of(section)
+    assert entry["runs"][0]["unbalance"][1] == ["disc 2", {"re": pytest.approx(3e-5), "im": 0.0}]
+    assert "path" not in entry["runs"][0]
     with pytest.raises(UnitError, match="wrong dimension"):
-        parse_unbalance("50 g at 0 deg")
+        parse_phasor("50 g at 0 deg", "kg.m")
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (HEAD, "run_ups.runs: a list of runs is needed"),
+        (HEAD, "run_ups.runs: is missing"),
         (HEAD + "  runs: []\n", "run_ups.runs: a list of runs is needed"),
         (HEAD + "  runs:\n    - {{file: none.csv}}\n", "run_ups.runs.1.file: no such file 'none.csv'"),
         (HEAD + "  runs:\n    - {{load: 3 N}}\n", "one of 'file' and 'recording' is needed"),
@@ -66,7 +66,7 @@ def test_an_unbalance_is_a_size_at_an_angle(tmp_path: Path) -> None:
         (HEAD + RUNS.replace("}}", ", load: -1 N}}"), "'load' must be positive"),
         (HEAD + RUNS.replace("}}", ", threshold: 2772 rpm}}"), "'threshold' needs its uncertainty"),
         (HEAD + RUNS.replace("}}", ", printed_threshold: [2838 rpm, 2475 rpm]}}"), "has three values"),
-        (HEAD + RUNS.replace("}}", ", unbalance: {{disc 1: 50 mm}}}}"), "run_ups.runs.1.unbalance.disc 1"),
+        (HEAD + RUNS.replace("}}", ", unbalance: {{disc 1: 50 mm}}}}"), "run_ups.runs.1.unbalance: disc 1: "),
         (HEAD + RUNS.replace("}}", ", unbalence: 3}}"), "unbalence: unknown key"),
         (HEAD + "  methods: [jiont]\n" + RUNS, "unknown name 'jiont'; did you mean 'joint'"),
         (HEAD + "  metamodels: [physical]\n  methods: [points]\n" + RUNS, "metamodels need the method 'joint'"),

@@ -64,7 +64,7 @@ def test_the_level_survives_files(response: FrequencyResponse, tmp_path: Path) -
 def test_rules_on_warnings_do_not_see_notes(response: FrequencyResponse, word: str, passed: bool) -> None:
     fits = identification(response, MASKED).fits
     rule = Rule("accept", "pedestal.warnings", "pedestal", "", "warnings", "=", word, "p.yaml:3")
-    assert [outcome.passed for outcome in judge([rule], fits)] == [passed]
+    assert [outcome.passed for outcome in judge([rule], fits, {})] == [passed]
 
 
 def test_the_report_counts_warnings_and_shows_notes_apart(response: FrequencyResponse) -> None:

@@ -10,8 +10,9 @@ import pytest
 from labpipe.artefacts.writing import output_folder
 from labpipe.bearings.coefficients import PressureField
 from labpipe.bearings.journal_kind import JournalFile, journal_coefficients
+from labpipe.config.bearing import open_bearing
 from labpipe.report.film_figure import contour_levels, film_figure
-from labpipe.stages.bearing import open_bearing, write_bearing
+from labpipe.stages.bearing import write_bearing
 
 MENDES = JournalFile(
     kind="journal-bearing", diameter=0.031, length=0.018, clearance=90e-6, viscosity=0.1044, speed=50.0, load=58.82, accuracy=0.02

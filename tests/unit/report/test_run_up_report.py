@@ -286,7 +286,8 @@ def test_the_best_method_follows_chi_square() -> None:
 
 
 def test_the_whole_report_reads_and_warns() -> None:
-    identification = Identification((), "Run-ups", run_ups=RESULT, version="0.1.0", settings={"run_ups": {"rotor": "falah.yaml"}})
+    settings = {"run_ups": {"rotor": "falah.yaml"}}
+    identification = Identification((), "Run-ups", version="0.1.0", sections={"run_ups": RESULT}, settings=settings)
     document = build(identification)
     headings = [section.heading for section in document.sections]
     assert headings[:4] == ["Verdict", "Warnings", "Run-ups: Two-disc rotor", "Critical speed and threshold"]

@@ -97,7 +97,7 @@ def test_a_file_without_them_says_nothing_of_them(tmp_path: Path) -> None:
     again = through_file(fit(), tmp_path)
     assert again.region is None and again.curve is not None and again.curve.before is None
     text = (tmp_path / "identification.json").read_text(encoding="utf-8")
-    assert '"region"' not in text and '"before"' not in text
+    assert '"region": null' in text and '"before": null' in text
 
 
 def test_the_report_holds_both_figures() -> None:

@@ -8,15 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.bearings.journal_kind import Wear
 from labpipe.config.rotor import load_rotor
 from labpipe.errors import ConfigError
 from labpipe.records.unbalance import UnbalanceCase, UnbalanceRuns
 from labpipe.rigs.rotor_rig import RotorRig, Unbalance
-from labpipe.rigs.unbalance_runs import UnbalanceSettings, WearCase, orbit, unbalance_runs
+from labpipe.rigs.unbalance_runs import UnbalanceSettings, orbit, unbalance_runs
 from labpipe.rotors.response import frequency_response
 
 LAVAL = Path(__file__).parents[3] / "configs" / "rotors" / "laval.yaml"
-CASES = (("healthy", WearCase()), ("wear 1", WearCase(20.52e-6, float(np.deg2rad(21)))))
+CASES = (("healthy", Wear()), ("wear 1", Wear(20.52e-6, float(np.deg2rad(21)))))
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +27,7 @@ def rig() -> RotorRig:
 
 @pytest.fixture(scope="module")
 def runs(rig: RotorRig) -> UnbalanceRuns:
-    return unbalance_runs(UnbalanceSettings("laval.yaml", (48.0, 56.0), 2.0, "bearing 2", CASES, rig))
+    return unbalance_runs(UnbalanceSettings("laval.yaml", (48.0, 56.0), CASES, 2.0, "bearing 2", rig))
 
 
 def test_orbit_is_the_response_to_the_force_that_the_unbalance_makes(rig: RotorRig) -> None:
@@ -67,27 +68,27 @@ def test_peaks_and_their_speeds() -> None:
 
 
 def test_speeds_reach_their_end_and_never_beyond() -> None:
-    assert UnbalanceSettings("r", (40.0, 65.0), 0.5).speed.tolist() == np.arange(40, 65.25, 0.5).tolist()
-    assert UnbalanceSettings("r", (40.0, 41.0), 0.4).speed == pytest.approx([40.0, 40.4, 40.8])
-    assert UnbalanceSettings("r", (0.1, 0.4), 0.1).speed == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    assert UnbalanceSettings("r", (40.0, 65.0), CASES, 0.5).speed.tolist() == np.arange(40, 65.25, 0.5).tolist()
+    assert UnbalanceSettings("r", (40.0, 41.0), CASES, 0.4).speed == pytest.approx([40.0, 40.4, 40.8])
+    assert UnbalanceSettings("r", (0.1, 0.4), CASES, 0.1).speed == pytest.approx([0.1, 0.2, 0.3, 0.4])
 
 
 @pytest.mark.parametrize(
     ("speeds", "step", "said"),
-    [((0.0, 10.0), 1.0, "above zero"), ((9.0, 5.0), 1.0, "rise"), ((5.0, 9.0), 0.0, "positive"), ((5.0, 9.0), 5.0, "no longer"),
+    [((0.0, 10.0), 1.0, "above zero"), ((9.0, 5.0), 1.0, "is empty"), ((5.0, 9.0), 0.0, "positive"), ((5.0, 9.0), 5.0, "no longer"),
      ((5.0, 9.0), 1e-3, "more than 2000")],
 )  # fmt: skip
 def test_speeds_that_make_no_sense_are_refused(speeds: tuple[float, float], step: float, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
-        UnbalanceSettings("r", speeds, step)
+        UnbalanceSettings("r", speeds, CASES, step)
 
 
 def test_rotor_without_unbalance_unknown_bearing_or_impossible_wear_is_refused(rig: RotorRig) -> None:
     with pytest.raises(ConfigError, match="no unbalances"):
-        UnbalanceSettings("r", (40.0, 50.0), rig=replace(rig, unbalances=()))
+        UnbalanceSettings("r", (40.0, 50.0), CASES, rig=replace(rig, unbalances=()))
     with pytest.raises(ConfigError, match="no bearing 'left'"):
         UnbalanceSettings("r", (40.0, 50.0), bearing="left", cases=CASES, rig=rig)
     with pytest.raises(ConfigError, match="does not fit a clearance"):
-        UnbalanceSettings("r", (40.0, 50.0), cases=(("deep", WearCase(200e-6)),), rig=rig)
+        UnbalanceSettings("r", (40.0, 50.0), cases=(("deep", Wear(200e-6)),), rig=rig)
     with pytest.raises(ConfigError, match="no rotor was read"):
         unbalance_runs(UnbalanceSettings("r", (40.0, 50.0), cases=CASES))

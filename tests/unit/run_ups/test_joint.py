@@ -11,9 +11,10 @@ from labpipe.errors import FitError
 from labpipe.records.run_up import RunUp
 from labpipe.records.settings import Uncertain
 from labpipe.rigs.film_family import BOUND, COEFFICIENTS, PARAMETERS, PRIOR, FilmFamily, as_eight
-from labpipe.run_ups.joint import JointProblem, fit_jointly, nearby_threshold, threshold_row
+from labpipe.run_ups.joint import fit_jointly
 from labpipe.run_ups.joint_result import JointFit
 from labpipe.run_ups.misfit import runs_by_load
+from labpipe.run_ups.problem import RunUpProblem, nearby_threshold, threshold_row
 from labpipe.simulate.unbalance_rig import INSIDE, true_coefficients
 from tests.unit.run_ups.run_up_cases import RIG, trained, virtual
 
@@ -29,7 +30,7 @@ def test_slopes_of_everything_equal_differences(rng: np.random.Generator) -> Non
     """Responses by analytic slopes, thresholds by left and right eigenvectors, against central differences."""
     groups = tuple(runs_by_load(RIG, trained("inside")))
     measured = tuple((group.load, run.run.threshold) for group in groups for run in group.runs if run.run.threshold is not None)
-    problem = JointProblem(RIG, FAMILY, groups, measured, np.ones(12, bool), np.zeros(12))
+    problem = RunUpProblem.of(RIG, FAMILY, groups, measured, PRIOR)
     values = 0.3 * PRIOR * rng.standard_normal(12)
     slopes = problem.jacobian(values)
     for n in range(12):

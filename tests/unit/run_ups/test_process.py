@@ -11,10 +11,11 @@ from scipy import stats
 from labpipe.errors import FitError
 from labpipe.records.settings import Uncertain
 from labpipe.rigs.film_family import PRIOR, FilmFamily, as_eight, as_matrices, coefficient_errors
-from labpipe.run_ups.joint import fit_jointly, nearby_threshold
+from labpipe.run_ups.joint import fit_jointly
 from labpipe.run_ups.joint_result import JointFit
 from labpipe.run_ups.misfit import runs_by_load
-from labpipe.run_ups.process import LinearData, ProcessProblem, _rows_by_place, fit_with_process
+from labpipe.run_ups.problem import RunUpProblem, nearby_threshold
+from labpipe.run_ups.process import LinearData, _rows_by_place, fit_with_process
 from labpipe.run_ups.process_field import ProcessFamily, SmoothField, SquaredExponential, places_of
 from labpipe.run_ups.process_result import ProcessFit
 from labpipe.simulate.unbalance_rig import true_coefficients
@@ -88,14 +89,16 @@ def test_without_factors_it_is_the_family(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(family.coefficients(values, 5.0, speed), FAMILY.coefficients(0.2 * PRIOR, 5.0, speed))
 
 
-def small_problem(kernel: SquaredExponential) -> tuple[ProcessProblem, np.ndarray]:
+def small_problem(kernel: SquaredExponential) -> tuple[RunUpProblem[ProcessFamily], np.ndarray]:
     """One load, six speeds, no threshold."""
     run = trained("factors")[1]
     cut = {name: getattr(run, name)[4:22:3] for name in ("speed", "response", "amplitude_error", "phase_error")}
     part = dataclasses.replace(run, **cut)
     groups = tuple(runs_by_load(RIG, [part]))
     places = places_of(part.load, part.speed)
-    return ProcessProblem(RIG, ProcessFamily(FAMILY, SmoothField.of(kernel, places)), groups, ()), places
+    field = SmoothField.of(kernel, places)
+    spread = np.concatenate([PRIOR, np.ones(8 * field.n_mode)])
+    return RunUpProblem.of(RIG, ProcessFamily(FAMILY, field), groups, (), spread), places
 
 
 def test_the_marginal_likelihood_is_that_of_a_normal_distribution() -> None:

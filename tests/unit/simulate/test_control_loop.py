@@ -13,9 +13,9 @@ import pytest
 from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.simulate import mechanics
 from labpipe.simulate.magnetic_rig import simulate
-from labpipe.simulate.settings import LAWS, ControlLoop, Levitation, Noise, VirtualRig
+from labpipe.simulate.magnetic_settings import LAWS, ControlLoop, Levitation, Noise, VirtualMagneticRig
 
-LOOP_RIG = VirtualRig("virtual-magnetic-rig", levitation=Levitation(law="control-loop"))
+LOOP_RIG = VirtualMagneticRig("virtual-magnetic-rig", levitation=Levitation(law="control-loop"))
 PRINTED = Levitation(law="control-loop", loop=ControlLoop(lag=0.25))
 CONFIG = Path(__file__).parents[3] / "configs" / "virtual-hmb-loop.yaml"
 

@@ -14,7 +14,8 @@ from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.errors import ConfigError
 from labpipe.rotors.response import frequency_response
-from labpipe.simulate.journal_rig import RUNS, JournalNoise, VirtualJournalRig, journal_runs, receptance, true_rig, truth
+from labpipe.simulate.journal_rig import JournalNoise, VirtualJournalRig, journal_runs, receptance, true_rig, truth
+from labpipe.simulate.virtual_rigs import recordings
 
 ROOT = Path(__file__).parents[3]
 
@@ -77,7 +78,7 @@ def test_runs_do_not_depend_on_which_others_are_made(virtual: VirtualJournalRig)
     np.testing.assert_array_equal(both[1].samples, alone.samples)
     (other,) = journal_runs(virtual, 6, ["wear-2-z"])
     assert not np.array_equal(other.samples, alone.samples)
-    assert len(RUNS) == 10 and [channel.dof for channel in alone.channels] == ["z", "y", "z"]
+    assert len(virtual.runs) == 10 and [channel.dof for channel in alone.channels] == ["z", "y", "z"]
 
 
 @pytest.mark.parametrize(
@@ -99,7 +100,7 @@ def test_impossible_rigs_are_refused(entry: str, message: str, labpipe, tmp_path
 
 def test_an_unknown_run_and_a_rig_without_rotor(virtual: VirtualJournalRig) -> None:
     with pytest.raises(ConfigError, match=r"no run 'wear-5-y'"):
-        journal_runs(virtual, 1, ["wear-5-y"])
+        recordings(virtual, 1, ["wear-5-y"])
     with pytest.raises(ConfigError, match="no rotor was read"):
         true_rig(replace(virtual, rig=None), 0, 0)
 
@@ -109,4 +110,4 @@ def test_the_shipped_recordings_are_small_and_have_this_rig_s_truth(virtual: Vir
     assert sum(path.stat().st_size for path in folder.iterdir()) < 2e6
     entry = json.loads((folder / "truth.json").read_text())
     assert entry["truth"]["states"] == json.loads(json.dumps(truth(virtual)["states"]))
-    assert {path.stem for path in folder.glob("*.parquet")} == set(RUNS)
+    assert {path.stem for path in folder.glob("*.parquet")} == set(virtual.runs)

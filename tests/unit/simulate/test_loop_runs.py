@@ -13,7 +13,7 @@ from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.errors import ConfigError
 from labpipe.simulate.loop_runs import LOOP_RUNS
 from labpipe.simulate.magnetic_rig import RUNS, simulate
-from labpipe.simulate.settings import Noise
+from labpipe.simulate.magnetic_settings import Noise
 
 ROOT = Path(__file__).parents[3]
 RIG = load_virtual_rig(ROOT / "configs/virtual-hmb-loop.yaml")

@@ -10,11 +10,11 @@ import pytest
 from labpipe.errors import ConfigError
 from labpipe.simulate import mechanics
 from labpipe.simulate.magnetic_rig import RUNS, simulate
-from labpipe.simulate.settings import Levitation, Noise, VirtualRig
+from labpipe.simulate.magnetic_settings import Levitation, Noise, VirtualMagneticRig
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 
-RIG = VirtualRig("virtual-magnetic-rig")
+RIG = VirtualMagneticRig("virtual-magnetic-rig")
 SILENT = replace(RIG, noise=Noise(0.0, 0.0, 0.0))
 
 

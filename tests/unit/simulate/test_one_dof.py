@@ -10,10 +10,10 @@ import pytest
 from labpipe.errors import ConfigError
 from labpipe.simulate import mechanics
 from labpipe.simulate.magnetic_rig import RUNS, simulate
+from labpipe.simulate.magnetic_settings import Noise, VirtualMagneticRig
 from labpipe.simulate.one_dof import ONE_DOF, expected_std_error
-from labpipe.simulate.settings import Noise, VirtualRig
 
-RIG = VirtualRig("virtual-magnetic-rig")
+RIG = VirtualMagneticRig("virtual-magnetic-rig")
 REPEATS = 60
 
 
@@ -73,7 +73,7 @@ def test_damping_is_lost_in_noise_only_when_force_noise_drowns_the_lines() -> No
         (replace(RIG, noise=Noise(0.0, 0.0, 0.0)), "pedestal", (60.0, 70.0), "without noise"),
     ],
 )
-def test_what_has_no_standard_error_is_refused(rig: VirtualRig, name: str, band: tuple[float, float], what: str) -> None:
+def test_what_has_no_standard_error_is_refused(rig: VirtualMagneticRig, name: str, band: tuple[float, float], what: str) -> None:
     with pytest.raises(ConfigError, match=what):
         expected_std_error(rig, name, band)
 

@@ -12,6 +12,7 @@ import pytest
 
 from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.errors import ConfigError
+from labpipe.simulate.virtual_rigs import recordings
 from labpipe.simulate.white_noise_rig import RUNS, SensorNoise, WhiteNoiseRig, receptance, truth, white_noise_runs
 
 K, C, MASS = np.array([[620e3, 30e3], [-20e3, 690e3]]), np.array([[190.0, 15.0], [15.0, 160.0]]), 2.4
@@ -75,7 +76,7 @@ def test_the_same_seed_gives_the_same_samples_whatever_else_is_made() -> None:
 
 def test_faults_are_named(root: Path) -> None:
     with pytest.raises(ConfigError, match="no run 'along-z'"):
-        white_noise_runs(RIG, 1, ["along-z"])
+        recordings(RIG, 1, ["along-z"])
     for change, message in (
         ({"stiffness": ((1.0,),)}, "stiffness is not a 2 x 2 matrix"),
         ({"mass": 0.0}, "mass must be positive"),

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from labpipe.artefacts.writing import output_folder
-from labpipe.bearings.coefficients import Amount, BearingCoefficients, BearingKind
+from labpipe.bearings.coefficients import Amount, BearingCoefficients
+from labpipe.bearings.kinds import BEARINGS, BearingKind
+from labpipe.config.bearing import BearingFile, open_bearing
 from labpipe.errors import ConfigError
 from labpipe.records.finding import Finding
 from labpipe.records.settings import settings_of
-from labpipe.stages.bearing import BEARINGS, BearingFile, bearing_entry, bearing_json, open_bearing, sweep_columns, swept, write_sweep
+from labpipe.stages.bearing import bearing_entry, bearing_json, sweep_columns, swept, write_sweep
 from labpipe.stages.sweep import parse_sweep
 
 FILE = "kind: ball-bearing\nelements: 9\nstiffness_constant: {}\ngroove_distance: 0.5953 mm\npitch_radius: 30 mm\nloads: {{z: 100 N}}\n"

@@ -93,12 +93,12 @@ def test_a_pipeline_of_comparisons_runs_is_judged_and_read_again(project, labpip
     assert "ratio: k, fit axial: measured / theory 1.09" in ended.out
     assert "expect: ratio.ratio.covers 1.1: passed" in ended.out
     found = read_identification(project / "out/identification.json")
-    assert [comparison.name for comparison in found.comparisons] == ["ratio", "damping", "trend", "ways", "repeats"]
+    assert [comparison.name for comparison in found.sections["compare"]] == ["ratio", "damping", "trend", "ways", "repeats"]
     entry = json.loads((project / "out/identification.json").read_text())
     assert entry["comparisons"][0]["amounts"][0]["name"] == "ratio"
     assert entry["settings"]["compare"][0]["kind"] == "ratio"
     assert any(source["path"].endswith("nsk-6208.yaml") for source in entry["sources"])
-    assert len(found.comparisons[0].overlays) == 2
+    assert len(found.sections["compare"][0].overlays) == 2
     # What is up to date is not computed again, and what is read again is written the same.
     before = (project / "out/identification.json").read_bytes()
     assert labpipe("run", project / "pipeline.yaml", "-o", project / "out").code == 0
@@ -124,7 +124,7 @@ def test_the_report_says_it_in_words_numbers_and_pictures(project, labpipe) -> N
     assert compared == ["ratio", "damping", "trend", "ways", "repeats"]
     # What the tests say together comes before the single fits.
     assert headings.index("Comparison: repeats") < min(n for n, heading in enumerate(headings) if heading.startswith("Result: "))
-    for comparison in found.comparisons:
+    for comparison in found.sections["compare"]:
         blocks = comparison_blocks(comparison, found.responses)
         assert comparison.statement in [getattr(block, "text", "") for block in blocks]
         tables = [block for block in blocks if isinstance(block, Table)]
@@ -141,7 +141,7 @@ def test_the_report_says_it_in_words_numbers_and_pictures(project, labpipe) -> N
 def test_reciprocity_is_drawn_pair_by_pair(labpipe, tmp_path) -> None:
     assert labpipe("run", ROOT / "pipelines/reciprocity.yaml", "-o", tmp_path, "-q").code == 0
     found = read_identification(tmp_path / "identification.json")
-    (comparison,) = found.comparisons
+    (comparison,) = found.sections["compare"]
     drawn = [block for block in comparison_blocks(comparison, found.responses) if isinstance(block, Figure)]
     assert len(drawn) == 3
     assert "x/by and by/x" in drawn[0].caption
@@ -247,8 +247,8 @@ def test_a_string_s_force_goes_as_its_frequency_squared(labpipe, tmp_path: Path)
 def test_points_keep_their_parts_through_the_file(project, labpipe) -> None:
     labpipe("run", project / "pipeline.yaml", "-o", project / "out", "-q")
     found = read_identification(project / "out/identification.json")
-    again = replace(found.comparisons[0], line=((1.0, 2.0),))
-    assert again.points[0].ratio_ci95 == found.comparisons[0].points[0].ratio_ci95
+    again = replace(found.sections["compare"][0], line=((1.0, 2.0),))
+    assert again.points[0].ratio_ci95 == found.sections["compare"][0].points[0].ratio_ci95
     assert isinstance(again.points[0].ci95, tuple)
-    point = found.comparisons[0].points[0]
+    point = found.sections["compare"][0].points[0]
     assert point.ratio == pytest.approx(point.value / point.theory, rel=1e-6)

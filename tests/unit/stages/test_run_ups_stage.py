@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from labpipe.artefacts.run_up_entry import read_run_ups, run_up_entry
+from labpipe.artefacts.typed_json import entry_of, record_of
 from labpipe.artefacts.writing import output_folder
 from labpipe.config.faults import Faults
 from labpipe.config.pipeline import load_pipeline
@@ -36,7 +36,7 @@ def identified(folder: Path, runs: str, methods: str = "[points]", further: str 
     path = folder / "p.yaml"
     section = f"run_ups:\n  rotor: {ROOT}/configs/rotors/falah.yaml\n  methods: {methods}\n{further}  runs:\n{runs}"
     path.write_text(section, encoding="utf-8")
-    settings = load_pipeline(path).run_ups
+    settings = load_pipeline(path).sections["run_ups"]
     assert settings is not None
     with output_folder(folder / "out") as output:
         found = identify_run_ups(settings, output, folder)
@@ -106,7 +106,7 @@ def test_metamodels_of_the_joint_fit(whole: RunUpResult) -> None:
 
 
 def test_the_record_comes_back_from_its_entry(whole: RunUpResult) -> None:
-    again = read_run_ups(run_up_entry(whole))
+    again = record_of(entry_of(whole), RunUpResult)
     assert repr(again) == repr(whole)
 
 
@@ -115,7 +115,7 @@ def ruled(result: RunUpResult, address: str, text: str) -> tuple[object, bool]:
     node = Marked({address: Marked(text, "here", text=text)}, "here")
     rules: tuple[Rule, ...] = read_rules("expect", node, faults, ("run_ups",))
     faults.raise_any()
-    (outcome,) = judge(rules, (), run_ups=result)
+    (outcome,) = judge(rules, (), {"run_ups": result})
     return outcome.value, outcome.passed
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.identify.settings import FitSettings
+from labpipe.simulate.magnetic_settings import VirtualMagneticRig
 from labpipe.simulate.mdof_rig import KIND, Lines, VirtualMdofRig, exact_receptance, simulated_response
-from labpipe.simulate.settings import VirtualRig
 from labpipe.spectra.settings import FrfSettings
 from labpipe.study.sources import source_of
 
@@ -52,11 +52,11 @@ def test_lines_change_the_count_not_the_band() -> None:
 
 
 def test_the_magnetic_rig_is_measured_through_recordings() -> None:
-    source = source_of(VirtualRig("virtual-magnetic-rig"), 1.0, None, ("pedestal",), FRF)
+    source = source_of(VirtualMagneticRig("virtual-magnetic-rig"), 1.0, None, ("pedestal",), FRF)
     assert source.truth["k"] == 134.5e3 and source.n_line == source.response((1, 3)).n_frequency
     known = FitSettings("sdof", mass=0.79, band=(60.0, 70.0))
     assert set(source.bounds(known)) == {"k", "c"} and source.bounds(replace(known, mass="estimate")) == {}
-    quiet = source_of(VirtualRig("virtual-magnetic-rig"), 0.5, None, ("pedestal",), FRF)
+    quiet = source_of(VirtualMagneticRig("virtual-magnetic-rig"), 0.5, None, ("pedestal",), FRF)
     assert quiet.bounds(known)["k"] == pytest.approx(source.bounds(known)["k"] / 2, rel=1e-6)
 
 
@@ -64,10 +64,10 @@ def test_the_magnetic_rig_is_measured_through_recordings() -> None:
     ("rig", "lines", "runs", "frf", "message"),
     [
         (ONE, None, ("pedestal",), None, "'runs': this rig has none"),
-        (VirtualRig("virtual-magnetic-rig"), 30, ("pedestal",), FRF, "'lines'"),
-        (VirtualRig("virtual-magnetic-rig"), None, (), FRF, "'runs': is missing"),
-        (VirtualRig("virtual-magnetic-rig"), None, ("pedestall",), FRF, "no run 'pedestall'"),
-        (VirtualRig("virtual-magnetic-rig"), None, ("pedestal",), None, "needs the frf: section"),
+        (VirtualMagneticRig("virtual-magnetic-rig"), 30, ("pedestal",), FRF, "'lines'"),
+        (VirtualMagneticRig("virtual-magnetic-rig"), None, (), FRF, "'runs': is missing"),
+        (VirtualMagneticRig("virtual-magnetic-rig"), None, ("pedestall",), FRF, "no run 'pedestall'"),
+        (VirtualMagneticRig("virtual-magnetic-rig"), None, ("pedestal",), None, "needs the frf: section"),
     ],
 )
 def test_what_a_rig_cannot_give_is_said(rig, lines, runs, frf, message: str) -> None:  # type: ignore[no-untyped-def]

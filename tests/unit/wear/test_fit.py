@@ -15,7 +15,7 @@ from labpipe.records.settings import Uncertain
 from labpipe.wear.findings import healthy_findings, rival_findings
 from labpipe.wear.prior import posterior, with_prior
 from labpipe.wear.search import Minimum
-from tests.unit.wear.worn_cases import LINES, NUISANCES, fit_settings, measured, misfit_of, wear_settings, worn_rig
+from tests.unit.wear.worn_cases import LINES, NUISANCES, fit_settings, measured, misfit_of, worn_rig
 
 BAND = np.concatenate([np.arange(12.0, 48.0, 2.0), np.arange(70.0, 95.0, 1.0)])
 TRUE_BEARING = {"viscosity": 0.1044 * 1.03, "clearance": 90e-6 * 0.98}
@@ -198,14 +198,6 @@ def test_too_few_equations_are_refused() -> None:
     response = measured(worn_rig(22.27, 11.0))
     with pytest.raises(FitError, match="cannot determine 2 parameters"):
         fitted(fit_settings(objective="log", terms="cross", lines=(81.3,)), response)
-
-
-def test_section_is_needed() -> None:
-    settings = fit_settings()
-    object.__setattr__(settings, "wear", None)
-    with pytest.raises(ConfigError, match="needs the section wear"):
-        fitted(settings, measured(worn_rig()))
-    assert wear_settings().posterior is None
 
 
 def test_joint_region_holds_the_estimate_and_reaches_beyond_its_intervals(joint: Fit) -> None:

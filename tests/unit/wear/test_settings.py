@@ -50,9 +50,9 @@ def test_a_posterior_takes_the_place_of_the_prior() -> None:
 
 
 def test_model_and_section_belong_together() -> None:
-    with pytest.raises(ConfigError, match="goes with model worn-bearing"):
-        FitSettings("sdof", wear=wear_settings())
-    with pytest.raises(ConfigError, match="goes with model worn-bearing"):
+    with pytest.raises(ConfigError, match="sdof has no settings of its own"):
+        FitSettings("sdof", model_settings=wear_settings())
+    with pytest.raises(ConfigError, match="worn-bearing needs the section 'wear'"):
         FitSettings("worn-bearing")
 
 
@@ -86,7 +86,7 @@ def pipeline(tmp_path: Path, root: Path) -> Path:
 
 def test_section_as_people_write_it(pipeline: Path) -> None:
     (fit,) = load_pipeline(pipeline).fits
-    wear = fit.wear
+    wear = fit.model_settings
     assert wear is not None and wear.rig is not None and wear.rig.speed == 50
     assert (wear.response, wear.terms, wear.objective, wear.bearing) == ("dFRF", "cross", "log", "bearing 1")
     assert wear.lines == (15.9, 81.3) and wear.depth_limit == pytest.approx(40e-6)

@@ -37,7 +37,7 @@ def wear_settings(**changes: object) -> WearSettings:
 
 
 def fit_settings(**changes: object) -> FitSettings:
-    return FitSettings("worn-bearing", wear=wear_settings(**changes), name="wear")
+    return FitSettings("worn-bearing", model_settings=wear_settings(**changes), name="wear")
 
 
 def worn_rig(depth: float = 0.0, angle: float = 0.0, **bearing: float) -> RotorRig:
@@ -61,9 +61,9 @@ def measured(
 def misfit_of(found: FrequencyResponse, **changes: object) -> Misfit:
     """The misfit of a response under some settings."""
     settings = fit_settings(**changes)
-    assert settings.wear is not None
-    data: WornData = worn_data(found, settings, settings.wear)
-    return MISFITS[settings.wear.objective](worn_model(settings.wear, data.frequency), data)
+    assert settings.model_settings is not None
+    data: WornData = worn_data(found, settings, settings.model_settings)
+    return MISFITS[settings.model_settings.objective](worn_model(settings.model_settings, data.frequency), data)
 
 
 def turned(response: FrequencyResponse, ports: tuple[Port, Port], left: np.ndarray, right: np.ndarray) -> FrequencyResponse:

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.bearings.coefficients import Amount, BearingCoefficients, BearingKind
+from labpipe.bearings.coefficients import Amount, BearingCoefficients
+from labpipe.bearings.kinds import BearingKind, frequency_hz
 from labpipe.errors import ConfigError
-from labpipe.records.settings import setting
+from labpipe.records.settings import Settings, setting
 
 
 @dataclass(frozen=True, kw_only=True)
-class SqueezeFilm:
+class SqueezeFilm(Settings):
     """What a squeeze-film file holds; every entry is read with its unit, and refused at its place when it cannot be."""
 
     kind: str = setting("choice", "which kind of bearing", choices=("squeeze-film-damper",))
@@ -46,4 +47,4 @@ def _one(damper: SqueezeFilm) -> BearingCoefficients:
     return BearingCoefficients(("y", "z"), stiffness * np.eye(2), damping * np.eye(2), rest)
 
 
-SQUEEZE_FILM = BearingKind(SqueezeFilm, coefficients)
+SQUEEZE_FILM = BearingKind(SqueezeFilm, coefficients, operating={"frequency": frequency_hz})

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from labpipe.bearings.magnetic_loop import ControlLoop as ControlLoop
-from labpipe.records.settings import setting
+from labpipe.records.settings import Settings, setting
 
 KIND = "virtual-magnetic-rig"
 LAWS = ("relaxation", "control-loop")
 
 
 @dataclass(frozen=True)
-class Levitation:
+class Levitation(Settings):
     """One magnetic bearing: static stiffness k_0, and the law by which it changes with frequency.
 
     relaxation: k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau), tau = 1 / (2 pi f_c): causal and passive, and like the measured
@@ -29,7 +29,7 @@ class Levitation:
 
 
 @dataclass(frozen=True)
-class Noise:
+class Noise(Settings):
     """Standard deviations of the measuring noise and of the rotor's wander."""
 
     displacement: float = setting("value", "displacement sensors", unit="m", default=0.3e-6)
@@ -38,7 +38,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class VirtualRig:
+class VirtualMagneticRig(Settings):
     """Pedestal, rotor in two magnetic bearings, sensors."""
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))

@@ -1,0 +1,46 @@
+"""Reading one fit of the ``identify:`` section: its settings, and those that its model has beyond them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from labpipe.config.faults import join
+from labpipe.config.reader import read_settings
+from labpipe.config.reading import Reading
+from labpipe.identify.settings import MODELS, FitSettings, model_kind
+from labpipe.marked_yaml import Marked
+
+
+def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings | None:
+    """The settings of a fit; one that does not say its mass takes the rig's. None and faults where they cannot be read."""
+    faults, before = reading.faults, len(reading.faults)
+    entries = faults.mapping(node, key)
+    given: dict[str, Any] = {"name": name}
+    section = _section_of(entries)
+    if section:
+        model, entry = section
+        if entries["model"].text != model:
+            faults.add(entries[entry], join(key, entry), f"the section '{entry}' goes with model {model}", model_kind(model).example)
+        else:
+            given["model_settings"] = _model_settings(entries[entry], join(key, entry), model, reading)
+    plain = Marked({entry: part for entry, part in entries.items() if not section or entry != section[1]}, node.where, node.key_where)
+    fit = read_settings(FitSettings, plain, key, faults, **given) if len(faults) == before else None
+    if fit is None or "mass" in entries or reading.rig is None or reading.rig.mass is None:
+        return fit
+    return replace(fit, mass=reading.rig.mass)
+
+
+def _section_of(entries: dict[str, Marked]) -> tuple[str, str] | None:
+    """(model, key) of the model's own section that stands among the entries of a fit."""
+    for model in MODELS:
+        kind = model_kind(model)
+        if kind.section and kind.section in entries and "model" in entries:
+            return model, kind.section
+    return None
+
+
+def _model_settings(node: Marked, key: str, model: str, reading: Reading) -> Any:
+    owner = model_kind(model).settings
+    assert owner is not None
+    return read_settings(owner, node, key, reading.faults)

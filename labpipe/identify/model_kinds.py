@@ -1,0 +1,30 @@
+"""A kind of model of a response: how it is fitted, and the settings that it has beyond those of every fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from labpipe.records.identification import Fit
+from labpipe.records.response import FrequencyResponse
+
+if TYPE_CHECKING:
+    from labpipe.identify.settings import FitSettings
+
+
+@dataclass(frozen=True)
+class ModelKind:
+    """How fits of a model are made.
+
+    fit: the fits of a response, one per band or peak. section: key of the model's own settings in a fit, their dataclass *settings*, and
+    an *example* of the section. earlier: name of the fit whose result this one begins with, empty for none; begin: the settings with the
+    result of that fit among *fits*.
+    """
+
+    fit: Callable[[FrequencyResponse, FitSettings], tuple[Fit, ...]]
+    section: str = ""
+    settings: type | None = None
+    example: str = ""
+    earlier: Callable[[FitSettings], str] = lambda _settings: ""
+    begin: Callable[[FitSettings, Sequence[Fit]], FitSettings] = lambda settings, _fits: settings

@@ -1,0 +1,52 @@
+"""Holding a study against rules: "study.fit[noise].item", "study.fit.item" for every noise level, "study.fit.threshold"."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+from labpipe.config.rules import Rule
+from labpipe.errors import ConfigError
+from labpipe.quantities import parse_value
+from labpipe.records.identification import RuleOutcome
+from labpipe.records.study import Studies, StudyCase
+from labpipe.registry import nearest
+
+Held = Callable[[Rule, float | None, str], tuple[float | None, bool]]
+_STUDIED = re.compile(r"^(?P<fit>[^.\[\]]+)(?:\[(?P<noise>[^\]]*)\])?\.(?P<item>\w+)$")
+_CASE_VALUES: dict[str, Callable[[StudyCase], float | None]] = {
+    "mean_error": lambda case: case.mean_error,
+    "median_error": lambda case: case.median_error,
+    "failed": lambda case: float(case.failed),
+    "success": lambda case: case.success[0],
+    "rmse_over_bound": lambda case: case.rmse_over_bound,
+    "coverage": lambda case: case.coverage,
+}
+
+
+def study_outcome(rule: Rule, studies: Studies, held: Held) -> RuleOutcome:
+    """A rule on "fit[noise].item", or "fit.item" for every noise level; threshold is the noise at which success ends."""
+    match = _STUDIED.match(rule.item)
+    if match is None:
+        raise ConfigError(f"{rule.section}.{rule.address}: is no address", where=rule.place, hint="write study.fit[1 %].coverage")
+    if match["item"] == "threshold":
+        found = [t.noise for study in studies for t in study.thresholds if t.fit == match["fit"]]
+    else:
+        cases = [case for study in studies for case in study.cases if case.fit == match["fit"] and _is_noise(match["noise"], case.noise)]
+        found = [_studied(rule, case, match["item"]) for case in cases]
+    if not found:
+        raise ConfigError(f"{rule.section}.{rule.address}: no such case in the study", where=rule.place)
+    outcomes = [held(rule, value, "1") for value in found]
+    value, passed = next((pair for pair in outcomes if not pair[1]), outcomes[0])
+    return RuleOutcome(rule.section, rule.text, value, passed)
+
+
+def _studied(rule: Rule, case: StudyCase, item: str) -> float | None:
+    if item not in _CASE_VALUES:
+        hint = nearest(item, [*_CASE_VALUES, "threshold"])
+        raise ConfigError(f"{rule.section}.{rule.address}: the study has no '{item}'", where=rule.place, hint=hint)
+    return _CASE_VALUES[item](case)
+
+
+def _is_noise(text: str | None, noise: float) -> bool:
+    return text is None or abs(parse_value(text, "1") - noise) < 1e-6 * noise

@@ -1,0 +1,36 @@
+"""What the sections of a pipeline work on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.config.pipeline import Pipeline
+from labpipe.records.identification import Failed, Fit
+from labpipe.records.response import FrequencyResponse
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Work:
+    """A pipeline whose recordings have been measured.
+
+    made: fits that were made test by test, by their name in the pipeline. fits: those of the sections so far. failed: tests that are
+    missing, and comparisons that cannot do without them; *go_on* then. *jobs*: processes of a study, 0 for one per processor.
+    """
+
+    pipeline: Pipeline
+    responses: Sequence[FrequencyResponse]
+    output: OutputFolder
+    tell: Tell = lambda _: None
+    jobs: int = 0
+    made: Mapping[str, Sequence[Fit]] = field(default_factory=dict)
+    fits: list[Fit] = field(default_factory=list)
+    failed: list[Failed] = field(default_factory=list)
+
+    @property
+    def go_on(self) -> bool:
+        """True if what lacks a test is named and passed over."""
+        return bool(self.failed)
