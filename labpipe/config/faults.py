@@ -26,6 +26,11 @@ class Faults:
         """A value that could not be read, with the hint of the unit table."""
         self.add(node, key, error.what, error.hint)
 
+    def add_of_field(self, error: ConfigError, node: Marked, key: str) -> None:
+        """A fault of the settings that a mapping holds, at the entry that the error names, else at the mapping itself."""
+        entry = node.content.get(error.field) if isinstance(node.content, dict) else None
+        self.add(entry or node, join(key, error.field), error.what.removeprefix(f"{error.field}: "), error.hint)
+
     def add_missing_file(self, node: Marked, key: str) -> None:
         """A fault for the name of a file that is not there."""
         self.add(node, key, f"no such file '{node.text}'", "paths are relative to the file that names them")

@@ -55,9 +55,7 @@ def _made(owner: type[Owner], fields: dict[str, Any], node: Marked, key: str, fa
     except ConfigError as error:
         if error.field in unread and error.field:
             return None
-        entries = node.content if isinstance(node.content, dict) else {}
-        entry = entries.get(error.field)
-        faults.add(entry or node, join(key, error.field), error.what.removeprefix(f"{error.field}: "), error.hint)
+        faults.add_of_field(error, node, key)
         return None
 
 

@@ -145,7 +145,7 @@ def tried(make: Callable[[], Built], node: Marked, key: str, faults: Faults) -> 
     try:
         return make()
     except ConfigError as error:
-        faults.add(node, key, error.what, error.hint)
+        faults.add_of_field(error, node, key)
         return None
 
 
