@@ -4,10 +4,11 @@ The same functions as on the command line, records in and records out::
 
     import labpipe
 
-    recording = labpipe.Recording(channels, samples, sample_rate)          # or labpipe.open_recording(path)
-    response = labpipe.measure([recording], labpipe.FrfSettings("periodic", period=1.0))
-    pedestal, = labpipe.fit(response, labpipe.FitSettings("sdof", mass=0.79, band=(60.0, 70.0)))
-    pedestal.parameter("k").ci95
+    result = labpipe.run("pipeline.yaml")                                  # everything, as `labpipe run`
+    recording = labpipe.read("pedestal.csv", rig="rig.yaml")               # or TDMS, UFF, MAT, HDF5, WAV, FRF files, results
+    response = labpipe.measure([recording], labpipe.FrfSettings("periodic", period="2 s", skip=3))
+    pedestal, = labpipe.fit(response, labpipe.FitSettings("sdof", mass="0.79 kg", band="60-70 Hz"))
+    print(pedestal)
     html = labpipe.html_report(labpipe.Identification((pedestal,), "My rig"))
 
 Names are imported when they are used, so that ``import labpipe`` costs nothing.
@@ -21,35 +22,38 @@ from typing import Any
 __version__ = "0.1.0"
 
 _PUBLIC = {
-    "Channel": "labpipe.records.recording:Channel",
-    "Recording": "labpipe.records.recording:Recording",
-    "FrequencyResponse": "labpipe.records.response:FrequencyResponse",
-    "Port": "labpipe.records.response:Port",
-    "Parameter": "labpipe.records.identification:Parameter",
-    "Fit": "labpipe.records.identification:Fit",
-    "Identification": "labpipe.records.identification:Identification",
-    "LabpipeError": "labpipe.errors:LabpipeError",
+    # Files, pipelines and things by name.
+    "read": "labpipe.scripting.reading:read",
+    "run": "labpipe.scripting.running:run",
+    "bearing": "labpipe.scripting.by_name:bearing",
+    "rotor": "labpipe.scripting.by_name:rotor",
+    "virtual_rig": "labpipe.scripting.by_name:virtual_rig",
+    # The stages as functions.
+    "measure": "labpipe.spectra.measurement:measure",
+    "fit": "labpipe.identify.fitting:identify",
+    "fit_line": "labpipe.identify.calibration:fit_line",
+    "run_study": "labpipe.study.study:run_study",
+    "recordings": "labpipe.simulate.virtual_rigs:recordings",
+    "simulated_response": "labpipe.simulate.virtual_rigs:simulated_response",
+    "design_multisine": "labpipe.signals.excitation:design_multisine",
+    "html_report": "labpipe.report.render:html_report",
+    "markdown_report": "labpipe.report.render:markdown_report",
+    # Their settings.
     "FrfSettings": "labpipe.spectra.settings:FrfSettings",
     "FitSettings": "labpipe.identify.settings:FitSettings",
     "Sliding": "labpipe.identify.settings:Sliding",
     "Support": "labpipe.identify.settings:Support",
-    "Uncertain": "labpipe.records.settings:Uncertain",
-    "measure": "labpipe.spectra.measurement:measure",
-    "fit": "labpipe.identify.fitting:identify",
-    "fit_line": "labpipe.identify.calibration:fit_line",
-    "design_multisine": "labpipe.signals.excitation:design_multisine",
-    "VirtualMagneticRig": "labpipe.simulate.magnetic_settings:VirtualMagneticRig",
-    "simulate_rig": "labpipe.simulate.magnetic_rig:simulate",
-    "VirtualMdofRig": "labpipe.simulate.mdof_rig:VirtualMdofRig",
-    "simulated_response": "labpipe.simulate.mdof_rig:simulated_response",
     "StudySettings": "labpipe.study.settings:StudySettings",
-    "run_study": "labpipe.study.study:run_study",
-    "open_recording": "labpipe.artefacts.recording_file:open_recording",
-    "read_response": "labpipe.artefacts.response_file:read_response",
-    "read_frf_csv": "labpipe.formats.frf_csv:read_frf_csv",
-    "read_identification": "labpipe.artefacts.identification_file:read_identification",
-    "html_report": "labpipe.report.render:html_report",
-    "markdown_report": "labpipe.report.render:markdown_report",
+    "Uncertain": "labpipe.records.settings:Uncertain",
+    # Records.
+    "Channel": "labpipe.records.recording:Channel",
+    "Recording": "labpipe.records.recording:Recording",
+    "Port": "labpipe.records.response:Port",
+    "FrequencyResponse": "labpipe.records.response:FrequencyResponse",
+    "Parameter": "labpipe.records.parameter:Parameter",
+    "Fit": "labpipe.records.identification:Fit",
+    "Identification": "labpipe.records.identification:Identification",
+    "LabpipeError": "labpipe.errors:LabpipeError",
 }
 __all__ = ["__version__", *_PUBLIC]
 

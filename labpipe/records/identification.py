@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from labpipe.records.finding import Finding
 from labpipe.records.parameter import Parameter as Parameter
 from labpipe.records.response import FrequencyResponse
+from labpipe.records.text import fit_html, fit_line, fit_text, identification_line
+from labpipe.records.views import VIEWS
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class Region:
     level: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Fit:
     """One fit of one model in one band.
 
@@ -96,6 +98,19 @@ class Fit:
     candidates: tuple[Candidate, ...] = ()
     term: str = ""
     region: Region | None = None
+
+    def __repr__(self) -> str:
+        return fit_line(self)
+
+    def __str__(self) -> str:
+        return fit_text(self)
+
+    def _repr_html_(self) -> str:
+        return fit_html(self)
+
+    def to_frame(self) -> Any:
+        """The parameters as a pandas data frame, one row each [SI units]."""
+        return VIEWS["frame"](self)
 
     @property
     def centre_hz(self) -> float:
@@ -127,7 +142,7 @@ class Failed:
     message: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Identification:
     """All fits of a pipeline with what they came from: the measured responses, the source files, the settings used.
 
@@ -145,6 +160,16 @@ class Identification:
     version: str = ""
     failed: tuple[Failed, ...] = ()
     sections: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return identification_line(self)
+
+    def __str__(self) -> str:
+        return "\n\n".join([identification_line(self), *(fit_text(fit) for fit in self.fits)])
+
+    def to_frame(self) -> Any:
+        """The parameters of all fits and sections as a pandas data frame, one row each [SI units]."""
+        return VIEWS["frame"](self)
 
     @property
     def accepted(self) -> bool:

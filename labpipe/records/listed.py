@@ -28,12 +28,13 @@ class ListedParameter:
 def listed_parameters(identification: Identification) -> Iterator[ListedParameter]:
     """The parameters of all fits, then those of every other section."""
     for fit in identification.fits:
-        yield from _of_fit(fit)
+        yield from of_fit(fit)
     for name, record in identification.sections.items():
         yield from section(name).call("parameters", record)
 
 
-def _of_fit(fit: Fit) -> Iterator[ListedParameter]:
+def of_fit(fit: Fit) -> Iterator[ListedParameter]:
+    """The parameters of one fit."""
     codes = tuple(warning_codes(fit))
     for parameter in fit.parameters:
         yield ListedParameter(

@@ -13,6 +13,8 @@ from labpipe.errors import DataError
 from labpipe.quantities import QUANTITIES
 from labpipe.records.arrays import frozen_array
 from labpipe.records.finding import Finding
+from labpipe.records.text import recording_line
+from labpipe.records.views import VIEWS
 
 ROLES = ("input", "output", "reference")
 
@@ -65,7 +67,7 @@ class SampleSource(Protocol):
         """Consecutive blocks of at most *n_sample* samples, each (n, n_channel) [SI]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """A run in memory: *samples* (n_sample, n_channel) [SI] at *sample_rate* [Hz]. Satisfies SampleSource."""
 
@@ -85,8 +87,16 @@ class Recording:
         shape = (np.shape(self.samples)[0] if np.ndim(self.samples) else 0, len(names))
         object.__setattr__(self, "samples", frozen_array(self.samples, np.float64, f"recording '{self.name}'", shape))
 
+    def __repr__(self) -> str:
+        return recording_line(self)
+
+    def to_frame(self) -> Any:
+        """The channels over time [s] as a pandas data frame [SI units]."""
+        return VIEWS["frame"](self)
+
     @property
     def n_sample(self) -> int:
+        """Samples per channel."""
         return int(self.samples.shape[0])
 
     def blocks(self, n_sample: int) -> Iterator[NDArray[np.floating]]:

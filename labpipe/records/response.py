@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from labpipe.errors import DataError
 from labpipe.records.arrays import frozen_array
 from labpipe.records.finding import Finding
+from labpipe.records.text import response_line
+from labpipe.records.views import VIEWS
 
 FORMS = {"receptance": "m/N", "mobility": "m/(N.s)", "accelerance": "m/(N.s^2)", "other": "1"}
 
@@ -32,7 +34,7 @@ class Port:
         return name in (self.label, self.channel, self.dof)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FrequencyResponse:
     """H(f), output per input, with its covariance.
 
@@ -98,6 +100,17 @@ class FrequencyResponse:
             values = getattr(self, attribute)
             if values is not None:
                 object.__setattr__(self, attribute, frozen_array(values, dtype, attribute, shape))
+
+    def __repr__(self) -> str:
+        return response_line(self)
+
+    def to_frame(self) -> Any:
+        """The elements over frequency [Hz] as a pandas data frame: ``o/i`` complex, ``o/i:std`` where the noise is known."""
+        return VIEWS["frame"](self)
+
+    def to_xarray(self) -> Any:
+        """The matrix over frequency, output and input as an xarray data set; ConfigError where xarray is not installed."""
+        return VIEWS["xarray"](self)
 
     @property
     def n_frequency(self) -> int:

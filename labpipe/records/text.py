@@ -1,0 +1,107 @@
+"""Records as people read them: one line for a list, a table for a console, a table for a notebook."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING
+
+from labpipe.quantities import display_unit, to_display
+from labpipe.records.finding import WARNING, of_level
+from labpipe.records.parameter import Parameter
+
+if TYPE_CHECKING:
+    from labpipe.records.identification import Fit, Identification
+    from labpipe.records.recording import Recording
+    from labpipe.records.response import FrequencyResponse
+
+# Parameters that one line names.
+MOST_NAMED = 4
+HEADER = ("parameter", "value", "std. error", "95 % interval", "unit", "")
+
+
+def fit_line(fit: Fit) -> str:
+    """Name, model, estimator, band, goodness, warnings and the first parameters with their standard errors."""
+    title = " ".join(
+        part for part in (fit.name or "fit", f"[{fit.test}]" if fit.test else "", f"of {fit.term}" if fit.term else "") if part
+    )
+    band = f"{fit.band_hz[0]:g}-{fit.band_hz[1]:g} Hz"
+    named = [f"{p.name} = {_with_error(p)}" for p in fit.parameters[:MOST_NAMED]]
+    more = [f"{len(fit.parameters) - MOST_NAMED} more"] if len(fit.parameters) > MOST_NAMED else []
+    codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, fit.findings)))
+    warnings = f"; warnings: {', '.join(codes)}" if codes else ""
+    return f"<Fit {title}: {fit.model}, {fit.estimator}, {band}, G.o.F {fit.gof.r2_adjusted:.4f}; {', '.join([*named, *more])}{warnings}>"
+
+
+def fit_text(fit: Fit) -> str:
+    """Statistics, parameters with their doubt, correlations and findings, as a console shows them."""
+    rows = [parameter_cells(parameter) for parameter in fit.parameters]
+    widths = [max(len(row[n]) for row in [HEADER, *rows]) for n in range(len(HEADER))]
+    table = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in [HEADER, *rows]]
+    chi2 = "" if fit.gof.chi2_reduced is None else f", chi2/dof {fit.gof.chi2_reduced:.3f}"
+    head = [
+        f"{fit.name or 'fit'}{f' [{fit.test}]' if fit.test else ''}: {fit.model}, estimator {fit.estimator}",
+        f"band {fit.band_hz[0]:g}-{fit.band_hz[1]:g} Hz, {fit.lines} lines, {fit.equations} equations, {fit.dof} degrees of freedom",
+        f"G.o.F {fit.gof.r2_adjusted:.5f}{chi2}, condition number {fit.condition_number:.3g}{'' if fit.converged else ', NOT CONVERGED'}",
+        "",
+    ]
+    findings = [f"{finding.level} {finding.code}: {finding.message}" for finding in fit.findings]
+    return "\n".join([*head, *table, *_correlation_lines(fit), *findings])
+
+
+def _correlation_lines(fit: Fit) -> list[str]:
+    """The correlations beyond a half, the largest first."""
+    names = [parameter.name for parameter in fit.parameters if not parameter.derived]
+    n = min(len(names), fit.correlation.shape[0])
+    pairs = [(float(fit.correlation[i, j]), names[i], names[j]) for i in range(n) for j in range(i)]
+    large = sorted((pair for pair in pairs if abs(pair[0]) > 0.5), key=lambda pair: -abs(pair[0]))
+    return [f"correlation of {second} and {first}: {value:+.2f}" for value, first, second in large]
+
+
+def fit_html(fit: Fit) -> str:
+    """The parameters as a table of a notebook."""
+    head = "".join(f"<th>{escape(cell)}</th>" for cell in HEADER)
+    body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in parameter_cells(p))}</tr>" for p in fit.parameters)
+    notes = "".join(f"<p>{escape(f'{finding.level} {finding.code}: {finding.message}')}</p>" for finding in fit.findings)
+    return f"<p>{escape(fit_line(fit)[1:-1])}</p><table><tr>{head}</tr>{body}</table>{notes}"
+
+
+def parameter_cells(parameter: Parameter) -> tuple[str, ...]:
+    """Name, value, standard error, interval, unit, and what limits it; in the unit in which people read it."""
+    unit = display_unit(parameter.unit, parameter.value)
+    limits = "at bound" if parameter.at_bound else "not significant" if parameter.significant is False else ""
+    error = "" if parameter.std_error is None else f"{_difference(parameter.std_error, unit):.2g}"
+    interval = "" if parameter.ci95 is None else " to ".join(f"{to_display(end, unit):.6g}" for end in parameter.ci95)
+    return (parameter.name, f"{to_display(parameter.value, unit):.6g}", error, interval, "" if unit == "1" else unit, limits)
+
+
+def _with_error(parameter: Parameter) -> str:
+    _, value, error, _, unit, _ = parameter_cells(parameter)
+    return " ".join(part for part in (f"{value} +- {error}" if error else value, unit) if part)
+
+
+def _difference(amount: float, unit: str) -> float:
+    """A difference in a unit that may have an offset."""
+    return to_display(amount, unit) - to_display(0.0, unit)
+
+
+def response_line(response: FrequencyResponse) -> str:
+    """Form, size, band and doubt of a response."""
+    size = f"{len(response.outputs)} x {len(response.inputs)}"
+    band = f"{response.n_frequency} lines {response.frequency[0]:g}-{response.frequency[-1]:g} Hz" if response.n_frequency else "no lines"
+    doubt = "with covariance" if response.covariance is not None else "without covariance"
+    return f"<FrequencyResponse {response.name or 'response'}: {response.form}, {size} (outputs x inputs), {band}, {doubt}>"
+
+
+def recording_line(recording: Recording) -> str:
+    """Channels, rate and length of a recording."""
+    channels = ", ".join(f"{channel.name} [{channel.unit}]" for channel in recording.channels)
+    seconds = recording.n_sample / recording.sample_rate
+    return f"<Recording {recording.name or 'recording'}: {channels}; {recording.sample_rate:g} Hz, {seconds:.6g} s>"
+
+
+def identification_line(identification: Identification) -> str:
+    """Title, number of fits, other sections and the verdict."""
+    sections = f", {', '.join(identification.sections)}" if identification.sections else ""
+    rules = "no rules" if not identification.outcomes else "accepted" if identification.accepted else "NOT ACCEPTED"
+    verdict = "INCOMPLETE" if identification.failed else rules
+    return f"<Identification {identification.title}: {len(identification.fits)} fits{sections}; {verdict}>"

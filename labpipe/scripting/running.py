@@ -1,0 +1,33 @@
+"""A pipeline from a script, as `labpipe run` does it."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+from labpipe.artefacts.writing import output_folder
+from labpipe.config.pipeline import load_pipeline
+from labpipe.pipeline.executors import in_processes, serially
+from labpipe.pipeline.run import Manner
+from labpipe.pipeline.run import run as run_pipeline
+from labpipe.records.identification import Identification
+from labpipe.stages.report import write_report
+
+
+def run(pipeline: str | Path, output: str | Path | None = None, overrides: Iterable[str] = (), jobs: int = 1) -> Identification:
+    """The result of a pipeline file; with an *output* folder also its files and reports, where what is up to date is not made again.
+
+    *overrides*: as --set takes them, "identify.support.band=60-70 Hz". *jobs*: processes for several tests; a script that asks for more
+    than one needs the usual ``if __name__ == "__main__"``. LabpipeError as on the command line; rules that fail are in the result.
+    """
+    settings = load_pipeline(Path(pipeline), overrides)
+    manner = Manner(execute=serially if jobs == 1 else in_processes(jobs), processes=jobs)
+    if output is None:
+        with tempfile.TemporaryDirectory(prefix="labpipe-") as scratch, output_folder(Path(scratch)) as folder:
+            return run_pipeline(settings, folder, manner)
+    with output_folder(Path(output)) as folder:
+        identification = run_pipeline(settings, folder, manner)
+        for name in settings.report.formats:
+            write_report(identification, folder.write_path(f"report.{name}"))
+    return identification
