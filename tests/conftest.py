@@ -12,12 +12,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import pytest
 
 from labpipe.cli.main import run_command
 
 ROOT = Path(__file__).parent.parent
+
+# The same examples on every machine, no folder that two workers write to, and no limit of time on a machine that is busy.
+hypothesis.settings.register_profile("pinned", derandomize=True, database=None, deadline=None)
+hypothesis.settings.load_profile("pinned")
 
 
 @dataclass(frozen=True)

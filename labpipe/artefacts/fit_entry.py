@@ -79,7 +79,11 @@ def complex_entry(values: NDArray[np.complex128]) -> dict[str, Any]:
 
 
 def read_complex(entry: dict[str, Any]) -> NDArray[np.complex128]:
-    return np.array(entry["re"], np.float64) + 1j * np.array(entry["im"], np.float64)
+    real = np.array(entry["re"], np.float64)
+    values = np.empty(real.shape, np.complex128)
+    # A sum re + 1j im would lose the sign of a zero, and what is read would not be written the same again.
+    values.real, values.imag = real, np.array(entry["im"], np.float64)
+    return values
 
 
 def _curve_entry(curve: FittedCurve) -> dict[str, Any]:

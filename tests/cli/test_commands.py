@@ -182,8 +182,8 @@ def test_simulate_is_deterministic_and_the_shipped_data_are_what_it_makes(tmp_pa
         np.testing.assert_allclose(ours, shipped, rtol=1e-5, atol=1e-6 * np.max(np.abs(shipped)))
 
 
-# Studies, campaigns, wear and run-ups take long and have tests of their own; `.ci/run` checks every pipeline at its full size.
-SLOW = ("\nstudy:", "\ncompare:", "\nrun_ups:", "worn-bearing")
+# Studies, campaigns, wear, unbalance and run-ups take long and have tests of their own; `.ci/run` checks every pipeline at its full size.
+SLOW = ("\nstudy:", "\ncompare:", "\nrun_ups:", "\nunbalance:", "worn-bearing")
 PIPELINES = sorted((Path(__file__).parents[2] / "pipelines").glob("*.yaml"))
 QUICK = [path.name for path in PIPELINES if not any(word in path.read_text("utf-8") for word in SLOW)]
 

@@ -61,8 +61,9 @@ def test_run_and_check_hold_the_study_against_its_rules(labpipe, pipeline: Path,
     assert failing.code == 1 and "study.ls.coverage >= 99 % fails" in failing.out
 
 
-def test_thresholds_are_ordered_as_the_estimators_are(labpipe, pipeline: Path, tmp_path: Path) -> None:
-    override = ("--set", "study.repeats=20", "--set", "study.noise=2 %", "--set", "study.thresholds=true", "--set", "expect={}")
+@pytest.mark.parametrize("repeats", [10, pytest.param(20, marks=pytest.mark.long)])
+def test_thresholds_are_ordered_as_the_estimators_are(labpipe, pipeline: Path, tmp_path: Path, repeats: int) -> None:
+    override = ("--set", f"study.repeats={repeats}", "--set", "study.noise=2 %", "--set", "study.thresholds=true", "--set", "expect={}")
     assert labpipe("study", pipeline, "-o", tmp_path, *override).code == 0
     entries = json.loads((tmp_path / "identification.json").read_text("utf-8"))
     levels = {entry["fit"]: entry["noise"] for entry in entries["studies"][0]["thresholds"]}
@@ -103,7 +104,7 @@ expect:
     ],
 )
 def test_faults_of_a_study_are_said(labpipe, pipeline: Path, tmp_path: Path, override: str, message: str) -> None:
-    ended = labpipe("study", pipeline, "-o", tmp_path / "out", "-j", 1, "--set", override)
+    ended = labpipe("study", pipeline, "-o", tmp_path / "out", "-j", 1, "--set", "study.repeats=10", "--set", override)
     assert ended.code == 2 and message in ended.err, ended
     assert not (tmp_path / "out").exists()
 

@@ -86,18 +86,19 @@ def test_only_the_entangled_parameters_are_named() -> None:
     assert collinear_groups(design / np.linalg.norm(design, axis=0), ["a", "b", "c"]) == [["a", "b"]]
 
 
-def test_correlated_columns_that_do_no_harm_are_no_warning(three_dof_response, sdof_response) -> None:
+@pytest.mark.parametrize("directions", [30, pytest.param(200, marks=pytest.mark.long)])
+def test_correlated_columns_that_do_no_harm_are_no_warning(three_dof_response, sdof_response, directions: int) -> None:
     """k and m of a resonance, and the entries of K, stand on columns alike (condition above 100) but are known well."""
     (resonance,) = identify(sdof_response(1e-7, np.random.default_rng(1)), FitSettings("sdof"))
     (three,) = identify(three_dof_response(0.05, np.random.default_rng(1)), FitSettings("mdof", mass=(1.0, 2.0, 3.0), symmetric=True))
     for fit in (resonance, three):
         assert fit.condition_number > 100
         assert "collinear" not in [finding.code for finding in fit.findings]
-    # A systematic error of 1 % of the FRF, the worst of 200 directions, moves k by less than 2 %: the amplification is below 2.
+    # A systematic error of 1 % of the FRF, the worst of many directions, moves k by less than 2 %: the amplification is below 2.
     rng = np.random.default_rng(2)
     plain = sdof_response(1e-9)
     shifts = []
-    for _ in range(200):
+    for _ in range(directions):
         error = rng.normal(size=(2, 21)) * np.abs(plain.matrix[:, 0, 0])
         error = 0.01 * error / np.linalg.norm(error) * np.linalg.norm(plain.matrix)
         (fit,) = identify(replace(plain, matrix=plain.matrix + (error[0] + 1j * error[1])[:, None, None]), FitSettings("sdof"))
