@@ -12,7 +12,8 @@ from labpipe.quantities import UnitError, parse_value
 from labpipe.records.settings import Setting, Uncertain
 from labpipe.registry import nearest
 
-_BAND = re.compile(r"^\s*([\d.]+(?:[eE][+-]?\d+)?)\s*([^\d\s-].*?)?\s*(?:-|–|\.\.|to)\s*([\d.]+(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
+_NUMBER = r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)"
+_BAND = re.compile(rf"^\s*{_NUMBER}\s*((?!to\b)[^\d\s.–-][^\s–]*?)?\s*(?:-|–|\.\.|to)\s*{_NUMBER}\s*(.*?)\s*$")
 
 
 def read_value(node: Marked, setting: Setting) -> float:
@@ -49,8 +50,8 @@ def read_band(node: Marked, setting: Setting) -> tuple[float, float]:
     if match is None:
         raise UnitError(f"'{node.text}' is not a band", f"write {example}")
     high_unit = match[4]
-    low = parse_value(f"{match[1]} {match[2] or high_unit}", setting.unit)
-    high = parse_value(f"{match[3]} {high_unit}", setting.unit)
+    low = parse_value(f"{match[1]} {match[2] or high_unit}".strip(), setting.unit)
+    high = parse_value(f"{match[3]} {high_unit}".strip(), setting.unit)
     if not low < high:
         raise UnitError(f"the band '{node.text}' is empty", "the lower frequency comes first")
     return low, high
