@@ -117,7 +117,8 @@ def test_faults_of_tests(folder: Path, text: str, fault: str) -> None:
 def test_a_rig_that_is_broken_is_named_once_with_its_own_place(folder: Path) -> None:
     (folder / "rig.yaml").write_text(RIG.format(name="R", mass="2 m"))
     found = faults(folder, f"rig: rig.yaml\nrecordings: runs/a.csv\n{FRF}")
-    assert [one for one in found if "mass" in one] == [
+    (about_mass,) = (one for one in found if "mass" in one)
+    assert about_mass == (
         "rig.yaml:3:1: mass: 'm' has the wrong dimension, kg is needed; for example '0.5 kg'"
     ]
 
