@@ -118,9 +118,7 @@ def test_a_rig_that_is_broken_is_named_once_with_its_own_place(folder: Path) -> 
     (folder / "rig.yaml").write_text(RIG.format(name="R", mass="2 m"))
     found = faults(folder, f"rig: rig.yaml\nrecordings: runs/a.csv\n{FRF}")
     (about_mass,) = (one for one in found if "mass" in one)
-    assert about_mass == (
-        "rig.yaml:3:1: mass: 'm' has the wrong dimension, kg is needed; for example '0.5 kg'"
-    ]
+    assert about_mass == "rig.yaml:3:1: mass: 'm' has the wrong dimension, kg is needed; for example '0.5 kg'"
 
 
 # conditions in names
