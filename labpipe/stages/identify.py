@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ from labpipe.artefacts.identification_file import NAME, read_identification, wri
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.config.pipeline import Pipeline
 from labpipe.config.run_ups import run_ups_entry
+from labpipe.config.tests import Test
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
@@ -134,7 +136,7 @@ def settings_entry(pipeline: Pipeline) -> dict[str, Any]:
         "calibrate": [{**dataclasses.asdict(c), "path": c.table} for c in pipeline.calibrations],
         "compare": [dataclasses.asdict(settings) for settings in pipeline.comparisons],
         "rules": [[rule.section, rule.text] for rule in pipeline.rules],
-        "tests": [{"name": test.name, "conditions": test.conditions} for test in pipeline.tests],
+        "tests": [_test_entry(test) for test in pipeline.tests],
         "title": pipeline.title,
         "pipeline": pipeline.path.name,
     }
@@ -145,6 +147,12 @@ def settings_entry(pipeline: Pipeline) -> dict[str, Any]:
     if pipeline.run_ups is not None:
         entry["run_ups"] = run_ups_entry(pipeline.run_ups)
     return json.loads(json.dumps(entry))  # type: ignore[no-any-return]
+
+
+def _test_entry(test: Test) -> dict[str, Any]:
+    """Name and conditions of a test, and the digests of the rigs that recorded it: other calibrations make another result."""
+    rigs = (json.dumps(dataclasses.asdict(source.rig)) for source in test.recordings)
+    return {"name": test.name, "conditions": test.conditions, "rigs": [hashlib.sha256(rig.encode()).hexdigest() for rig in rigs]}
 
 
 def _rig_entry(pipeline: Pipeline) -> dict[str, Any]:
