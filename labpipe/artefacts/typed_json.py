@@ -109,7 +109,10 @@ def _array(entry: Any, kind: Any) -> Any:
     (element,) = get_args(get_args(kind)[1])
     if issubclass(element, np.complexfloating):
         real, imaginary = (entry["re"], entry["im"]) if isinstance(entry, dict) else (_need(entry, list), 0.0)
-        return np.array(real, np.float64) + 1j * np.array(imaginary, np.float64)
+        values = np.empty(np.shape(real), np.complex128)
+        # A sum re + 1j im would lose the sign of a zero, and what is read would not be written the same again.
+        values.real, values.imag = real, imaginary
+        return values
     return np.array(entry, {np.floating: np.float64, np.bool_: np.bool_, np.intp: np.intp}.get(element, np.float64))
 
 

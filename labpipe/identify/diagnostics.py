@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,6 +20,9 @@ COLLINEAR_CONDITION = 30.0
 VARIANCE_PROPORTION = 0.5
 # An error of the FRF that grows by less than this in the coefficients is no reason to distrust their signs.
 HARMFUL_GROWTH = 30.0
+# Estimates from products of columns lose the square of the condition number in rounding (1e-16 x 1e4^2 leaves eight digits, 1e6^2 four,
+# and the lost ones differ from processor to processor): larger numbers are written as a power of ten.
+ROUGH = 1e4
 MISMATCH_P = 0.01
 FEW_DOF = 5
 EQUATIONS_PER_PARAMETER = 3
@@ -55,12 +59,17 @@ def _collinear(estimate: Estimate, names: Sequence[str], units: Sequence[str]) -
     growth = _growth(estimate, names, units, group) if units else None
     if growth is not None and growth < HARMFUL_GROWTH:
         return []
-    grown = f" A systematic error of 1 % in the FRF can become {growth:.3g} % in them, which no standard error shows." if growth else ""
+    grown = f" A systematic error of 1 % in the FRF can become {_rough(growth)} % in them, which no standard error shows." if growth else ""
     message = (
-        f"the excitation does not tell these parameters apart: {', '.join(group)} (condition number {condition:.3g}, limit "
+        f"the excitation does not tell these parameters apart: {', '.join(group)} (condition number {_rough(condition)}, limit "
         f"{COLLINEAR_CONDITION:g}).{grown} Do not trust their values and signs, however good the fit looks. Remedy: {_remedy(group)}."
     )
     return [Finding("collinear", message)]
+
+
+def _rough(number: float) -> str:
+    """Three digits, or the nearest power of ten where rounding decides on the digits."""
+    return f"{number:.3g}" if number < ROUGH or math.isinf(number) else f"about 1e{math.log10(number):.0f}"
 
 
 def _growth(estimate: Estimate, names: Sequence[str], units: Sequence[str], group: Sequence[str]) -> float | None:

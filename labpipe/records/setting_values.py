@@ -20,7 +20,8 @@ from labpipe.registry import nearest
 # The unit of a coefficient by the first letter of its name.
 COEFFICIENT_UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg", "b": "1"}
 ESTIMATE = "estimate"
-_BAND = re.compile(r"^\s*([\d.]+(?:[eE][+-]?\d+)?)\s*([^\d\s-].*?)?\s*(?:-|–|\.\.|to)\s*([\d.]+(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
+_NUMBER = r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)"
+_BAND = re.compile(rf"^\s*{_NUMBER}\s*((?!to\b)[^\d\s.–-][^\s–]*?)?\s*(?:-|–|\.\.|to)\s*{_NUMBER}\s*(.*?)\s*$")
 
 Band = tuple[float, float]
 
@@ -105,7 +106,8 @@ def _parsed_band(text: str, setting: Setting) -> Band:
     if match is None:
         raise UnitError(f"'{text}' is not a band", f"write {_band_example(setting)}")
     high_unit = match[4]
-    return parse_value(f"{match[1]} {match[2] or high_unit}", setting.unit), parse_value(f"{match[3]} {high_unit}", setting.unit)
+    low = parse_value(f"{match[1]} {match[2] or high_unit}".strip(), setting.unit)
+    return low, parse_value(f"{match[3]} {high_unit}".strip(), setting.unit)
 
 
 def to_bands(value: Any, setting: Setting) -> tuple[Band, ...]:
@@ -237,7 +239,8 @@ def parse_phasor(text: str, unit: str) -> complex:
 
 def to_groups(value: Any, setting: Setting) -> tuple[tuple[str, ...], ...]:
     """A list of lists of names, or one list."""
-    if not _is_list(value):
+    # An empty tuple is the default; an empty list of a file is a slip.
+    if not _is_list(value) or value == []:
         raise UnitError(f"'{_shown(value)}' is not a list of names", "write for example [[k_xx, k_yy], [c_xx, c_yy]]")
     entries = list(value)
     if all(_is_list(entry) for entry in entries):

@@ -77,7 +77,7 @@ class RunUpRotor:
     """A rotor file with pins: *pins* and *planes* (name, node) sit on nodes of the *rotor*; *unbalances*: the known ones.
 
     *tabulated*: journal coefficients that take the place of the film's own; beyond their speeds K and Omega C are held. *speeds*: where
-    critical speeds are looked for [rad/s], thresholds up to twice the highest; without them those of the run-ups (`over`).
+    critical speeds are looked for [rad/s], thresholds up to twice the highest; without them those of the run-ups (`searched_over`).
 
     ConfigError where something sits on no node or outside the pins, or two planes have one name.
     """
@@ -107,13 +107,6 @@ class RunUpRotor:
         if self.speeds is None:
             raise ConfigError("speeds: are missing, and there is no run-up to take them from", hint="for example speeds: 400-3000 rpm")
         return SpeedSearch(*self.speeds)
-
-    def over(self, runs: Iterable[RunUp]) -> RunUpRotor:
-        """The rotor with the speeds of *runs* as its range of search, unless it has a range already."""
-        if self.speeds is not None:
-            return self
-        ends = [(float(run.speed[0]), float(run.speed[-1])) for run in runs]
-        return replace(self, speeds=(min(low for low, _ in ends), max(high for _, high in ends))) if ends else self
 
     @cached_property
     def pinned(self) -> PinnedRotor:
@@ -228,6 +221,14 @@ class RunUpRotor:
     def threshold(self, coefficients: CoefficientsAtSpeed) -> float | None:
         """Onset speed of instability [rad/s], up to twice the highest speed of the search; None when there is none."""
         return threshold_speed(self.stability, coefficients, self.search.threshold)
+
+
+def searched_over(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
+    """The rotor with the speeds of *runs* as its range of search, unless it has a range already."""
+    if rig.speeds is not None:
+        return rig
+    ends = [(float(run.speed[0]), float(run.speed[-1])) for run in runs]
+    return replace(rig, speeds=(min(low for low, _ in ends), max(high for _, high in ends))) if ends else rig
 
 
 def largest_displacement(response: ComplexArray) -> Array:

@@ -15,7 +15,7 @@ from labpipe.errors import FitError
 from labpipe.optimise.levenberg import minimise
 from labpipe.records.run_up import RunUp
 from labpipe.rigs.film_family import BOUND, PARAMETERS, PRIOR, FilmFamily
-from labpipe.rigs.run_up_rotor import RunUpRotor
+from labpipe.rigs.run_up_rotor import RunUpRotor, searched_over
 from labpipe.run_ups.joint_result import JointFit
 from labpipe.run_ups.misfit import LoadRuns, in_words, rank_of, runs_by_load
 from labpipe.run_ups.problem import RunUpProblem, measured_thresholds
@@ -39,7 +39,7 @@ def fit_jointly(rig: RunUpRotor, runs: Iterable[RunUp], use_thresholds: bool = T
     FitError when no minimum is found.
     """
     runs = list(runs)
-    rig = rig.over(runs)
+    rig = searched_over(rig, runs)
     groups = tuple(runs_by_load(rig, runs))
     thresholds = measured_thresholds(groups) if use_thresholds else ()
     problem = RunUpProblem.of(rig, family_about(rig, groups), groups, thresholds, PRIOR)

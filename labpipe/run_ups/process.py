@@ -19,7 +19,7 @@ from labpipe.errors import FitError
 from labpipe.optimise.levenberg import minimise
 from labpipe.records.run_up import RunUp
 from labpipe.rigs.film_family import PARAMETERS, PRIOR
-from labpipe.rigs.run_up_rotor import RunUpRotor
+from labpipe.rigs.run_up_rotor import RunUpRotor, searched_over
 from labpipe.run_ups.joint import family_about
 from labpipe.run_ups.joint_result import JointFit
 from labpipe.run_ups.misfit import LoadRuns, rank_of, runs_by_load
@@ -46,7 +46,7 @@ def fit_with_process(rig: RunUpRotor, runs: Iterable[RunUp], joint: JointFit | N
     FitError when no minimum is found.
     """
     runs = list(runs)
-    rig = rig.over(runs)
+    rig = searched_over(rig, runs)
     groups = tuple(runs_by_load(rig, runs))
     thresholds = measured_thresholds(groups) if use_thresholds else ()
     places = _places(groups, thresholds)

@@ -11,7 +11,7 @@ from labpipe.errors import LabpipeError
 from labpipe.records.finding import Finding, note
 from labpipe.records.run_up import RunUp
 from labpipe.records.run_up_result import HELD_OUT, START, TRAINED, MeasuredRun, RankRow, RunPrediction, RunUpMethod, RunUpResult
-from labpipe.rigs.run_up_rotor import RunUpRotor
+from labpipe.rigs.run_up_rotor import RunUpRotor, searched_over
 from labpipe.run_ups.joint_result import REJECTED
 from labpipe.run_ups.measured import ReadRun, measured_run
 from labpipe.run_ups.metamodel_results import metamodels
@@ -27,7 +27,7 @@ def run_up_result(settings: RunUpSettings, rig: RunUpRotor, read: Sequence[ReadR
     """All methods that the settings name, fitted to the trained runs, held against every run."""
     measured = [measured_run(one, settings.plane) for one in read]
     runs = [one.run for one in read]
-    rig = rig.over(runs)
+    rig = searched_over(rig, runs)
     trained = [one.run for one in read if one.settings.role == TRAINED]
     solved = []
     for name in [START, *(name for name in METHODS if name in settings.methods)]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
@@ -14,6 +15,7 @@ from labpipe.artefacts.identification_file import NAME, read_identification, wri
 from labpipe.artefacts.typed_json import entry_of
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.config.pipeline import Pipeline
+from labpipe.config.tests import Test
 from labpipe.errors import DataError
 from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.records.response import FrequencyResponse
@@ -97,11 +99,17 @@ def settings_entry(pipeline: Pipeline) -> dict[str, Any]:
         "frf": pipeline.frf,
         **pipeline.sections,
         "rules": [[rule.section, rule.text] for rule in pipeline.rules],
-        "tests": [{"name": test.name, "conditions": test.conditions} for test in pipeline.tests],
+        "tests": [_test_entry(test) for test in pipeline.tests],
         "title": pipeline.title,
         "pipeline": pipeline.path.name,
     }
     return json.loads(json.dumps(entry_of(entry)))  # type: ignore[no-any-return]
+
+
+def _test_entry(test: Test) -> dict[str, Any]:
+    """Name and conditions of a test, and the digests of the rigs that recorded it: other calibrations make another result."""
+    rigs = (json.dumps(dataclasses.asdict(source.rig)) for source in test.recordings)
+    return {"name": test.name, "conditions": test.conditions, "rigs": [hashlib.sha256(rig.encode()).hexdigest() for rig in rigs]}
 
 
 def _rig_entry(pipeline: Pipeline) -> dict[str, Any]:

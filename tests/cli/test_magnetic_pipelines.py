@@ -13,6 +13,12 @@ SLIDING = {"kind": "prediction", "fit": "sliding"}
 GEOMETRY = {"bearing": f"{BEARINGS}/hmb-geometry.yaml"}
 
 
+@pytest.fixture
+def labpipe(labpipe_without_report):
+    """Reports are drawn only where a test looks at one."""
+    return labpipe_without_report
+
+
 @pytest.mark.parametrize("name", ["magnetic-loop", "magnetic-gains", "magnetic-sensitivity"])
 def test_shipped_pipelines_meet_their_rules(name: str, root: Path, labpipe) -> None:
     ended = labpipe("check", root / f"pipelines/{name}.yaml")
@@ -36,7 +42,7 @@ def test_an_unstable_setting_is_said_beside_the_verdict(root: Path, tmp_path: Pa
     (tmp_path / "weak.yaml").write_text(text, encoding="utf-8")
     asked = {"kind": "prediction", "fit": "sliding", "parameter": "k_yy", "theory": {"bearing": str(tmp_path / "weak.yaml")}}
     path = project(root, tmp_path, "magnetic-loop", {"weak": asked}, {"weak.verdict": "unstable", "weak.unstable_poles": ">= 1"})
-    assert labpipe("run", path, "-o", tmp_path / "out").code == 0
+    assert labpipe("run", path, "-o", tmp_path / "out", "--set", "report.formats=[html]").code == 0
     report = (tmp_path / "out/report.html").read_text(encoding="utf-8")
     assert "unstable-loop" in report and "The loop as stated is unstable on the mass of the bearing file" in report
     found = json.loads((tmp_path / "out/identification.json").read_text(encoding="utf-8"))["comparisons"][0]

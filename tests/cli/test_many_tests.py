@@ -41,7 +41,7 @@ identify:
 compare:
   rise: {kind: trend, fit: direct, parameter: k, over: preload}
 accept: {direct.gof: ">= 0.9"}
-report: {formats: [md]}
+report: {formats: []}
 """
 PRELOADS = (100, 200, 300, 400)
 
@@ -97,7 +97,7 @@ def test_side_by_side_is_byte_for_byte_what_one_after_the_other_gives(project: P
 
 def test_the_stages_take_many_tests_as_well(project: Path, labpipe) -> None:
     assert labpipe("run", project / "pipeline.yaml", "-o", project / "whole").code == 0
-    assert labpipe("frf", "-c", project / "pipeline.yaml", "-o", project / "staged", "-j", 2).code == 0
+    assert labpipe("frf", "-c", project / "pipeline.yaml", "-o", project / "staged").code == 0
     assert labpipe("identify", "-c", project / "pipeline.yaml", "-o", project / "staged").code == 0
     assert identification(project / "staged")["fits"] == identification(project / "whole")["fits"]
 
@@ -105,7 +105,7 @@ def test_the_stages_take_many_tests_as_well(project: Path, labpipe) -> None:
 def test_one_bad_recording_fails_alone(project: Path, labpipe) -> None:
     good = (project / "runs/300N-up.csv").read_text()
     (project / "runs/300N-up.csv").write_text(good.replace("\n0.5,", "\n0.5,oops", 1))
-    ended = labpipe("run", project / "pipeline.yaml", "-o", project / "out", "-j", 2)
+    ended = labpipe("run", project / "pipeline.yaml", "-o", project / "out", "--set", "report.formats=[md]")
     assert ended.code == 2
     assert "error: 300N-up:" in ended.err and "300N-up.csv" in ended.err and "Traceback" not in ended.err
     result = identification(project / "out")
@@ -315,5 +315,5 @@ def test_several_pipelines_are_checked_at_the_same_time(project: Path, labpipe) 
     lines = [line for line in ended.out.splitlines() if line.startswith(str(project))]
     assert lines[0] == f"{project / 'pipeline.yaml'}: 1 of 1 rules hold"
     assert lines[1] == f"{strict}: 0 of 1 rules hold" and "direct.gof >= 0.99999999 fails" in lines[2]
-    ended = labpipe("check", "-j", 2, project / "missing.yaml", strict)
+    ended = labpipe("check", project / "missing.yaml", strict)
     assert ended.code == 2 and "missing.yaml: no such file" in ended.err

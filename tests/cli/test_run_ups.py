@@ -35,7 +35,7 @@ def pipeline(tmp_path: Path) -> Path:
 
 
 def test_run_leaves_result_and_report_and_is_fresh(labpipe, pipeline: Path, tmp_path: Path) -> None:
-    ended = labpipe("run", pipeline, "-o", tmp_path / "out")
+    ended = labpipe("run", pipeline, "-o", tmp_path / "out", "--set", "report.formats=[md]")
     assert ended.code == 0, ended
     assert "run_ups.joint[held-out].critical_speed 1740.25 rpm +- .3 %: passed" in ended.out
     assert "(b) complex, point by point: not determined, rank 4 of 8" in ended.out and "warning collinear" in ended.out
@@ -84,6 +84,12 @@ def test_schema_knows_the_section(labpipe) -> None:
     assert {"rotor", "runs"} <= set(section["required"]) and "metamodels" in section["properties"]
     run = section["properties"]["runs"]["items"]["properties"]
     assert run["role"] == {"enum": ["trained", "held-out"], "description": "fits see trained runs only"} and "unbalance" in run
+
+
+@pytest.fixture
+def labpipe(labpipe_without_report):
+    """Reports are drawn only where a test looks at one."""
+    return labpipe_without_report
 
 
 @pytest.fixture

@@ -23,6 +23,12 @@ def pipeline(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture
+def labpipe(labpipe_without_report):
+    """Reports are drawn only where a test looks at one."""
+    return labpipe_without_report
+
+
 def test_a_study_leaves_table_report_and_result(labpipe, pipeline: Path, tmp_path: Path) -> None:
     ended = labpipe("study", pipeline, "-o", tmp_path, "-j", 1)
     assert ended.code == 0, ended
@@ -39,7 +45,7 @@ def test_a_study_leaves_table_report_and_result(labpipe, pipeline: Path, tmp_pat
 
 
 def test_more_processes_give_the_same_figures(labpipe, pipeline: Path, tmp_path: Path) -> None:
-    override = ("--set", "study.repeats=100", "--set", "study.noise=3 %")
+    override = ("--set", "study.repeats=60", "--set", "study.noise=3 %")
     for jobs in (1, 2):
         assert labpipe("study", pipeline, "-o", tmp_path / str(jobs), "-j", jobs, *override, "--set", "expect={}").code == 0
     first, second = ((tmp_path / str(jobs) / "study.csv").read_text("utf-8") for jobs in (1, 2))
@@ -55,8 +61,9 @@ def test_run_and_check_hold_the_study_against_its_rules(labpipe, pipeline: Path,
     assert failing.code == 1 and "study.ls.coverage >= 99 % fails" in failing.out
 
 
-def test_thresholds_are_ordered_as_the_estimators_are(labpipe, pipeline: Path, tmp_path: Path) -> None:
-    override = ("--set", "study.repeats=20", "--set", "study.noise=2 %", "--set", "study.thresholds=true", "--set", "expect={}")
+@pytest.mark.parametrize("repeats", [10, pytest.param(20, marks=pytest.mark.long)])
+def test_thresholds_are_ordered_as_the_estimators_are(labpipe, pipeline: Path, tmp_path: Path, repeats: int) -> None:
+    override = ("--set", f"study.repeats={repeats}", "--set", "study.noise=2 %", "--set", "study.thresholds=true", "--set", "expect={}")
     assert labpipe("study", pipeline, "-o", tmp_path, *override).code == 0
     entries = json.loads((tmp_path / "identification.json").read_text("utf-8"))
     levels = {entry["fit"]: entry["noise"] for entry in entries["studies"][0]["thresholds"]}
@@ -97,7 +104,7 @@ expect:
     ],
 )
 def test_faults_of_a_study_are_said(labpipe, pipeline: Path, tmp_path: Path, override: str, message: str) -> None:
-    ended = labpipe("study", pipeline, "-o", tmp_path / "out", "-j", 1, "--set", override)
+    ended = labpipe("study", pipeline, "-o", tmp_path / "out", "-j", 1, "--set", "study.repeats=10", "--set", override)
     assert ended.code == 2 and message in ended.err, ended
     assert not (tmp_path / "out").exists()
 

@@ -24,7 +24,7 @@ def bands(labpipe: Callable[..., Any], root: Path, tmp_path: Path) -> list[dict[
     pipeline |= {"rig": str(root / "configs/hmb-radial.yaml"), "recordings": str(tmp_path / "rig/radial-0rpm.parquet")}
     del pipeline["expect"]
     (tmp_path / "loop.yaml").write_text(yaml.safe_dump(pipeline), encoding="utf-8")
-    assert labpipe("run", tmp_path / "loop.yaml", "-o", tmp_path / "out").code == 0
+    assert labpipe("run", tmp_path / "loop.yaml", "-o", tmp_path / "out", "--set", "report.formats=[]").code == 0
     fits: list[dict[str, Any]] = json.loads((tmp_path / "out/identification.json").read_text(encoding="utf-8"))["fits"]
     return fits
 
@@ -41,8 +41,11 @@ def test_prediction_lies_in_the_95_percent_interval_of_nine_bands_in_ten(bands: 
         assert np.mean((low <= truth) & (truth <= high)) >= 0.9, name
 
 
-def test_the_rig_closed_in_time_is_predicted_in_nine_bands_in_ten(labpipe: Callable[..., Any], root: Path, tmp_path: Path) -> None:
-    """Mean share of the shipped comparison over three seeds; bands share lines, so a single recording may miss several at once.
+@pytest.mark.parametrize(("seeds", "least"), [((2,), 0.85), pytest.param((2, 3, 4), 0.9, marks=pytest.mark.long)])
+def test_the_rig_closed_in_time_is_predicted_in_nine_bands_in_ten(
+    labpipe: Callable[..., Any], root: Path, tmp_path: Path, seeds: tuple[int, ...], least: float
+) -> None:
+    """Mean share of the shipped comparison; bands share lines, so a single recording may miss several at once.
 
     Twelve seeds gave 97 % of the bands for k (92 to 100 %), 96 % for c (89 to 100 %).
     """
@@ -51,7 +54,7 @@ def test_the_rig_closed_in_time_is_predicted_in_nine_bands_in_ten(labpipe: Calla
     theory = {"bearing": str(root / "configs/bearings/hmb-magnetic.yaml")}
     pipeline["compare"] = {"loop": {**pipeline["compare"]["loop"], "theory": theory}}
     shares = []
-    for seed in (2, 3, 4):
+    for seed in seeds:
         folder = tmp_path / str(seed)
         rig = root / "configs/virtual-hmb-loop.yaml"
         assert labpipe("simulate", rig, "--run", "loop-0rpm", "--seed", seed, "-o", folder).code == 0
@@ -62,4 +65,4 @@ def test_the_rig_closed_in_time_is_predicted_in_nine_bands_in_ten(labpipe: Calla
         amounts = {amount["name"]: amount["value"] for amount in found["amounts"]}
         assert amounts["bands"] == 79 and amounts["chi2_p"] > 1e-3
         shares.append((amounts["share_k"], amounts["share_c"]))
-    assert np.all(np.mean(shares, axis=0) >= 0.9), shares
+    assert np.all(np.mean(shares, axis=0) >= least), shares

@@ -27,8 +27,17 @@ def recording(rng: np.random.Generator) -> Recording:
     return Recording(CHANNELS, np.column_stack([forces, y]), RATE, "run")
 
 
-@pytest.mark.parametrize("overlap", [0.0, 0.25, 0.5, 0.67, 0.75])
-@pytest.mark.parametrize("window", ["boxcar", "hann", "hamming", "blackman", "flattop", "bartlett", "kaiser 8", "tukey 0.5"])
+WINDOWS = ("boxcar", "hann", "hamming", "blackman", "flattop", "bartlett", "kaiser 8", "tukey 0.5")
+OVERLAPS = (0.0, 0.25, 0.5, 0.67, 0.75)
+# By default every window, and every overlap, once; the others are `long`.
+CASES = [
+    (window, overlap) if n % len(OVERLAPS) == m else pytest.param(window, overlap, marks=pytest.mark.long)
+    for n, window in enumerate(WINDOWS)
+    for m, overlap in enumerate(OVERLAPS)
+]
+
+
+@pytest.mark.parametrize(("window", "overlap"), CASES)
 def test_predicted_variance_is_that_of_repeats(window: str, overlap: float) -> None:
     rng = np.random.default_rng(41)
     settings = FrfSettings("random", block=0.5, window=window, overlap=overlap, band=(6.0, 58.0))

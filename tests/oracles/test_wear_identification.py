@@ -79,15 +79,16 @@ def test_noise_free_recovery(wear: tuple[float, float]) -> None:
     np.testing.assert_allclose(best.parameters, wear, atol=0.01)
 
 
-def test_joint_method_under_noise_and_model_error() -> None:
-    """Root mean square at most .4 um and .5 deg over the four wears, one draw of viscosity and clearance, lines every .4 Hz.
+@pytest.mark.parametrize("wears", [WEAR[2:3], pytest.param(WEAR, marks=pytest.mark.long)], ids=["one", "all"])
+def test_joint_method_under_noise_and_model_error(wears: list[tuple[float, float]]) -> None:
+    """Root mean square at most .4 um and .5 deg over the wears, one draw of viscosity and clearance, lines every .4 Hz.
 
     The number of intervals that hold the truth must lie within the central 99.9 % of a binomial with 95 %.
     """
     rng = np.random.default_rng(20260)
     bearing = {"viscosity": 0.1044 * (1 + 0.03 * rng.standard_normal()), "clearance": 90e-6 * (1 + 0.02 * rng.standard_normal())}
     errors, held = [], []
-    for wear in WEAR:
+    for wear in wears:
         fit = fitted(measured(DENSE, wear, TRUTH, rng, **bearing), **JOINT, **FEW)
         errors.append(errors_of(fit, wear))
         for name, truth in (("wear_depth", wear[0] * 1e-6), ("wear_angle", np.deg2rad(wear[1]))):
@@ -98,19 +99,24 @@ def test_joint_method_under_noise_and_model_error() -> None:
     assert sum(held) >= stats.binom.ppf(5e-4, len(held), 0.95)
 
 
-def test_another_cavitation_pressure_is_seen_and_calibrated() -> None:
-    """Truth -0.3 bar: chi-square says so; calibrated on the healthy rig, at most 1.5 um and .7 deg. Coarser films on both sides."""
+@pytest.mark.parametrize("step", [4, pytest.param(1, marks=pytest.mark.long)])
+def test_another_cavitation_pressure_is_seen_and_calibrated(step: int) -> None:
+    """Truth -0.3 bar: chi-square says so; calibrated on the healthy rig, at most 1.5 um and .7 deg. Coarser films on both sides.
+
+    On every fourth line errors are twice as large.
+    """
+    wide = np.sqrt(step)
     coarse = {"cells_around": 60, "cells_across": 12}
     rng = np.random.default_rng(3)
     bearing = {"viscosity": 0.1044 * 1.02, "clearance": 90e-6 * 0.99, "cavitation_pressure": -0.3e5}
-    healthy, worn = (measured(MANY, wear, FilmMesh(120, 24), rng, **bearing) for wear in ((0.0, 0.0), WEAR[2]))
+    healthy, worn = (measured(MANY[::step], wear, FilmMesh(120, 24), rng, **bearing) for wear in ((0.0, 0.0), WEAR[2]))
     blind = fitted(worn, **JOINT, **FEW, **coarse)
     assert "model-mismatch" in [finding.code for finding in blind.findings]
     tuning = fitted(healthy, healthy=True, cavitation_pressure=Uncertain(-0.1e5, 0.1e5), **JOINT, **coarse)
-    assert tuning.parameter("cavitation_pressure").value == pytest.approx(-0.3e5, abs=0.03e5)
+    assert tuning.parameter("cavitation_pressure").value == pytest.approx(-0.3e5, abs=0.03e5 * wide)
     calibrated = fitted(worn, prior="tuning", posterior=posterior(tuning), **FEW, **coarse)
     depth, angle = errors_of(calibrated, WEAR[2])
-    assert abs(depth) <= 1.5 and abs(angle) <= 0.7 and calibrated.gof.chi2_p > 1e-3
+    assert abs(depth) <= 1.5 * wide and abs(angle) <= 0.7 * wide and calibrated.gof.chi2_p > 1e-3
 
 
 def test_healthy_rig_with_model_error() -> None:

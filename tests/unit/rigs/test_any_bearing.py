@@ -16,7 +16,7 @@ from labpipe.config.run_up_rotor import load_run_up_rotor
 from labpipe.errors import ConfigError
 from labpipe.records.run_up import RunUp
 from labpipe.rigs.rotor_rig import RotorRig
-from labpipe.rigs.run_up_rotor import RPM, RunUpRotor
+from labpipe.rigs.run_up_rotor import RPM, RunUpRotor, searched_over
 from labpipe.rigs.unbalance_runs import orbit
 from labpipe.rotors.parts import Support
 from labpipe.rotors.response import unbalance_response
@@ -216,8 +216,8 @@ def test_without_speeds_the_run_ups_say_where_to_look(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="speeds: are missing"):
         rig.critical_speed(rig.start(LOAD))
     run = small_run(rig, 1.0)
-    over = rig.over([run])
+    over = searched_over(rig, [run])
     assert over.search.low == run.speed[0] and over.search.high == run.speed[-1]
-    assert over.search.highest == 2 * run.speed[-1] and over.over([run]) is over
+    assert over.search.highest == 2 * run.speed[-1] and searched_over(over, [run]) is over
     of_file = run_up_rotor("journal-bearing", tmp_path, text)
     assert over.critical_speed(over.start(LOAD)) == pytest.approx(of_file.critical_speed(rig.start(LOAD)), rel=1e-4)

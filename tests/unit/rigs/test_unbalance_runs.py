@@ -39,7 +39,8 @@ def test_orbit_is_the_response_to_the_force_that_the_unbalance_makes(rig: RotorR
 
 def test_a_phase_turns_the_orbit_but_not_its_circles(rig: RotorRig) -> None:
     turned = replace(rig, unbalances=(Unbalance(7, 5.5e-5, 1.0),))
-    np.testing.assert_allclose(np.abs(orbit(turned)), np.abs(orbit(rig)), rtol=1e-12)
+    # The scaled system has the condition number 1e5, so rounding is 2e-11 of the large circle and, 39 times less, 8e-10 of the small one.
+    np.testing.assert_allclose(np.abs(orbit(turned)), np.abs(orbit(rig)), rtol=1e-9)
     opposite = replace(rig, unbalances=(Unbalance(7, 5.5e-5), Unbalance(7, 3.5e-5, np.pi)))
     np.testing.assert_allclose(np.abs(orbit(opposite)), np.abs(orbit(rig)) * 2.0 / 5.5, rtol=1e-9)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +14,7 @@ import yaml
 
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.campaign.settings import TheorySettings
+from labpipe.cli.main import run_command
 from labpipe.config.pipeline import load_pipeline
 from labpipe.config.schema import pipeline_schema
 from labpipe.errors import ConfigError, ConfigErrors
@@ -39,12 +42,28 @@ def axial_response(stiffness: float, rng) -> FrequencyResponse:
 
 
 @pytest.fixture
-def project(tmp_path: Path, rng) -> Path:
+def project(tmp_path: Path) -> Path:
+    """The series, for a test of its own."""
+    return written_series(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The series run once with its report: the folder, not to be written to, and what was printed."""
+    folder = written_series(tmp_path_factory.mktemp("series"))
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert run_command(["run", str(folder / "pipeline.yaml"), "-o", str(folder / "out")]) == 0
+    return folder, printed.getvalue()
+
+
+def written_series(tmp_path: Path) -> Path:
     """A pipeline over FRF tables made of the bearing file's own K_zz times 1.1, at three preloads, up and down.
 
     The preloads are exact; a stated setting error makes the interval wider than needed (coverage is tests/oracles' matter).
     """
     theory = theory_of(tmp_path, TheorySettings(str(BEARING)))
+    rng = np.random.default_rng(20240917)
     tests = []
     for way in ("up", "down"):
         for preload in PRELOADS:
@@ -80,6 +99,12 @@ def project(tmp_path: Path, rng) -> Path:
     return tmp_path
 
 
+@pytest.fixture
+def labpipe(labpipe_without_report):
+    """Reports are drawn only where a test looks at one."""
+    return labpipe_without_report
+
+
 def edited(project: Path, change) -> Path:
     plan = yaml.safe_load((project / "pipeline.yaml").read_text())
     change(plan)
@@ -87,11 +112,10 @@ def edited(project: Path, change) -> Path:
     return project / "pipeline.yaml"
 
 
-def test_a_pipeline_of_comparisons_runs_is_judged_and_read_again(project, labpipe) -> None:
-    ended = labpipe("run", project / "pipeline.yaml", "-o", project / "out")
-    assert ended.code == 0, ended
-    assert "ratio: k, fit axial: measured / theory 1.09" in ended.out
-    assert "expect: ratio.ratio.covers 1.1: passed" in ended.out
+def test_a_pipeline_of_comparisons_runs_is_judged_and_read_again(finished, labpipe) -> None:
+    project, printed = finished
+    assert "ratio: k, fit axial: measured / theory 1.09" in printed
+    assert "expect: ratio.ratio.covers 1.1: passed" in printed
     found = read_identification(project / "out/identification.json")
     assert [comparison.name for comparison in found.sections["compare"]] == ["ratio", "damping", "trend", "ways", "repeats"]
     entry = json.loads((project / "out/identification.json").read_text())
@@ -116,8 +140,8 @@ def test_another_bearing_file_makes_the_result_stale(project, labpipe) -> None:
     assert "ratio.ratio.covers 1.1: FAILED" in ended.out
 
 
-def test_the_report_says_it_in_words_numbers_and_pictures(project, labpipe) -> None:
-    labpipe("run", project / "pipeline.yaml", "-o", project / "out", "-q")
+def test_the_report_says_it_in_words_numbers_and_pictures(finished) -> None:
+    project, _ = finished
     found = read_identification(project / "out/identification.json")
     headings = [section.heading for section in build(found).sections]
     compared = [heading.removeprefix("Comparison: ") for heading in headings if heading.startswith("Comparison: ")]
@@ -244,8 +268,8 @@ def test_a_string_s_force_goes_as_its_frequency_squared(labpipe, tmp_path: Path)
     assert "'x_power' must be at least 1" in ended.err
 
 
-def test_points_keep_their_parts_through_the_file(project, labpipe) -> None:
-    labpipe("run", project / "pipeline.yaml", "-o", project / "out", "-q")
+def test_points_keep_their_parts_through_the_file(finished) -> None:
+    project, _ = finished
     found = read_identification(project / "out/identification.json")
     again = replace(found.sections["compare"][0], line=((1.0, 2.0),))
     assert again.points[0].ratio_ci95 == found.sections["compare"][0].points[0].ratio_ci95

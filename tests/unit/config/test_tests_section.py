@@ -1,0 +1,151 @@
+"""Which files are which test, and under which conditions: globs, lists, names, `each`, and every fault at its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from labpipe.config.pipeline import Pipeline, load_pipeline
+from labpipe.config.tests import conditions_in
+from labpipe.errors import ConfigErrors
+
+RIG = "name: {name}\nsample_rate: 1 kHz\nmass: {mass}\nchannels:\n  f: {{quantity: force, dof: x}}\n  x: {{quantity: displacement}}\n"
+FRF = "frf: {excitation: periodic, period: 1 s}\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "rig.yaml").write_text(RIG.format(name="R", mass="2 kg"))
+    (tmp_path / "moved.yaml").write_text(RIG.format(name="Moved", mass="3 kg"))
+    (tmp_path / "runs/deep").mkdir(parents=True)
+    for name in ("runs/b.csv", "runs/a.csv", "runs/deep/c.csv", "runs/427N-up.csv", "runs/701N-down.csv"):
+        (tmp_path / name).write_text("f,x\n1,2\n")
+    (tmp_path / "h.frf.csv").write_text("frequency_hz,x/f:re,x/f:im\n1,2,3\n2,3,4\n")
+    return tmp_path
+
+
+def load(folder: Path, text: str) -> Pipeline:
+    (folder / "p.yaml").write_text(text)
+    return load_pipeline(folder / "p.yaml")
+
+
+def faults(folder: Path, text: str) -> list[str]:
+    with pytest.raises(ConfigErrors) as caught:
+        load(folder, text)
+    return [str(fault).removeprefix(f"{folder}/") for fault in caught.value.faults]
+
+
+def files(pipeline: Pipeline) -> list[list[str]]:
+    return [[source.path.relative_to(pipeline.folder).as_posix() for source in test.recordings] for test in pipeline.tests]
+
+
+@pytest.mark.parametrize(
+    ("entry", "found"),
+    [
+        ("runs/a.csv", ["runs/a.csv"]),
+        ("[runs/b.csv, runs/a.csv]", ["runs/b.csv", "runs/a.csv"]),
+        ("'runs/?.csv'", ["runs/a.csv", "runs/b.csv"]),
+        ("'runs/**/c.csv'", ["runs/deep/c.csv"]),
+        ("['runs/*N-*.csv', runs/a.csv]", ["runs/427N-up.csv", "runs/701N-down.csv", "runs/a.csv"]),
+    ],
+)
+def test_files_lists_and_globs(folder: Path, entry: str, found: list[str]) -> None:
+    """A list keeps its order, a glob is sorted."""
+    assert files(load(folder, f"rig: rig.yaml\nrecordings: {entry}\n{FRF}")) == [found]
+
+
+def test_the_recordings_of_a_plain_pipeline_are_one_test_without_a_name(folder: Path) -> None:
+    (test,) = load(folder, f"rig: rig.yaml\nrecordings: runs/a.csv\nconditions: {{preload: 427 N}}\n{FRF}").tests
+    assert (test.name, test.conditions, test.frfs) == ("", {"preload": "427 N"}, ())
+
+
+def test_tests_without_a_name_are_numbered(folder: Path) -> None:
+    text = f"rig: rig.yaml\ntests:\n  - {{recordings: runs/a.csv}}\n  - {{name: b, recordings: runs/b.csv}}\n  - {{frfs: h.frf.csv}}\n{FRF}"
+    assert [test.name for test in load(folder, text).tests] == ["1", "b", "3"]
+
+
+def test_ready_responses_need_no_rig(folder: Path) -> None:
+    (test,) = load(folder, "frfs: h.frf.csv\nidentify: {a: {model: sdof}}\n").tests
+    assert [path.name for path in test.frfs] == ["h.frf.csv"] and test.recordings == ()
+
+
+def test_a_recording_may_have_a_rig_of_its_own(folder: Path) -> None:
+    text = f"rig: rig.yaml\nrecordings: [runs/a.csv, {{file: runs/b.csv, rig: moved.yaml}}]\n{FRF}"
+    (test,) = load(folder, text).tests
+    assert [source.rig.name for source in test.recordings] == ["R", "Moved"]
+
+
+def test_one_recording_s_channels_leave_the_others_alone(folder: Path) -> None:
+    text = f"rig: rig.yaml\nrecordings: [{{file: runs/a.csv, channels: {{f: {{dof: y}}}}}}, runs/b.csv]\n{FRF}"
+    (test,) = load(folder, text).tests
+    assert [source.rig.channels[0].channel.dof for source in test.recordings] == ["y", "x"]
+
+
+def test_every_file_a_test_of_its_own(folder: Path) -> None:
+    entry = "{each: 'runs/*N-*.csv', pattern: '{preload}-{way}', conditions: {speed: 0 rpm, way: unknown}}"
+    text = f"rig: rig.yaml\ntests:\n  - {entry}\n{FRF}"
+    tests = load(folder, text).tests
+    assert [test.name for test in tests] == ["427N-up", "701N-down"]
+    assert tests[0].conditions == {"speed": "0 rpm", "way": "up", "preload": "427N"}
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("recordings: runs/z.csv\n", "p.yaml:2:1: recordings: no such file 'runs/z.csv'; paths are relative to the pipeline file"),
+        ("recordings: 'z*.csv'\n", "p.yaml:2:1: recordings: no file matches 'z*.csv'; paths are relative to the pipeline file"),
+        ("recordings: [{rig: rig.yaml}]\n", "p.yaml:2:14: recordings: a file name is needed"),
+        ("recordings: [{file: runs/a.csv, rigg: rig.yaml}]\n", "recordings.rigg: unknown key; did you mean 'rig'?"),
+        ("recordings: [{file: runs/a.csv, rig: none.yaml}]\n", "recordings.rig: no such file 'none.yaml'"),
+        ("recordings: [{file: runs/a.csv, channels: {g: {dof: y}}}]\n", "recordings.channels.g: the rig has no such channel"),
+        ("tests: runs/a.csv\n", "p.yaml:2:1: tests: a list of tests is needed; each begins with '- name: ...'"),
+        ("tests: [{nam: a, recordings: runs/a.csv}]\n", "tests.1.nam: unknown key; did you mean 'name'?"),
+        ("tests: [{name: a}]\n", "tests.1: neither recordings nor frfs"),
+        ("tests: [{each: 'runs/?.csv', pattern: '{a}-{b}'}]\n", "tests.1.pattern: does not match 'a'"),
+        ("tests: [{each: 'runs/?.csv', recordings: runs/a.csv}]\n", "tests.1.recordings: unknown key"),
+        ("tests: [{name: a, recordings: runs/a.csv, conditions: 427 N}]\n", "conditions: a mapping of keys to values is needed"),
+    ],
+)
+def test_faults_of_tests(folder: Path, text: str, fault: str) -> None:
+    found = faults(folder, f"rig: rig.yaml\n{text}{FRF}")
+    assert any(fault in one for one in found), found
+
+
+def test_a_rig_that_is_broken_is_named_once_with_its_own_place(folder: Path) -> None:
+    (folder / "rig.yaml").write_text(RIG.format(name="R", mass="2 m"))
+    found = faults(folder, f"rig: rig.yaml\nrecordings: runs/a.csv\n{FRF}")
+    (about_mass,) = (one for one in found if "mass" in one)
+    assert about_mass == "rig.yaml:3:1: mass: 'm' has the wrong dimension, kg is needed; for example '0.5 kg'"
+
+
+# conditions in names
+
+WORDS = st.text("abcXYZ0189", min_size=1, max_size=5)
+
+
+@given(st.lists(WORDS, min_size=1, max_size=4), st.sampled_from(["-", "_", "--", " by "]))
+def test_a_pattern_takes_a_name_apart_as_it_was_put_together(words: list[str], between: str) -> None:
+    pattern = between.join(f"{{c{number}}}" for number in range(len(words)))
+    assert conditions_in(between.join(words), pattern) == {f"c{number}": word for number, word in enumerate(words)}
+
+
+@given(st.lists(WORDS, min_size=2, max_size=4), st.integers(0, 3))
+def test_a_part_without_a_name_is_no_condition(words: list[str], place: int) -> None:
+    place = min(place, len(words) - 1)
+    pattern = "-".join("{}" if number == place else f"{{c{number}}}" for number in range(len(words)))
+    assert conditions_in("-".join(words), pattern) == {f"c{n}": word for n, word in enumerate(words) if n != place}
+
+
+@pytest.mark.parametrize(
+    ("name", "pattern"), [("427N", "{a}-{b}"), ("427N-", "{a}-{b}"), ("-up", "{a}-{b}"), ("a.b", "a+b"), ("xa", "a"), ("", "{a}")]
+)
+def test_a_name_of_another_form_has_no_conditions(name: str, pattern: str) -> None:
+    assert conditions_in(name, pattern) is None
+
+
+def test_signs_of_a_pattern_are_letters_and_no_expressions() -> None:
+    assert conditions_in("a.b(1)+", "a.b({n})+") == {"n": "1"}
+    assert conditions_in("axb(1)+", "a.b({n})+") is None

@@ -1,0 +1,145 @@
+"""What DESIGN says of sizes and imports: modules, functions, classes, rings, heavy imports. Read from the source, nothing is run."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[2] / "labpipe"
+MODULES = sorted(PACKAGE.rglob("*.py"))
+TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in MODULES}
+LONGEST_MODULE, MEDIAN_MODULE = 400, 200
+LONGEST_BODY, USUAL_BODY, MEDIAN_BODY = 60, 30, 10
+# The one protocol that every linear model of a response fulfils.
+MANY_METHODS = {"DynamicModel": 11}
+HOMELESS = {"utils", "helpers", "common", "core", "base", "misc", "tools"}
+HEAVY = {"numpy", "scipy", "pandas", "pyarrow", "matplotlib", "yaml", "fpdf", "h5py", "nptdms"}
+
+
+def name_of(path: Path) -> str:
+    """The dotted name of a module."""
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+NAMES = {name_of(path): path for path in MODULES}
+
+
+def functions(tree: ast.AST) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    return (node for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)))
+
+
+def body_length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines of a function without its head and its docstring."""
+    body = function.body[1:] if ast.get_docstring(function) is not None else function.body
+    return (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
+
+
+BODIES = sorted((body_length(function), name_of(path), function.name) for path, tree in TREES.items() for function in functions(tree))
+
+
+def length(path: Path) -> int:
+    return len(path.read_text(encoding="utf-8").splitlines())
+
+
+def test_modules_are_short() -> None:
+    lengths = sorted((length(path), name_of(path)) for path in MODULES)
+    assert [pair for pair in lengths if pair[0] > LONGEST_MODULE] == []
+    assert lengths[len(lengths) // 2][0] <= MEDIAN_MODULE
+
+
+def test_function_bodies_are_short() -> None:
+    assert [body for body in BODIES if body[0] > LONGEST_BODY] == []
+    assert BODIES[int(0.9 * len(BODIES))][0] <= USUAL_BODY
+    assert BODIES[len(BODIES) // 2][0] <= MEDIAN_BODY
+
+
+def test_classes_have_few_methods() -> None:
+    """Ten public ones at most, properties left out."""
+    for path, tree in TREES.items():
+        for owner in (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)):
+            methods = [node for node in owner.body if isinstance(node, ast.FunctionDef)]
+            own = [one.name for one in methods if not one.name.startswith("_") and not one.decorator_list]
+            assert len(own) <= MANY_METHODS.get(owner.name, 10), (name_of(path), owner.name, own)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_every_module_has_a_home_and_says_what_it_is(path: Path) -> None:
+    assert path.stem not in HOMELESS
+    assert path.stem == "__init__" or ast.get_docstring(TREES[path]), "the first line of a module says what it is"
+
+
+def imported(tree: ast.AST) -> Iterator[str]:
+    """Modules of labpipe that are imported when a module is, function bodies left out."""
+    for node in at_import(tree):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "labpipe":
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name.split(".")[0] == "labpipe")
+
+
+def at_import(tree: ast.AST) -> Iterator[ast.AST]:
+    """The statements that run at import: not those in functions, nor those for type checkers only."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            continue
+        if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING":
+            continue
+        yield node
+        yield from at_import(node)
+
+
+IMPORTS = {name: {one for one in imported(TREES[path]) if one in NAMES and one != name} for name, path in NAMES.items()}
+
+
+def ring(imports: dict[str, set[str]]) -> list[str]:
+    """A ring of imports, or nothing: depth first, a name that is met again on its own way closes one."""
+    clear: set[str] = set()
+
+    def visit(name: str, way: list[str]) -> list[str]:
+        if name in way:
+            return [*way[way.index(name) :], name]
+        if name in clear:
+            return []
+        for other in sorted(imports.get(name, ())):
+            found = visit(other, [*way, name])
+            if found:
+                return found
+        clear.add(name)
+        return []
+
+    return next((found for name in sorted(imports) if (found := visit(name, []))), [])
+
+
+def test_a_ring_is_seen() -> None:
+    assert ring({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
+    assert ring({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
+
+
+def test_no_ring_of_imports() -> None:
+    assert ring(IMPORTS) == []
+
+
+def test_the_command_s_table_loads_nothing_heavy() -> None:
+    """What `labpipe --help` imports, followed module by module: click and the standard library."""
+    waiting, seen = ["labpipe.cli.main"], set()
+    while waiting:
+        name = waiting.pop()
+        if name in seen:
+            continue
+        seen.add(name)
+        parts = name.split(".")
+        waiting.extend(".".join(parts[:n]) for n in range(1, len(parts)))
+        waiting.extend(IMPORTS[name])
+    for name in seen:
+        outside = {
+            alias.split(".")[0]
+            for node in at_import(TREES[NAMES[name]])
+            if isinstance(node, (ast.Import, ast.ImportFrom))
+            for alias in ([node.module or ""] if isinstance(node, ast.ImportFrom) else [one.name for one in node.names])
+        }
+        assert not outside & HEAVY, (name, outside & HEAVY)
