@@ -48,8 +48,9 @@ _PUBLIC = {
     "read_response": "labpipe.artefacts.response_file:read_response",
     "read_frf_csv": "labpipe.formats.frf_csv:read_frf_csv",
     "read_identification": "labpipe.artefacts.identification_file:read_identification",
-    "html_report": "labpipe.report.render:html_report",
-    "markdown_report": "labpipe.report.render:markdown_report",
+    "html_report": "labpipe.document.render:html_report",
+    "markdown_report": "labpipe.document.render:markdown_report",
+    "plot": "labpipe.document.plot:plot",
 }
 __all__ = ["__version__", *_PUBLIC]
 

@@ -92,7 +92,15 @@ def _curve_entry(curve: FittedCurve) -> dict[str, Any]:
         "inputs": list(curve.inputs),
         "form": curve.form,
         **({} if curve.before is None else {"before": complex_entry(curve.before)}),
+        **_dense_entry(curve),
     }
+
+
+def _dense_entry(curve: FittedCurve) -> dict[str, Any]:
+    """The model between the lines, where it was computed."""
+    if curve.dense_frequency is None or curve.dense is None:
+        return {}
+    return {"dense_frequency_hz": curve.dense_frequency.tolist(), "dense": complex_entry(curve.dense)}
 
 
 def _curve(entry: dict[str, Any]) -> FittedCurve:
@@ -105,4 +113,6 @@ def _curve(entry: dict[str, Any]) -> FittedCurve:
         tuple(entry["inputs"]),
         entry["form"],
         read_complex(entry["before"]) if "before" in entry else None,
+        np.array(entry["dense_frequency_hz"], np.float64) if "dense_frequency_hz" in entry else None,
+        read_complex(entry["dense"]) if "dense" in entry else None,
     )

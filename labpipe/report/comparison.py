@@ -7,10 +7,11 @@ from collections.abc import Sequence
 
 from labpipe.quantities import display_unit, to_display
 from labpipe.records.comparison import ComparedPoint, Comparison
+from labpipe.records.identification import Identification
 from labpipe.records.parameter import Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.report.comparison_figures import comparison_figures
-from labpipe.report.document import Block, Paragraph, Table
+from labpipe.report.document import Block, Paragraph, Section, Table
 from labpipe.report.loop_blocks import loop_blocks
 from labpipe.report.wording import LEGIBLE, rounded, unit_text
 
@@ -43,6 +44,12 @@ EXPLAINED = {
     ),
     "reciprocity": "H of a response to a force against H of the reverse; pairs with a difference near 140 % are noise, so not coupled.",
 }
+
+
+def comparison_sections(identification: Identification) -> tuple[Section, ...]:
+    """One section for every comparison of tests."""
+    comparisons, responses = identification.comparisons, identification.responses
+    return tuple(Section(f"Comparison: {part.name}", comparison_blocks(part, responses)) for part in comparisons)
 
 
 def comparison_blocks(comparison: Comparison, responses: Sequence[FrequencyResponse]) -> tuple[Block, ...]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from labpipe.report.render import html_report
 
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.identification_file import read_identification, write_identification
@@ -21,7 +22,6 @@ from labpipe.identify.settings import FitSettings
 from labpipe.records.finding import NOTE, WARNING, Finding, note, of_level
 from labpipe.records.identification import Identification
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
-from labpipe.report.render import html_report
 from labpipe.stages.judging import judge
 
 MASKED = note("masked", "lines of the shaft speed are left out: 49.6-50.4 Hz")

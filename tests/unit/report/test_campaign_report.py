@@ -9,6 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from labpipe.report.figure_files import figure_files
+from labpipe.report.plotted import plotted
+from labpipe.report.render import DOCUMENTS
 
 from labpipe.artefacts.identification_file import write_identification
 from labpipe.cli.report import report
@@ -17,9 +20,6 @@ from labpipe.records.identification import Fit, Goodness, Identification, Parame
 from labpipe.report.campaign import campaign_document
 from labpipe.report.coefficient_series import coefficient_series
 from labpipe.report.document import Figure, Paragraph, Table
-from labpipe.report.figure_files import figure_files
-from labpipe.report.plotted import plotted
-from labpipe.report.render import DOCUMENTS
 
 
 def one_result(k: float, preload: str, day: str, band: tuple[float, float] = (1.0, 9.0)) -> Identification:

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from labpipe.report.drawing import svg_text
 
 from labpipe.records.comparison import ComparedPoint, Comparison, Overlay
 from labpipe.records.parameter import Parameter
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.comparison_figures import comparison_figures
 from labpipe.report.document import Table
-from labpipe.report.drawing import svg_text
 
 POINTS = tuple(
     ComparedPoint(f"test {n}", 1e6 * value, (0.9e6 * value, 1.1e6 * value), 100.0 * n, way, 0.8e6 * value, 1.25, (1.2, 1.3))

@@ -7,12 +7,12 @@ import json
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.patches import Rectangle
-
 from labpipe.report.drawing import COLOURS, STYLE
 from labpipe.report.figure_numbers import figure_json
-from labpipe.report.figures import logarithmic, stacked_axes
 from labpipe.report.plotted import Plotted, plotted
+from matplotlib.patches import Rectangle
+
+from labpipe.report.figures import logarithmic, stacked_axes
 
 X = np.array([1.0, 2.0, 4.0])
 

@@ -152,8 +152,9 @@ def test_the_pdf_has_pages_with_numbers_and_is_the_same_each_time() -> None:
 
 
 def test_the_pdf_has_a_cover_with_the_dates_of_the_recordings_and_lines_instead_of_dots() -> None:
-    from labpipe.report.cover import cover_facts
     from labpipe.report.pdf import pdf_report
+
+    from labpipe.report.cover import cover_facts
 
     base = result()
     responses = tuple(replace(base.responses[0], conditions={"date": day, "preload": "427 N"}) for day in ("2026-03-02", "2026-02-27"))

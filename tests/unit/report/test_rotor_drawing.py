@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from labpipe.report.rotor_drawing import disc_dimensions, node_positions, rotor_figure, rotor_figures, shaft_diameter
 
 from labpipe.config.rotor import load_rotor
 from labpipe.records.identification import Identification
 from labpipe.report.build import build
 from labpipe.report.document import Figure
-from labpipe.report.rotor_drawing import disc_dimensions, node_positions, rotor_figure, rotor_figures, shaft_diameter
 from labpipe.rotors.parts import ALUMINIUM, Disc
 
 ROTORS = Path(__file__).parents[3] / "configs" / "rotors"

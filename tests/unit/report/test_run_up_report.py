@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from labpipe.report.plotted import plotted
 
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Identification
@@ -28,7 +29,6 @@ from labpipe.records.run_up_result import (
 from labpipe.report import render
 from labpipe.report.build import build
 from labpipe.report.document import Figure, Paragraph, Table
-from labpipe.report.plotted import plotted
 from labpipe.report.run_up import run_up_sections
 from labpipe.report.run_up_coefficients import coefficient_figure, convergence_figure, spread_figure, surface_figures
 from labpipe.report.run_up_figures import best_method, bode_figure, cascade_figure, orbit_figure, orbit_places, polar_figure, speeds_figure

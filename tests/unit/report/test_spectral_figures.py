@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from labpipe.report.render import html_report
 
 from labpipe import __version__
 from labpipe.artefacts.identification_file import read_identification, write_identification
@@ -14,7 +15,6 @@ from labpipe.records.identification import Identification
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.report import figures
 from labpipe.report.document import Figure, Paragraph, Table
-from labpipe.report.render import html_report
 from labpipe.report.spectral_figures import distortion_figure, orbit, orbit_figure, resonances, spectral_blocks, two_sided_figure
 from labpipe.spectra.directional import directional
 
