@@ -20,7 +20,7 @@ MOST_MEASURED = 6
 LETTERS, SAMPLE = 100, 7
 MOST_COLUMNS = 5
 # Letters that fit into an inch of an ordinate.
-LETTERS_UPWARDS = 10
+LETTERS_UPWARDS = 13
 # Names of ticks longer than this together are turned.
 MOST_LEVEL = 70
 HANDLED = ("line", "area")
@@ -116,7 +116,10 @@ def _legends(canvas: Canvas, places: list[Axes], chart: Chart) -> None:
 
 def _legend_above(canvas: Canvas, places: list[Axes], by_rule: bool) -> None:
     """The names of all panels above them, each once."""
-    handles = {name: handle for axes in reversed(places) for name, handle in _handles(axes).items()}
+    handles: dict[str, Artist] = {}
+    for axes in places:
+        for name, handle in _handles(axes).items():
+            handles.setdefault(name, handle)
     where: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 1.0)} if by_rule else {"loc": "outside upper center"}
     size = SMALL - 1 if len(handles) > SMALL else SMALL
     canvas.legend(list(handles.values()), list(handles), ncols=_columns(list(handles), 1), fontsize=size, **where)
@@ -125,7 +128,11 @@ def _legend_above(canvas: Canvas, places: list[Axes], by_rule: bool) -> None:
 def _handles(axes: Axes) -> dict[str, Artist]:
     """Name -> what stands for it in a legend, the first of each name."""
     handles, names = axes.get_legend_handles_labels()
-    return {name: handle for name, handle in zip(reversed(names), reversed(handles), strict=True) if isinstance(handle, Artist)}
+    first: dict[str, Artist] = {}
+    for name, handle in zip(names, handles, strict=True):
+        if isinstance(handle, Artist):
+            first.setdefault(name, handle)
+    return first
 
 
 def _columns(names: list[str], side_by_side: int) -> int:

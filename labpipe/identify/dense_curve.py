@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Parts of the step between two lines, least number of frequencies in a band, and the largest.
-PARTS, FEWEST, MOST = 8, 200, 2000
+PARTS, FEWEST, MOST = 2, 200, 2000
 # Largest distance of the model from a straight line between two neighbours, as part of its size.
 FLATNESS = 0.005
 ROUNDS = 12

@@ -11,8 +11,8 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from labpipe.report.render import html_report
 
+from labpipe.document.render import html_report
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings, Sliding
 from labpipe.records.identification import Identification, RuleOutcome

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from labpipe.report.render import html_report
 
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.identification_file import read_identification, write_identification
@@ -16,6 +15,7 @@ from labpipe.artefacts.response_file import read_response, write_response
 from labpipe.cli.frf import echo_response
 from labpipe.cli.terminal import echo_identification
 from labpipe.config.rules import Rule
+from labpipe.document.render import html_report
 from labpipe.formats.exports import parameter_table
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
