@@ -117,7 +117,7 @@ def test_a_heat_map_has_texts_colours_and_a_scale(heat_map: Chart) -> None:
     (axes,) = panels_of(canvas)
     assert [text.get_text() for text in axes.texts] == ["1", "half", "-half", "1"]
     assert [text.get_color() for text in axes.texts] == ["#ffffff", "#000000", "#000000", "#ffffff"]
-    assert to_hex(axes.images[0].get_array()[0, 1]) == "#a69fc9" and len(canvas.axes) == 2  # type: ignore[index]
+    assert to_hex(axes.images[0].get_array()[0, 1]) == "#998fbf" and len(canvas.axes) == 2  # type: ignore[index]
     assert canvas.axes[1].get_ylabel() == "correlation" and axes.get_ylim() == (1.5, -0.5)
 
 

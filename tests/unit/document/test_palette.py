@@ -29,4 +29,4 @@ def test_between_its_steps_it_is_that_of_colorbrewer(value: float) -> None:
 
 
 def test_letters_are_white_on_dark_and_black_on_light() -> None:
-    assert (ink_on("#2d004b"), ink_on("#f7f7f7"), ink_on("#808080"), ink_on("#7f7f7f")) == ("#ffffff", "#000000", "#000000", "#ffffff")
+    assert (ink_on("#2d004b"), ink_on("#f7f7f7"), ink_on("#818181"), ink_on("#7f7f7f")) == ("#ffffff", "#000000", "#000000", "#ffffff")
