@@ -17,13 +17,15 @@ SMALL = 8
 # More panels than this are laid out by rule: measuring every label of theirs takes half a minute.
 MOST_MEASURED = 6
 # Letters that fit side by side into a legend as wide as the page, and those of the sample beside each name.
-LETTERS, SAMPLE = 100, 7
+LETTERS, SAMPLE = 112, 11
 MOST_COLUMNS = 5
 # Letters that fit into an inch of an ordinate.
 LETTERS_UPWARDS = 13
-# Names of ticks longer than this together are turned.
-MOST_LEVEL = 70
+# Names of places with more letters than this to the inch of the whole figure are turned.
+MOST_LEVEL = 9
+# Kinds of series that a legend names, in the order in which matplotlib lists them, and what makes two entries the same: name and colour.
 HANDLED = ("line", "area")
+Entry = tuple[str, int]
 
 
 def chart_canvas(chart: Chart) -> Canvas:
@@ -58,14 +60,15 @@ def _panel(axes: Axes, chart: Chart, number: int, panel: Panel) -> None:
         axes.set_title(panel.title, fontsize=SMALL if chart.columns > 1 else SMALL + 1)
     if panel.note:
         axes.text(0.5, 0.5, panel.note, transform=axes.transAxes, ha="center")
-    _axis(axes, "x", panel, chart.limits(number, "x"))
-    _axis(axes, "y", panel, chart.limits(number, "y"))
+    _axis(axes, "x", chart, number)
+    _axis(axes, "y", chart, number)
     if panel.equal:
         axes.set_aspect("equal", adjustable="box" if chart.shared else "datalim")
 
 
-def _axis(axes: Axes, which: str, panel: Panel, limits: tuple[float, float]) -> None:
+def _axis(axes: Axes, which: str, chart: Chart, number: int) -> None:
     """Scale, ends and, where places have names, these; of two axes with one scale matplotlib may move an end outwards."""
+    panel, limits = chart.panels[number], chart.limits(number, which)
     axis, drawn = (panel.x, axes.xaxis) if which == "x" else (panel.y, axes.yaxis)
     if axis.logarithmic:
         (axes.set_xscale if which == "x" else axes.set_yscale)("log")
@@ -74,10 +77,11 @@ def _axis(axes: Axes, which: str, panel: Panel, limits: tuple[float, float]) -> 
     if axis.ticks:
         names = [name for _, name in axis.ticks]
         drawn.set_ticks([place for place, _ in axis.ticks], names)
-        if which == "x" and sum(len(name) for name in names) > MOST_LEVEL:
-            drawn.set_tick_params(rotation=25, labelsize=SMALL - 1)
+        if which == "x" and sum(len(name) + 1 for name in names) > MOST_LEVEL * chart.size[0]:
+            upright = any(series.kind == "cells" for series in panel.series)
+            drawn.set_tick_params(rotation=90 if upright else 25, labelsize=SMALL - 1)
             for label in drawn.get_ticklabels():
-                label.set_horizontalalignment("right")
+                label.set_horizontalalignment("center" if upright else "right")
 
 
 def _titles(canvas: Canvas, places: list[Axes], chart: Chart) -> None:
@@ -101,37 +105,38 @@ def _wrapped(label: str, chart: Chart, number: int) -> str:
 
 
 def _legends(canvas: Canvas, places: list[Axes], chart: Chart) -> None:
-    """Names once: in the first panel that has them, or all of them above."""
-    named: set[str] = set()
+    """Names once for each colour: in the first panel that has them, or all of them above."""
+    entries: dict[Entry, Artist] = {}
     for axes, panel in zip(places, chart.panels, strict=False):
-        names = [series.name for series in panel.series if series.kind in HANDLED and series.name]
-        fresh = [name for name in dict.fromkeys(names) if name not in named]
-        named.update(fresh)
+        fresh = {entry: handle for entry, handle in _entries(axes, panel).items() if entry not in entries}
+        entries |= fresh
         if chart.legend == "panels" and fresh:
-            handles = _handles(axes)
-            axes.legend([handles[name] for name in fresh], fresh, ncols=_columns(fresh, chart.columns), fontsize=SMALL)
+            names = [name for name, _ in fresh]
+            axes.legend(list(fresh.values()), names, ncols=_columns(names, chart.columns), fontsize=SMALL)
     if chart.legend == "above":
-        _legend_above(canvas, places, len(chart.panels) > MOST_MEASURED)
+        _legend_above(canvas, entries, len(chart.panels) > MOST_MEASURED)
 
 
-def _legend_above(canvas: Canvas, places: list[Axes], by_rule: bool) -> None:
-    """The names of all panels above them, each once."""
-    handles: dict[str, Artist] = {}
-    for axes in places:
-        for name, handle in _handles(axes).items():
-            handles.setdefault(name, handle)
+def _legend_above(canvas: Canvas, entries: dict[Entry, Artist], by_rule: bool) -> None:
+    """The names of all panels above them."""
+    names = [name for name, _ in entries]
     where: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 1.0)} if by_rule else {"loc": "outside upper center"}
-    size = SMALL - 1 if len(handles) > SMALL else SMALL
-    canvas.legend(list(handles.values()), list(handles), ncols=_columns(list(handles), 1), fontsize=size, **where)
+    size = SMALL - 1 if len(names) > SMALL else SMALL
+    canvas.legend(list(entries.values()), names, ncols=_columns(names, 1), fontsize=size, **where)
 
 
-def _handles(axes: Axes) -> dict[str, Artist]:
-    """Name -> what stands for it in a legend, the first of each name."""
-    handles, names = axes.get_legend_handles_labels()
-    first: dict[str, Artist] = {}
-    for name, handle in zip(names, handles, strict=True):
-        if isinstance(handle, Artist):
-            first.setdefault(name, handle)
+def _entries(axes: Axes, panel: Panel) -> dict[Entry, Artist]:
+    """(name, colour) -> what stands for it in a legend, the first of each; matplotlib lists them as they were drawn, kind by kind."""
+    handles: dict[str, list[Artist]] = {}
+    for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
+        handles.setdefault(name, []).append(handle)
+    named = [series for kind in HANDLED for series in panel.series if series.kind == kind and series.name]
+    listed = [(series, handles[series.name].pop(0)) for series in named]
+    first: dict[Entry, Artist] = {}
+    for series in panel.series:
+        for other, handle in listed:
+            if other is series:
+                first.setdefault((series.name, series.colour), handle)
     return first
 
 

@@ -127,7 +127,7 @@ def _beside(comparison: Comparison, what: str, ratio: str) -> Chart:
     predicted = curve(what, x, theory, 1, "--", width=1.5, marker="s", size=6.0)
     ratios = [np.nan if point.ratio is None else point.ratio for point in points]
     ends = np.array([point.ratio_ci95 or (np.nan, np.nan) for point in points], float).T
-    measured = dots(ratio, x, ratios, marker="o", size=4.0, bars=(ends[0], ends[1]))
+    measured = dots("measured", x, ratios, marker="o", size=4.0, bars=(ends[0], ends[1]))
     common = _common(comparison, "ratio") if comparison.kind == "ratio" else ()
     above = Panel(condition, _subject(comparison), (_tests(comparison, points, "measured", 0), predicted), share=3.0)
     below = Panel(condition, Axis(ratio), (measured, *common, level(1.0)), share=2.0)
@@ -150,7 +150,7 @@ def _overlays(comparison: Comparison) -> Figure:
 
 def _overlay(overlay: Overlay) -> Panel:
     series = (
-        dots("measured", overlay.frequency, overlay.measured, size=2.0),
+        dots("measured", overlay.frequency, overlay.measured, size=1.0),
         curve("theory", overlay.frequency, overlay.theory, 1, "--"),
         curve("theory times ratio", overlay.frequency, overlay.matched, 2),
     )
