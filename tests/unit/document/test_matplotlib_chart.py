@@ -136,3 +136,17 @@ def test_the_same_chart_is_drawn_the_same_and_saved_twice_alike(every_kind: Char
     first, second = chart_canvas(every_kind), chart_canvas(every_kind)
     assert svg_text(first) == svg_text(second) == svg_text(first)
     assert png_bytes(first).startswith(b"\x89PNG") and "<text" in svg_text(first) and "<text" not in svg_text(first, outlined=True)
+
+
+def test_one_name_in_two_colours_stands_twice_and_a_dot_of_its_curve_not() -> None:
+    series = (curve("x", X, X, 0), curve("x", X, 2 * X, 3), dots("x", X[:1], X[:1], 0, marker="o"))
+    (axes,) = chart_canvas(stacked([Panel(Axis("f"), Axis("snr"), series)], 3.0)).axes
+    assert legend(axes) == ["x", "x"]
+    assert [to_hex(handle.get_color()) for handle in axes.get_legend().legend_handles] == [PALETTE[0].lower(), PALETTE[3].lower()]  # type: ignore[union-attr]
+
+
+def test_names_of_many_cells_stand_upright(heat_map: Chart) -> None:
+    axis = Axis(ticks=named_ticks(["wear_depth_of_1", "wear_angle_of_1"]))
+    panel = replace(heat_map.panels[0], x=axis, y=axis)
+    (axes,) = panels_of(chart_canvas(replace(heat_map, panels=(panel,))))
+    assert {label.get_rotation() for label in axes.get_xticklabels()} == {90.0}
