@@ -45,6 +45,7 @@ class _Pages(FPDF):
         self.set_title(document.title)
 
     def footer(self) -> None:
+        """The title and the number of the page at its foot."""
         self.set_y(-14)
         self.set_font(FONT, "", 7)
         self.set_text_color(*GREY)

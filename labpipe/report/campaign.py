@@ -75,6 +75,7 @@ class _Differences:
 
     @classmethod
     def of(cls, coefficient: CoefficientSeries) -> _Differences:
+        """The differences of a series; NaN where its values have no errors."""
         try:
             difference, p_value = from_the_rest(coefficient.shown(), coefficient.errors())
         except FitError:

@@ -37,18 +37,22 @@ class CoefficientSeries:
 
     @property
     def title(self) -> str:
+        """The parameter and its fit."""
         return f"{self.name} of {self.fit}"
 
     @property
     def unit(self) -> str:
+        """The unit that all values are shown in."""
         return display_unit(self.values[0].parameter.unit)
 
     @property
     def axis(self) -> Axis:
+        """The ordinate of its figures."""
         return Axis(self.name, unit_text(self.values[0].parameter.unit))
 
     @property
     def dated(self) -> bool:
+        """Whether the conditions give a date for every value."""
         return all(value.day is not None for value in self.values)
 
     def shown(self) -> NDArray[np.float64]:
