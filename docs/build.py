@@ -44,7 +44,7 @@ class Results:
 
     def html(self, name: str, words: str, up: str) -> str:
         """The first figure whose caption holds *words*, as HTML that names its file; the file is written."""
-        from labpipe.report.drawing import svg_text
+        from labpipe.document.saving import canvas_of, svg_text
 
         found = [n for n, figure in enumerate(self.figures(name), 1) if words.lower() in figure.caption.lower()]
         if not found:
@@ -53,7 +53,7 @@ class Results:
         figure = self.figures(name)[found[0] - 1]
         target = PAGES / "figures" / f"{name}-{found[0]}.svg"
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(svg_text(figure.drawing, outlined=True), encoding="utf-8")
+        target.write_text(svg_text(canvas_of(figure.graphic), outlined=True), encoding="utf-8")
         image = f'<img src="{up}figures/{target.name}" alt="{escape(figure.alternative)}" loading="lazy">'
         return f"<figure>{image}<figcaption>{escape(figure.caption)}</figcaption></figure>"
 

@@ -36,8 +36,9 @@ _PUBLIC = {
     "recordings": "labpipe.simulate.virtual_rigs:recordings",
     "simulated_response": "labpipe.simulate.virtual_rigs:simulated_response",
     "design_multisine": "labpipe.signals.excitation:design_multisine",
-    "html_report": "labpipe.report.render:html_report",
-    "markdown_report": "labpipe.report.render:markdown_report",
+    "html_report": "labpipe.document.render:html_report",
+    "markdown_report": "labpipe.document.render:markdown_report",
+    "plot": "labpipe.document.plot:plot",
     # Their settings.
     "FrfSettings": "labpipe.spectra.settings:FrfSettings",
     "FitSettings": "labpipe.identify.settings:FitSettings",

@@ -132,7 +132,7 @@ RUN_UPS = PipelineSection(
     outcome="labpipe.stages.judging_run_ups:run_up_outcome",
     findings="labpipe.records.run_up_result:findings",
     parameters="labpipe.run_ups.listed:listed_speeds_and_parameters",
-    report="labpipe.report.run_up:run_up_report",
+    report="labpipe.report.run_up:run_up_sections",
     cover="labpipe.report.run_up:cover_facts",
     terminal="labpipe.cli.terminal_sections:run_up_lines",
 )

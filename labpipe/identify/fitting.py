@@ -12,6 +12,7 @@ from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.identify.bootstrap import bootstrapped
 from labpipe.identify.comparison import candidates, comparison_findings
 from labpipe.identify.constraints import constrained
+from labpipe.identify.dense_curve import drawn_densely
 from labpipe.identify.diagnostics import MISMATCH_P, estimate_findings, parameter_findings, quality_findings
 from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.model import DynamicModel
@@ -46,15 +47,17 @@ def fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
     inputs = tuple(response.inputs[column] for column in columns)
     setup = Setup(outputs, inputs, settings)
     model = constrained(MODELS[settings.model](setup), settings)
-    fits = []
-    for band, lines in _bands(response, settings):
+    fits, bands = [], _bands(response, settings)
+    for band, lines in bands:
         measured = measured_part(response, rows, columns, lines)
         try:
             fit = _fit_band(setup, model, measured, band)
         except FitError as error:
             raise FitError(f"band {band[0]:g}-{band[1]:g} Hz: {error.what}", where=error.where, hint=error.hint) from None
         quality = quality_findings(response, rows, columns, lines)
-        curve = _curve(response, measured, fit.fitted)
+        curve = _curve(response, measured, fit)
+        # The bands of a sliding fit are drawn as coefficients over frequency, not as curves.
+        curve = _between_lines(response, curve, fit) if len(bands) == 1 else curve
         fits.append(replace(fit.fit, findings=(*fit.fit.findings, *quality), curve=curve))
     return tuple(fits)
 
@@ -93,10 +96,12 @@ def _bands(response: FrequencyResponse, settings: FitSettings) -> list[tuple[Ban
 
 @dataclass(frozen=True)
 class _BandFit:
-    """A fit and the receptance it gives on its lines."""
+    """A fit, the model that it is of, and the receptance that this gives on the lines (n_line, n_output, n_input)."""
 
     fit: Fit
     fitted: NDArray[np.complexfloating]
+    model: DynamicModel | ProportionalModel
+    values: NDArray[np.floating]
 
 
 def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: Measured, band: Band) -> _BandFit:
@@ -137,7 +142,7 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
         notes=notes,
         candidates=found,
     )
-    return _BandFit(fit, fitted)
+    return _BandFit(fit, fitted, model, estimate.values)
 
 
 def _refit(setup: Setup, model: DynamicModel | ProportionalModel, measured: Measured) -> tuple[Parameter, ...]:
@@ -167,7 +172,7 @@ def _eliminated(
     return model, estimate, notes
 
 
-def _curve(response: FrequencyResponse, measured: Measured, fitted: NDArray[np.complexfloating]) -> FittedCurve:
+def _curve(response: FrequencyResponse, measured: Measured, fit: _BandFit) -> FittedCurve:
     """Measured and fitted FRF in the measured form."""
     frequency = measured.omega / (2 * np.pi)
     factor = receptance_factor(response.form, frequency)[:, None, None]
@@ -178,9 +183,20 @@ def _curve(response: FrequencyResponse, measured: Measured, fitted: NDArray[np.c
     return FittedCurve(
         frequency,
         measured.matrix * factor,
-        fitted * factor,
+        fit.fitted * factor,
         variance,
         tuple(port.label for port in measured.outputs),
         tuple(port.label for port in measured.inputs),
         response.form,
     )
+
+
+def _between_lines(response: FrequencyResponse, curve: FittedCurve, fit: _BandFit) -> FittedCurve:
+    """The curve with the model between its lines too, so close that no resonance is cut off."""
+
+    def model(frequency: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+        factor = receptance_factor(response.form, frequency)[:, None, None]
+        return fit.model.receptance(fit.values, 2 * np.pi * frequency) * factor
+
+    frequency, values = drawn_densely(model, curve.frequency)
+    return replace(curve, dense_frequency=frequency, dense=values)

@@ -47,7 +47,9 @@ class Candidate:
 class FittedCurve:
     """Measured and fitted FRF on the fit's lines: (n_line,) [Hz] and (n_line, n_output, n_input) in the measured form.
 
-    before: the model with what was known before the fit, where a model was tuned.
+    before: the model as it was before the fit, where a model was tuned.
+    dense_frequency (n,) [Hz], dense (n, n_output, n_input): the model also between the lines, so close that it can be drawn as a curve;
+    None where it was not computed.
     """
 
     frequency: NDArray[np.floating]
@@ -58,6 +60,15 @@ class FittedCurve:
     inputs: tuple[str, ...]
     form: str
     before: NDArray[np.complexfloating] | None = None
+    dense_frequency: NDArray[np.floating] | None = None
+    dense: NDArray[np.complexfloating] | None = None
+
+    @property
+    def drawn(self) -> tuple[NDArray[np.floating], NDArray[np.complexfloating]]:
+        """Frequency [Hz] and the model as a curve: between the lines too where that was computed, else on the lines."""
+        if self.dense_frequency is None or self.dense is None:
+            return self.frequency, self.fitted
+        return self.dense_frequency, self.dense
 
 
 @dataclass(frozen=True)

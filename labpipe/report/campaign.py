@@ -46,15 +46,15 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
     overlays = sliding_overlays(results)
     if not series and not overlays:
         raise DataError("the results share no coefficient", hint="a campaign needs the same fit in at least two tests")
-    trends = [trend for one in series for trend in _trends(one)]
-    differences = [_Differences.of(one) for one in series]
+    trends = [trend for coefficient in series for trend in _trends(coefficient)]
+    differences = [_Differences.of(coefficient) for coefficient in series]
     corrected = holm(np.array([trend.p_value for trend in trends]))
     _correct(differences)
     sections = (
         Section("Verdict", _verdict(series, trends, corrected, differences)),
         Section("Results", (_results(results),)),
         *([Section("Trends", (Paragraph(EXPLAINED), _trend_table(trends, corrected)))] if trends else []),
-        *(Section(one.title, _blocks(one, own)) for one, own in zip(series, differences, strict=True)),
+        *(Section(coefficient.title, _blocks(coefficient, apart)) for coefficient, apart in zip(series, differences, strict=True)),
         *([Section("Over frequency", tuple(overlays))] if overlays else []),
         Section("Provenance", _provenance(results)),
     )
@@ -67,69 +67,70 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
 
 @dataclass
 class _Differences:
-    """Each value of a series against the others: difference, p-value and, once all are known, the corrected one."""
+    """Each value of a series against the others: difference, p-value and, once all have one, that corrected."""
 
-    difference: NDArray[np.float64]
-    p_value: NDArray[np.float64]
-    corrected: NDArray[np.float64]
+    difference: NDArray[np.floating]
+    p_value: NDArray[np.floating]
+    corrected: NDArray[np.floating]
 
     @classmethod
-    def of(cls, one: CoefficientSeries) -> _Differences:
+    def of(cls, coefficient: CoefficientSeries) -> _Differences:
+        """The differences of a series; NaN where its values have no errors."""
         try:
-            difference, p_value = from_the_rest(one.shown(), one.errors())
+            difference, p_value = from_the_rest(coefficient.shown(), coefficient.errors())
         except FitError:
-            difference = p_value = np.full(len(one.values), np.nan)
+            difference = p_value = np.full(len(coefficient.values), np.nan)
         return cls(difference, p_value, p_value.copy())
 
 
 def _correct(differences: Sequence[_Differences]) -> None:
     """Holm's correction over all differences; two values are one test, not two."""
-    tested = [one for one in differences if np.all(np.isfinite(one.p_value))]
-    counted = [one.p_value if one.p_value.size > 2 else one.p_value[:1] for one in tested]
+    tested = [coefficient for coefficient in differences if np.all(np.isfinite(coefficient.p_value))]
+    counted = [coefficient.p_value if coefficient.p_value.size > 2 else coefficient.p_value[:1] for coefficient in tested]
     if not counted:
         return
     corrected = np.split(holm(np.concatenate(counted)), np.cumsum([part.size for part in counted])[:-1])
-    for one, part in zip(tested, corrected, strict=True):
-        one.corrected = np.resize(part, one.p_value.size)
+    for coefficient, part in zip(tested, corrected, strict=True):
+        coefficient.corrected = np.resize(part, coefficient.p_value.size)
 
 
-def _trends(one: CoefficientSeries) -> list[Trend]:
+def _trends(coefficient: CoefficientSeries) -> list[Trend]:
     """One straight trend for every condition that differs; none where errors or tests are missing."""
-    found = []
-    for name, (_, condition) in one.over().items():
+    trends = []
+    for name, (_, condition) in coefficient.over().items():
         try:
-            line = straight_trend(condition, one.shown(), one.errors())
+            line = straight_trend(condition, coefficient.shown(), coefficient.errors())
         except FitError:
             continue
         slope, error = float(line.values[1]), line.std_error(1)
         reach = line.quantile * error
-        found.append(Trend(one, name, slope, error, (slope - reach, slope + reach), line.p_of(1)))
-    return found
+        trends.append(Trend(coefficient, name, slope, error, (slope - reach, slope + reach), line.p_of(1)))
+    return trends
 
 
 def _verdict(
-    series: Sequence[CoefficientSeries], trends: Sequence[Trend], corrected: NDArray[np.float64], differences: Sequence[_Differences]
+    series: Sequence[CoefficientSeries], trends: Sequence[Trend], corrected: NDArray[np.floating], differences: Sequence[_Differences]
 ) -> tuple[Block, ...]:
     """What a reader must know first: values out of control, trends, and values that differ."""
-    outside = [f"{one.title} ({_few(labels)})" for one in series if (labels := _outside(one))]
+    outside = [f"{coefficient.title} ({_few(labels)})" for coefficient in series if (labels := _outside(coefficient))]
     steep = [f"{trend.series.title} over {trend.condition}" for trend, p in zip(trends, corrected, strict=True) if p < LEVEL]
-    apart = sum(int(np.sum(own.corrected < LEVEL)) for own in differences)
-    charted = sum(len(one.values) >= FEWEST for one in series)
+    n_apart = sum(int(np.sum(apart.corrected < LEVEL)) for apart in differences)
+    charted = sum(len(coefficient.values) >= FEWEST for coefficient in series)
     if outside:
-        told = f"{len(outside)} of {charted} charts have values beyond their limits: {', '.join(outside)}."
-        lead = Paragraph(f"OUT OF CONTROL: {told}", "failed")
+        which = f"{len(outside)} of {charted} charts have values beyond their limits: {', '.join(outside)}."
+        lead = Paragraph(f"OUT OF CONTROL: {which}", "failed")
     elif charted:
         lead = Paragraph(f"In control: no value of {charted} charts lies beyond its limits.", "passed")
     else:
         lead = Paragraph(f"Too few tests for control limits: at least {FEWEST} of one coefficient are needed.", "note")
     blocks = [lead]
     if trends:
-        told = "; ".join(steep) if steep else "none"
-        blocks.append(Paragraph(f"Trends beyond chance, of {len(trends)} looked at: {told}.", "warning" if steep else "note"))
+        which = "; ".join(steep) if steep else "none"
+        blocks.append(Paragraph(f"Trends beyond chance, of {len(trends)} looked at: {which}.", "warning" if steep else "note"))
     if series:
-        values = sum(len(one.values) for one in series)
-        said = f"{apart} of {values} values differ from the others beyond the stated errors."
-        blocks.append(Paragraph(said, "warning" if apart else "note"))
+        values = sum(len(coefficient.values) for coefficient in series)
+        sentence = f"{n_apart} of {values} values differ from the others beyond the stated errors."
+        blocks.append(Paragraph(sentence, "warning" if n_apart else "note"))
     return tuple(blocks)
 
 
@@ -138,22 +139,24 @@ def _few(labels: Sequence[str]) -> str:
     return "; ".join(labels[:MOST_NAMED]) + more
 
 
-def _outside(one: CoefficientSeries) -> list[str]:
-    if len(one.values) < FEWEST:
+def _outside(coefficient: CoefficientSeries) -> list[str]:
+    if len(coefficient.values) < FEWEST:
         return []
-    return [one.values[place].label for place in control_limits(one.shown()).outside]
+    return [coefficient.values[place].label for place in control_limits(coefficient.shown()).outside]
 
 
 def _results(results: Sequence[tuple[str, Identification]]) -> Table:
     rows = []
-    for name, one in results:
-        verdict = "no rules" if not one.outcomes else "accepted" if one.accepted else "NOT ACCEPTED"
-        tests = str(len({fit.test for fit in one.fits}))
-        rows.append((name or "result", one.title, tests, str(len(one.fits)), verdict, f"labpipe {one.version}"))
+    for name, identification in results:
+        verdict = "no rules" if not identification.outcomes else "accepted" if identification.accepted else "NOT ACCEPTED"
+        tests = str(len({fit.test for fit in identification.fits}))
+        rows.append(
+            (name or "result", identification.title, tests, str(len(identification.fits)), verdict, f"labpipe {identification.version}")
+        )
     return Table(("result", "title", "tests", "fits", "verdict", "computed by"), tuple(rows), "Results read together", (2, 3))
 
 
-def _trend_table(trends: Sequence[Trend], corrected: NDArray[np.float64]) -> Table:
+def _trend_table(trends: Sequence[Trend], corrected: NDArray[np.floating]) -> Table:
     rows = tuple(
         (
             trend.series.title,
@@ -172,49 +175,61 @@ def _trend_table(trends: Sequence[Trend], corrected: NDArray[np.float64]) -> Tab
 
 
 def _slope_unit(trend: Trend) -> str:
-    label = trend.series.over()[trend.condition][0]
-    if "[" not in label:
+    below = trend.series.over()[trend.condition][0].unit
+    if not below:
         return unit_text(trend.series.values[0].parameter.unit)
-    below = label.rpartition("[")[2].rstrip("]")
     return f"{trend.series.unit} per {below}" if "/" in trend.series.unit else f"{trend.series.unit}/{below}"
 
 
-def _blocks(one: CoefficientSeries, own: _Differences) -> tuple[Block, ...]:
+def _blocks(coefficient: CoefficientSeries, apart: _Differences) -> tuple[Block, ...]:
     """Figures over the conditions, the control chart in words and as a figure, and every value with its difference."""
-    blocks: list[Block] = [trend_figure(one, condition) for condition in one.over()]
-    if len(one.values) >= FEWEST:
-        limits = control_limits(one.shown())
-        outside = "; ".join(one.values[place].label for place in limits.outside)
-        said = f"outside: {outside}" if outside else "no value lies outside"
-        said += ". The limits suppose that all tests are of one condition"
-        few = f" With {len(one.values)} values, fewer than {SETTLED}, the limits are provisional." if len(one.values) < SETTLED else ""
-        text = f"{limits.formula}; centre {limits.centre:.5g}, limits {limits.low:.5g} to {limits.high:.5g} {one.unit}; {said}.{few}"
-        blocks.extend([Paragraph(text[0].upper() + text[1:], "warning" if outside else "note"), control_figure(one, limits)])
-    return (*blocks, _value_table(one, own))
+    blocks: list[Block] = [trend_figure(coefficient, condition) for condition in coefficient.over()]
+    if len(coefficient.values) >= FEWEST:
+        limits = control_limits(coefficient.shown())
+        outside = "; ".join(coefficient.values[place].label for place in limits.outside)
+        sentence = f"outside: {outside}" if outside else "no value lies outside"
+        sentence += ". The limits suppose that all tests are of one condition"
+        few = (
+            f" With {len(coefficient.values)} values, fewer than {SETTLED}, the limits are provisional."
+            if len(coefficient.values) < SETTLED
+            else ""
+        )
+        ends = f"{limits.low:.5g} to {limits.high:.5g} {coefficient.unit}"
+        text = f"{limits.formula}; centre {limits.centre:.5g}, limits {ends}; {sentence}.{few}"
+        blocks.extend([Paragraph(text[0].upper() + text[1:], "warning" if outside else "note"), control_figure(coefficient, limits)])
+    return (*blocks, _value_table(coefficient, apart))
 
 
-def _value_table(one: CoefficientSeries, own: _Differences) -> Table:
+def _value_table(coefficient: CoefficientSeries, apart: _Differences) -> Table:
     rows = []
-    over = one.over()
-    for n, (value, error) in enumerate(zip(one.shown(), one.errors(), strict=True)):
-        low, high = one.intervals()[n]
+    over = coefficient.over()
+    for n, (value, error) in enumerate(zip(coefficient.shown(), coefficient.errors(), strict=True)):
+        low, high = coefficient.intervals()[n]
         rows.append(
             (
-                one.values[n].label,
-                *([str(one.values[n].day or "")] if one.dated else []),
+                coefficient.values[n].label,
+                *([str(coefficient.values[n].day or "")] if coefficient.dated else []),
                 *(f"{amounts[n]:g}" for name, (_, amounts) in over.items() if name != "date"),
                 rounded(value, error),
                 "none" if not np.isfinite(low) else f"{rounded(low, error)} to {rounded(high, error)}",
-                "" if not np.isfinite(own.difference[n]) else rounded(own.difference[n], error),
-                "" if not np.isfinite(own.corrected[n]) else f"{own.corrected[n]:.2g}{' *' if own.corrected[n] < LEVEL else ''}",
+                "" if not np.isfinite(apart.difference[n]) else rounded(apart.difference[n], error),
+                "" if not np.isfinite(apart.corrected[n]) else f"{apart.corrected[n]:.2g}{' *' if apart.corrected[n] < LEVEL else ''}",
             )
         )
-    named = tuple(label for name, (label, _) in over.items() if name != "date")
-    header = ("test", *(["date"] if one.dated else []), *named, one.axis, "95 % interval", "from the others", "p after Holm")
-    caption = f"Values of {one.title}; * differs from the others"
-    return Table(header, tuple(rows), caption, tuple(range(1 + one.dated, len(header))))
+    named = tuple(axis.label for name, (axis, _) in over.items() if name != "date")
+    header = (
+        "test",
+        *(["date"] if coefficient.dated else []),
+        *named,
+        coefficient.axis.label,
+        "95 % interval",
+        "from the others",
+        "p after Holm",
+    )
+    caption = f"Values of {coefficient.title}; * differs from the others"
+    return Table(header, tuple(rows), caption, tuple(range(1 + coefficient.dated, len(header))))
 
 
 def _provenance(results: Sequence[tuple[str, Identification]]) -> tuple[Block, ...]:
-    rows = tuple((name, source["path"], source["sha256"]) for name, one in results for source in one.sources)
+    rows = tuple((name, source["path"], source["sha256"]) for name, identification in results for source in identification.sources)
     return (Table(("result", "source file", "SHA-256"), rows, "Source files"),)

@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure as Canvas
-from matplotlib.ticker import MultipleLocator
 
 from labpipe import __version__
 from labpipe.records.finding import Finding
 from labpipe.records.overview import ChannelOverview, Overview
 from labpipe.records.response import FORMS, FrequencyResponse, Port
+from labpipe.report.chart import PALETTE_SIZE, WIDTH, Axis, Chart, Panel, curve, dots, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
-from labpipe.report.drawing import COLOURS, STYLE
-from labpipe.report.figures import WIDTH, logarithmic, response_figure, stacked_axes
+from labpipe.report.figures import PHASE, element_names, over_frequency, phase_degrees, response_figure
 from labpipe.report.spectral_figures import spectral_blocks
 
 # Height of a channel's two plots side by side [in].
 HEIGHT = 2.1
 # Lines of a spectrum this far below its largest are rounding, and would only stretch the axis.
 DEEPEST = 1e-7
+# Ends of the axis of a phase [deg].
+PHASE_END = 185.0
 
 
 def recording_card(seen: Overview) -> Document:
@@ -55,19 +53,19 @@ def _facts(seen: Overview) -> tuple[Block, ...]:
         rows.append(("time column", seen.time))
     about = any(channel.about for channel in seen.channels)
     header = ("channel", "unit", *(["role and direction"] if about else []))
-    channels = tuple((one.name, one.unit or "not stated", *([one.about] if about else [])) for one in seen.plotted)
+    channels = tuple((channel.name, channel.unit or "not stated", *([channel.about] if about else [])) for channel in seen.plotted)
     return Table(("what", "which"), tuple(rows), "What the file says of itself"), Table(header, channels, "Channels")
 
 
 def _response_facts(response: FrequencyResponse, file: str) -> tuple[Block, ...]:
     frequency = response.frequency
-    known = [name for name in ("covariance", "coherence") if getattr(response, name) is not None]
+    doubts = [name for name in ("covariance", "coherence") if getattr(response, name) is not None]
     rows = (
         ("file", file),
         ("form", f"{response.form} [{FORMS[response.form]}]"),
         ("lines", f"{frequency.size}, {frequency[0]:g} to {frequency[-1]:g} Hz"),
         ("averages", "not stated" if response.averages is None else f"{response.averages:.4g}"),
-        ("doubt", " and ".join(known) or "neither covariance nor coherence: ml needs one, ls does not"),
+        ("doubt", " and ".join(doubts) or "neither covariance nor coherence: ml needs one, ls does not"),
     )
     ports = tuple(_port(what, port) for what, some in (("response", response.outputs), ("force", response.inputs)) for port in some)
     return (
@@ -86,75 +84,63 @@ def _findings(findings: Sequence[Finding], nothing: str) -> tuple[Block, ...]:
     return tuple(Paragraph(f"{finding.code}: {finding.message}", finding.level) for finding in findings)
 
 
-def _contradictions(told: Sequence[str]) -> tuple[Block, ...]:
-    if not told:
+def _contradictions(sentences: Sequence[str]) -> tuple[Block, ...]:
+    if not sentences:
         return (Paragraph("File and rig file agree in columns, units and rate.", "passed"),)
-    return tuple(Paragraph(one, "failed") for one in told)
+    return tuple(Paragraph(sentence, "failed") for sentence in sentences)
 
 
 def _levels(channels: Sequence[ChannelOverview]) -> Table:
-    rows = tuple((one.label, *(f"{value:.5g}" for value in (one.minimum, one.maximum, one.mean, one.rms)), _crest(one)) for one in channels)
+    rows = tuple(
+        (channel.label, *(f"{value:.5g}" for value in (channel.minimum, channel.maximum, channel.mean, channel.rms)), _crest(channel))
+        for channel in channels
+    )
     header = ("channel", "min", "max", "mean", "rms (ac)", "peak / rms")
     return Table(header, rows, "Levels, in the unit of the channel; rms is about the mean", (1, 2, 3, 4, 5))
 
 
-def _crest(one: ChannelOverview) -> str:
+def _crest(channel: ChannelOverview) -> str:
     """Crest factor about the mean; many noise-like signals have 4, hits far more, a sine 1.41."""
-    peak = max(one.maximum - one.mean, one.mean - one.minimum)
-    return f"{peak / one.rms:.3g}" if one.rms > 0 else ""
+    peak = max(channel.maximum - channel.mean, channel.mean - channel.minimum)
+    return f"{peak / channel.rms:.3g}" if channel.rms > 0 else ""
 
 
 def channel_figure(channel: ChannelOverview, seen: Overview) -> Figure:
     """Envelope over time beside the spectrum of one channel."""
-    rate = seen.sample_rate
-    with mpl.rc_context(STYLE):
-        canvas = Canvas(figsize=(WIDTH, HEIGHT), layout="constrained")
-        left, right = canvas.subplots(1, 2)
-        _envelope(left, channel, rate)
-        _spectrum(right, channel, rate)
+    panels = (_envelope(channel, seen.sample_rate), _spectrum(channel, seen.sample_rate))
     stretch = f", smallest and largest of every {channel.envelope.step} samples" if channel.envelope.step > 1 else ""
     blocks = channel.spectrum.blocks
     averaged = f"mean of {blocks} block{'s' if blocks > 1 else ''}" if blocks else "no block without gaps"
     caption = f"{channel.label}: the signal over time{stretch}; its spectrum, {averaged}."
-    return Figure(canvas, caption, f"{channel.label} over time and its spectrum")
+    return Figure(Chart(panels, 1, 2, (WIDTH, HEIGHT), legend="none"), caption, f"{channel.label} over time and its spectrum")
 
 
-def _envelope(axes: Axes, channel: ChannelOverview, rate: float | None) -> None:
+def _envelope(channel: ChannelOverview, rate: float | None) -> Panel:
     """One line up and down through the ends of every stretch; the samples themselves where stretches are single samples."""
     envelope = channel.envelope
     starts = np.arange(envelope.low.size) * envelope.step / (rate or 1.0)
+    x = Axis("time", "s") if rate else Axis("sample")
+    y = Axis(channel.name, "" if channel.unit in channel.name else channel.unit)
     if envelope.step == 1:
-        axes.plot(starts, envelope.low, color=COLOURS[0], linewidth=0.8, label="signal")
-    else:
-        both = np.column_stack([envelope.low, envelope.high]).reshape(-1)
-        axes.plot(np.repeat(starts, 2), both, color=COLOURS[0], linewidth=0.6, label="signal")
-    axes.set_xlabel("time [s]" if rate else "sample")
-    axes.set_ylabel(channel.label)
+        return Panel(x, y, (curve("signal", starts, envelope.low, width=0.8),))
+    both = np.column_stack([envelope.low, envelope.high]).reshape(-1)
+    return Panel(x, y, (curve("signal", np.repeat(starts, 2), both, width=0.6),))
 
 
-def _spectrum(axes: Axes, channel: ChannelOverview, rate: float | None) -> None:
+def _spectrum(channel: ChannelOverview, rate: float | None) -> Panel:
     spectrum = channel.spectrum
     largest = float(np.max(spectrum.density, initial=0.0))
-    axes.set_xlabel("frequency [Hz]" if rate else "frequency [cycles per sample]")
-    axes.set_ylabel(f"{channel.unit or 'unit'}/Hz^0.5" if rate else "root of the density")
-    if largest > 0:
-        axes.plot(spectrum.frequency, np.maximum(spectrum.density, DEEPEST * largest), color=COLOURS[1], linewidth=0.8, label="spectrum")
-        logarithmic(axes)
-    else:
-        axes.plot(spectrum.frequency, spectrum.density, color=COLOURS[1], linewidth=0.8, label="spectrum")
+    density = np.maximum(spectrum.density, DEEPEST * largest)
+    x = Axis("frequency", "Hz" if rate else "cycles per sample")
+    y = Axis("spectrum" if rate else "root of the density", f"{channel.unit or 'unit'}/Hz^0.5" if rate else "", logarithmic=largest > 0)
+    return Panel(x, y, (curve("spectrum", spectrum.frequency, density, 1, width=0.8),))
 
 
 def phase_figure(response: FrequencyResponse) -> Figure:
     """The phase of every element over frequency."""
-    with mpl.rc_context(STYLE):
-        canvas, (axes,) = stacked_axes(1, 2.4)
-        for o, output in enumerate(response.outputs):
-            for i, port in enumerate(response.inputs):
-                phase = np.degrees(np.angle(response.matrix[:, o, i]))
-                axes.plot(response.frequency, phase, ".", markersize=2, label=f"{output.label}/{port.label}")
-        axes.set_ylim(-185, 185)
-        axes.yaxis.set_major_locator(MultipleLocator(90))
-        axes.set_ylabel("phase [deg]")
-        axes.set_xlabel("frequency [Hz]")
-        axes.legend(ncols=4, fontsize=8)
-    return Figure(canvas, f"Phase of the {response.form}.", f"Phase of the {response.form} over frequency")
+    series = []
+    for number, (o, i, name) in enumerate(element_names(response)):
+        series.append(dots(name, response.frequency, phase_degrees(response.matrix[:, o, i]), number % PALETTE_SIZE, size=1.0))
+    y = Axis(PHASE.title, PHASE.unit, -PHASE_END, PHASE_END, ticks=tuple((float(angle), str(angle)) for angle in range(-180, 181, 90)))
+    chart = stacked([over_frequency(y, series)], 2.4)
+    return Figure(chart, f"Phase of the {response.form}.", f"Phase of the {response.form} over frequency")

@@ -14,6 +14,7 @@ from labpipe.quantities import UnitError, display_unit, si_amount, to_display
 from labpipe.records.identification import Identification
 from labpipe.records.listed import ListedParameter, listed_parameters
 from labpipe.records.parameter import Parameter
+from labpipe.report.chart import Axis
 from labpipe.report.cover import DATES
 from labpipe.report.wording import unit_text
 
@@ -30,7 +31,7 @@ class Value:
 
 @dataclass(frozen=True)
 class CoefficientSeries:
-    """The values of one parameter of one fit, by their dates where all are known, else as the results were given."""
+    """The values of one parameter of one fit, by their dates where all tests have one, else as the results were given."""
 
     fit: str
     name: str
@@ -38,19 +39,22 @@ class CoefficientSeries:
 
     @property
     def title(self) -> str:
+        """The parameter and its fit."""
         return f"{self.name} of {self.fit}"
 
     @property
     def unit(self) -> str:
+        """The unit that all values are shown in."""
         return display_unit(self.values[0].parameter.unit)
 
     @property
-    def axis(self) -> str:
-        unit = unit_text(self.values[0].parameter.unit)
-        return f"{self.name} [{unit}]" if unit else self.name
+    def axis(self) -> Axis:
+        """The ordinate of its figures."""
+        return Axis(self.name, unit_text(self.values[0].parameter.unit))
 
     @property
     def dated(self) -> bool:
+        """Whether the conditions give a date for every value."""
         return all(value.day is not None for value in self.values)
 
     def shown(self) -> NDArray[np.float64]:
@@ -60,29 +64,29 @@ class CoefficientSeries:
     def errors(self) -> NDArray[np.float64]:
         """Standard errors (n,) in the display unit, NaN where a fit has none."""
         zero = to_display(0.0, self.unit)
-        known = [value.parameter.std_error for value in self.values]
-        return np.array([np.nan if error is None else abs(to_display(error, self.unit) - zero) for error in known])
+        errors = [value.parameter.std_error for value in self.values]
+        return np.array([np.nan if error is None else abs(to_display(error, self.unit) - zero) for error in errors])
 
     def intervals(self) -> NDArray[np.float64]:
         """95 % intervals (n, 2) in the display unit, NaN where there is none."""
         ends = [value.parameter.ci95 or (np.nan, np.nan) for value in self.values]
         return np.array([[to_display(end, self.unit) for end in pair] for pair in ends])
 
-    def over(self) -> dict[str, tuple[str, NDArray[np.float64]]]:
-        """condition -> (axis label, (n,) in display units) for every amount that all tests have and that differs between them."""
+    def over(self) -> dict[str, tuple[Axis, NDArray[np.float64]]]:
+        """condition -> (axis, (n,) in its unit) for every amount that all tests have and that differs between them."""
         names = [name for name in self.values[0].conditions if all(name in value.conditions for value in self.values)]
-        found = {}
+        conditions = {}
         for name in names:
             units = {value.conditions[name][1] for value in self.values}
             if len(units) == 1 and len({value.conditions[name][0] for value in self.values}) > 1:
                 unit = units.pop()
-                label = f"{name} [{unit_text(unit)}]" if unit_text(unit) else name
                 amounts = [to_display(value.conditions[name][0], display_unit(unit)) for value in self.values]
-                found[name] = (label, np.array(amounts))
+                conditions[name] = (Axis(name, unit_text(unit)), np.array(amounts))
         days = [value.day for value in self.values if value.day is not None]
         if self.dated and len(set(days)) > 1:
-            found["date"] = (f"days since {min(days).isoformat()} [d]", np.array([float((day - min(days)).days) for day in days]))
-        return found
+            since = np.array([float((day - min(days)).days) for day in days])
+            conditions["date"] = (Axis(f"days since {min(days).isoformat()}", "d"), since)
+        return conditions
 
 
 def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[CoefficientSeries]:
@@ -93,7 +97,7 @@ def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[Co
             title = f"{listed.fit} of {listed.term}" if listed.term else listed.fit
             groups.setdefault((title, listed.parameter.name), []).append(_value(result, identification, listed))
     series = [CoefficientSeries(fit, name, _ordered(values)) for (fit, name), values in groups.items() if len(values) > 1]
-    return [one for one in series if len({value.parameter.unit for value in one.values}) == 1]
+    return [entry for entry in series if len({value.parameter.unit for value in entry.values}) == 1]
 
 
 def single_parameters(identification: Identification) -> list[ListedParameter]:

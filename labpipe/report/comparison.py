@@ -47,9 +47,9 @@ EXPLAINED = {
 
 
 def comparison_sections(comparisons: Comparisons, identification: Identification) -> tuple[Section, ...]:
-    """One section for every comparison."""
+    """One section for every comparison of tests."""
     responses = identification.responses
-    return tuple(Section(f"Comparison: {each.name}", comparison_blocks(each, responses)) for each in comparisons)
+    return tuple(Section(f"Comparison: {part.name}", comparison_blocks(part, responses)) for part in comparisons)
 
 
 def comparison_blocks(comparison: Comparison, responses: Sequence[FrequencyResponse]) -> tuple[Block, ...]:

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure as Canvas
-from numpy.typing import NDArray
 
-from labpipe.quantities import display_unit, to_display
-from labpipe.records.comparison import ComparedPoint, Comparison
+from labpipe.records.comparison import ComparedPoint, Comparison, Overlay
 from labpipe.records.response import FrequencyResponse
+from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Panel, Series, curve, dots, level, named_ticks, span, stacked
 from labpipe.report.document import Figure
-from labpipe.report.drawing import COLOURS, STYLE
-from labpipe.report.figures import logarithmic, stacked_axes
+from labpipe.report.figures import over_frequency, scale_of
 from labpipe.report.loop_figures import band_figures, prediction_figures, sensitivity_figures
 from labpipe.report.wording import unit_text
 
 SHOWN_PAIRS = 3
+# Half the width in which the tests of a setting stand beside each other, and that of the bar of their mean.
+BESIDE, BAR = 0.15, 0.3
 
 
 def comparison_figures(comparison: Comparison, responses: Sequence[FrequencyResponse]) -> list[Figure]:
@@ -31,71 +28,62 @@ def comparison_figures(comparison: Comparison, responses: Sequence[FrequencyResp
     return [FIGURES[comparison.kind](comparison), *([_overlays(comparison)] if comparison.overlays else [])]
 
 
-def _scale(unit: str) -> float:
-    return to_display(1.0, display_unit(unit))
-
-
 def _abscissa(comparison: Comparison, points: Sequence[ComparedPoint]) -> list[float]:
     """The condition in its display unit, or the number of the test where there is none."""
     if any(point.condition is None for point in points):
         return [float(number) for number in range(1, len(points) + 1)]
-    factor = _scale(comparison.condition_unit)
+    factor = scale_of(comparison.condition_unit)
     return [factor * point.condition for point in points if point.condition is not None]
 
 
-def _label_x(axes: Axes, comparison: Comparison) -> None:
+def _condition(comparison: Comparison) -> Axis:
     unit = unit_text(comparison.condition_unit) if comparison.condition_unit else ""
-    axes.set_xlabel(f"{comparison.condition or 'test'}{f' [{unit}]' if unit else ''}")
+    return Axis(comparison.condition or "test", unit)
 
 
-def _label_y(axes: Axes, comparison: Comparison) -> None:
-    unit = unit_text(comparison.unit)
-    axes.set_ylabel(f"{comparison.subject.split(',')[0]}{f' [{unit}]' if unit else ''}")
+def _subject(comparison: Comparison) -> Axis:
+    return Axis(comparison.subject.split(",")[0], unit_text(comparison.unit))
 
 
-def _dots(axes: Axes, comparison: Comparison, points: Sequence[ComparedPoint], label: str, colour: str) -> None:
+def _tests(comparison: Comparison, points: Sequence[ComparedPoint], name: str, colour: int) -> Series:
     """Values with their 95 % intervals."""
-    factor = _scale(comparison.unit)
+    factor = scale_of(comparison.unit)
     values = factor * np.array([point.value for point in points])
-    ends = factor * np.array([point.ci95 or (point.value, point.value) for point in points])
-    _bars(axes, _abscissa(comparison, points), values, ends, colour, label)
-
-
-def _bars(axes: Axes, x: Sequence[float], values: NDArray[np.floating], ends: NDArray[np.floating], colour: str, label: str = "") -> None:
-    """Dots at (x, values), with bars to their *ends* (n, 2)."""
-    axes.errorbar(x, values, np.abs(ends.T - values), fmt="o", color=colour, label=label, capsize=2, markersize=4)
+    ends = factor * np.array([point.ci95 or (point.value, point.value) for point in points]).T
+    return dots(name, _abscissa(comparison, points), values, colour, marker="o", size=4.0, bars=(ends[0], ends[1]))
 
 
 def _trend(comparison: Comparison) -> Figure:
-    with mpl.rc_context(STYLE):
-        canvas, (axes,) = stacked_axes(1, 3.2)
-        _dots(axes, comparison, comparison.points, "tests", COLOURS[0])
-        x, y = np.array(comparison.line).T
-        drawn = _scale(comparison.condition_unit) * x, _scale(comparison.unit) * y
-        axes.plot(*drawn, "-", color=COLOURS[1], linewidth=1, label="fitted law")
-        _label_x(axes, comparison)
-        _label_y(axes, comparison)
-        axes.legend(fontsize=8)
-    return _figure(comparison, canvas, "tests with 95 % intervals and the fitted law")
+    x, y = np.array(comparison.line).T
+    law = curve("fitted law", scale_of(comparison.condition_unit) * x, scale_of(comparison.unit) * y, 1)
+    panel = Panel(_condition(comparison), _subject(comparison), (_tests(comparison, comparison.points, "tests", 0), law))
+    return _figure(comparison, stacked([panel], 3.2), "tests with 95 % intervals and the fitted law")
+
+
+def _groups(comparison: Comparison) -> dict[str, list[ComparedPoint]]:
+    """The points of every group, in the order in which the groups come."""
+    groups: dict[str, list[ComparedPoint]] = {}
+    for point in comparison.points:
+        groups.setdefault(point.group, []).append(point)
+    return groups
 
 
 def _difference(comparison: Comparison) -> Figure:
     """Both groups over the condition, and below how far each test is from the mean of its condition."""
-    groups = list(dict.fromkeys(point.group for point in comparison.points))
-    with mpl.rc_context(STYLE):
-        canvas, (above, below) = stacked_axes(2, 4.4, sharex=True, height_ratios=(3, 2))
-        for number, group in enumerate(groups):
-            own = [point for point in comparison.points if point.group == group]
-            _dots(above, comparison, own, group, COLOURS[number % len(COLOURS)])
-            away = [100 * (point.value / _mean_at(comparison, point) - 1) for point in own]
-            below.plot(_abscissa(comparison, own), away, "o", color=COLOURS[number % len(COLOURS)], markersize=4)
-        below.axhline(0.0, color="0.5", linewidth=0.8)
-        below.set_ylabel("from the mean [%]")
-        _label_y(above, comparison)
-        _label_x(below, comparison)
-        above.legend(fontsize=8)
-    said = f"{' and '.join(groups)} with 95 % intervals of the fits; below: distance from the mean of a condition"
-    return _figure(comparison, canvas, said)
+    groups = _groups(comparison)
+    above, below = [], []
+    for number, (group, points) in enumerate(groups.items()):
+        colour = number % PALETTE_SIZE
+        above.append(_tests(comparison, points, group, colour))
+        away = [100 * (point.value / _mean_at(comparison, point) - 1) for point in points]
+        below.append(dots(group, _abscissa(comparison, points), away, colour, marker="o", size=4.0))
+    x = _condition(comparison)
+    panels = (
+        Panel(x, _subject(comparison), tuple(above), share=3.0),
+        Panel(x, Axis("from the mean", "%"), (*below, level(0.0)), share=2.0),
+    )
+    meaning = f"{' and '.join(groups)} with 95 % intervals of the fits; below: distance from the mean of a condition"
+    return _figure(comparison, stacked(panels, 4.4), meaning)
 
 
 def _mean_at(comparison: Comparison, point: ComparedPoint) -> float:
@@ -104,81 +92,69 @@ def _mean_at(comparison: Comparison, point: ComparedPoint) -> float:
 
 def _repeatability(comparison: Comparison) -> Figure:
     """Every test in its setting; shaded: the scatter within a setting about the mean of all."""
-    factor = _scale(comparison.unit)
-    groups = list(dict.fromkeys(point.group for point in comparison.points))
+    factor, groups = scale_of(comparison.unit), _groups(comparison)
     mean, within = (factor * comparison.amount(name).value for name in ("mean", "within"))
-    with mpl.rc_context(STYLE):
-        canvas, (axes,) = stacked_axes(1, 3.2)
-        for number, group in enumerate(groups):
-            own = [point for point in comparison.points if point.group == group]
-            places = number + np.linspace(-0.15, 0.15, len(own))
-            axes.plot(places, [factor * point.value for point in own], "o", color=COLOURS[0], markersize=4)
-            axes.plot([number - 0.3, number + 0.3], [factor * np.mean([point.value for point in own])] * 2, "-", color=COLOURS[1])
-        axes.axhline(mean, color="0.5", linewidth=0.8)
-        axes.axhspan(mean - within, mean + within, color=COLOURS[0], alpha=0.15, linewidth=0)
-        axes.set_xticks(range(len(groups)), groups)
-        _label_x(axes, comparison)
-        _label_y(axes, comparison)
-    return _figure(comparison, canvas, "tests (dots), mean of each setting (bars); shaded: standard deviation within a setting")
+    series: list[Series] = []
+    for number, points in enumerate(groups.values()):
+        values = [factor * point.value for point in points]
+        places = number + np.linspace(-BESIDE, BESIDE, len(points))
+        series.append(dots("tests", places, values, marker="o", size=4.0))
+        series.append(curve("mean of a setting", [number - BAR, number + BAR], [float(np.mean(values))] * 2, 1, width=1.5))
+    x = Axis(_condition(comparison).title, _condition(comparison).unit, ticks=named_ticks(list(groups)))
+    panel = Panel(x, _subject(comparison), (*series, level(mean), span(mean - within, mean + within, 0)))
+    meaning = "tests (dots), mean of each setting (bars); shaded: standard deviation within a setting"
+    return _figure(comparison, stacked([panel], 3.2), meaning)
 
 
 def _ratio(comparison: Comparison) -> Figure:
     """Measured and theory over the condition, and their ratio with the common one."""
-    canvas = _beside(comparison, "theory", "bearing: measured / theory")
-    said = "the measured fit beside the same fit of the theory's curve; below: ratio of the bearings' stiffness, shaded: the common one"
-    return _figure(comparison, canvas, said)
+    chart = _beside(comparison, "theory", "bearing: measured / theory")
+    meaning = "the measured fit beside the same fit of the theory's curve; below: ratio of the bearings' stiffness, shaded: the common one"
+    return _figure(comparison, chart, meaning)
 
 
 def _rayleigh(comparison: Comparison) -> Figure:
     """Measured damping beside beta times stiffness."""
-    canvas = _beside(comparison, "Rayleigh damping", "measured / Rayleigh")
-    return _figure(comparison, canvas, "measured damping beside that of one beta for all tests; below: their ratio with 95 % intervals")
+    chart = _beside(comparison, "Rayleigh damping", "measured / Rayleigh")
+    return _figure(comparison, chart, "measured damping beside that of one beta for all tests; below: their ratio with 95 % intervals")
 
 
-def _beside(comparison: Comparison, what: str, ratio: str) -> Canvas:
+def _beside(comparison: Comparison, what: str, ratio: str) -> Chart:
     """Measured and predicted values over the condition; below, their ratio."""
-    points = comparison.points
-    x, factor = _abscissa(comparison, points), _scale(comparison.unit)
-    with mpl.rc_context(STYLE):
-        canvas, (above, below) = stacked_axes(2, 5.0, sharex=True, height_ratios=(3, 2))
-        _dots(above, comparison, points, "measured", COLOURS[0])
-        above.plot(x, [factor * point.theory for point in points if point.theory is not None], "s--", color=COLOURS[1], label=what)
-        _label_y(above, comparison)
-        above.legend(fontsize=8)
-        ratios = np.array([point.ratio for point in points], float)
-        ends = np.array([point.ratio_ci95 for point in points], float)
-        _bars(below, x, ratios, ends, COLOURS[0])
-        if comparison.kind == "ratio":
-            _common(below, comparison, "ratio")
-        below.axhline(1.0, color="0.5", linewidth=0.8)
-        below.set_ylabel(ratio)
-        _label_x(below, comparison)
-    return canvas
+    points, factor = comparison.points, scale_of(comparison.unit)
+    x, condition = _abscissa(comparison, points), _condition(comparison)
+    theory = [np.nan if point.theory is None else factor * point.theory for point in points]
+    predicted = curve(what, x, theory, 1, "--", width=1.5, marker="s", size=6.0)
+    ratios = [np.nan if point.ratio is None else point.ratio for point in points]
+    ends = np.array([point.ratio_ci95 or (np.nan, np.nan) for point in points], float).T
+    measured = dots("measured", x, ratios, marker="o", size=4.0, bars=(ends[0], ends[1]))
+    common = _common(comparison, "ratio") if comparison.kind == "ratio" else ()
+    above = Panel(condition, _subject(comparison), (_tests(comparison, points, "measured", 0), predicted), share=3.0)
+    below = Panel(condition, Axis(ratio), (measured, *common, level(1.0)), share=2.0)
+    return stacked([above, below], 5.0)
 
 
-def _common(axes: Axes, comparison: Comparison, name: str) -> None:
+def _common(comparison: Comparison, name: str) -> tuple[Series, ...]:
     """A common value with its 95 % interval across the whole width."""
     amount = comparison.amount(name)
-    axes.axhline(amount.value, color=COLOURS[2], linewidth=1)
-    if amount.ci95 is not None:
-        axes.axhspan(*amount.ci95, color=COLOURS[2], alpha=0.2, linewidth=0)
+    shade = () if amount.ci95 is None else (span(*amount.ci95, 2, 0.2),)
+    return (level(amount.value, 2, width=1.0), *shade)
 
 
 def _overlays(comparison: Comparison) -> Figure:
     """The measured curve, the theory's, and the theory times the test's own ratio, at the first and the last condition."""
-    with mpl.rc_context(STYLE):
-        canvas, panels = stacked_axes(len(comparison.overlays), 0.6 + 2.5 * len(comparison.overlays), sharex=True)
-        for axes, each in zip(panels, comparison.overlays, strict=True):
-            axes.plot(each.frequency, each.measured, ".", color=COLOURS[0], markersize=2, label="measured")
-            axes.plot(each.frequency, each.theory, "--", color=COLOURS[1], linewidth=1, label="theory")
-            axes.plot(each.frequency, each.matched, "-", color=COLOURS[2], linewidth=1, label="theory times ratio")
-            logarithmic(axes)
-            axes.set_ylabel(f"{each.form} (SI)")
-            axes.set_title(each.test, fontsize=9)
-        panels[0].legend(ncols=3, fontsize=8)
-        panels[-1].set_xlabel("frequency [Hz]")
+    panels = [_overlay(overlay) for overlay in comparison.overlays]
     caption = f"{comparison.name}: the term's measured curve and the theory's with the measured damping, before and after the ratio."
-    return Figure(canvas, caption, f"Measured and theoretical response of {comparison.subject}")
+    return Figure(stacked(panels, 0.6 + 2.5 * len(panels)), caption, f"Measured and theoretical response of {comparison.subject}")
+
+
+def _overlay(overlay: Overlay) -> Panel:
+    series = (
+        dots("measured", overlay.frequency, overlay.measured, size=1.0),
+        curve("theory", overlay.frequency, overlay.theory, 1, "--"),
+        curve("theory times ratio", overlay.frequency, overlay.matched, 2),
+    )
+    return over_frequency(Axis(f"{overlay.form} (SI)", logarithmic=True), series, title=overlay.test)
 
 
 def _reciprocity(comparison: Comparison, responses: Sequence[FrequencyResponse]) -> list[Figure]:
@@ -191,25 +167,18 @@ def _reciprocity(comparison: Comparison, responses: Sequence[FrequencyResponse])
 def _pair(comparison: Comparison, point: ComparedPoint, response: FrequencyResponse) -> Figure:
     first, _, second = point.group.partition("-")
     rows, columns = [port.dof for port in response.outputs], [port.dof for port in response.inputs]
-    with mpl.rc_context(STYLE):
-        canvas, (axes,) = stacked_axes(1, 3.0)
-        for number, (to, by) in enumerate(((first, second), (second, first))):
-            size = np.abs(response.matrix[:, rows.index(to), columns.index(by)])
-            style = "-" if number else "."
-            axes.plot(response.frequency, size, style, color=COLOURS[number], linewidth=1, label=f"{to}/{by}", markersize=3)
-        logarithmic(axes)
-        axes.set_ylabel(f"{response.form} (SI)")
-        axes.set_xlabel("frequency [Hz]")
-        axes.legend(fontsize=8)
+    forth, back = (np.abs(response.matrix[:, rows.index(to), columns.index(by)]) for to, by in ((first, second), (second, first)))
+    series = (dots(f"{first}/{second}", response.frequency, forth, size=1.5), curve(f"{second}/{first}", response.frequency, back, 1))
+    chart = stacked([over_frequency(Axis(f"{response.form} (SI)", logarithmic=True), series)], 3.0)
     both = f"{first}/{second} and {second}/{first}"
     caption = f"{comparison.name}, test {point.test}: {both}; rms difference {100 * point.value:.2g} %."
-    return Figure(canvas, caption, f"Reciprocity of {point.group} in test {point.test}")
+    return Figure(chart, caption, f"Reciprocity of {point.group} in test {point.test}")
 
 
-def _figure(comparison: Comparison, canvas: Canvas, said: str) -> Figure:
+def _figure(comparison: Comparison, chart: Chart, meaning: str) -> Figure:
     over = f" over {comparison.condition}" if comparison.condition else ""
-    caption = f"{comparison.name}: {comparison.subject}{over}; {said}."
-    return Figure(canvas, caption, f"{comparison.kind} of {comparison.subject}{over}")
+    caption = f"{comparison.name}: {comparison.subject}{over}; {meaning}."
+    return Figure(chart, caption, f"{comparison.kind} of {comparison.subject}{over}")
 
 
 FIGURES: dict[str, Callable[[Comparison], Figure]] = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from matplotlib.figure import Figure as Canvas
+from labpipe.report.chart import Graphic
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,9 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A drawing, its caption, and what it shows for those who cannot see it; each renderer saves the drawing in its own format."""
+    """A chart or drawing, its caption, and what it shows for those who cannot see it; each format of a document draws it its own way."""
 
-    drawing: Canvas
+    graphic: Graphic
     caption: str
     alternative: str
 

@@ -16,7 +16,7 @@ def loop_blocks(comparison: Comparison) -> list[Block]:
     if warnings:
         blocks.append(Paragraph(f"{'; '.join(f'{finding.code}: {finding.message}' for finding in warnings)}.", "warning"))
     if comparison.correlations:
-        rows = tuple((one, other, f"{value:+.3f}") for one, other, value in comparison.correlations)
+        rows = tuple((first, second, f"{value:+.3f}") for first, second, value in comparison.correlations)
         blocks.append(Table(("unknown", "and", "correlation"), rows, f"Correlation of the unknowns of {comparison.name}", (2,)))
     # Fitted unknowns are judged by their errors; the bands of the loop as stated belong to a comparison without them.
     if comparison.bands and not comparison.correlations:
@@ -40,7 +40,7 @@ def _band_table(comparison: Comparison, name: str) -> Table:
 
 def _row(band: ComparedBand, several: bool) -> tuple[str, ...]:
     unit = display_unit(band.unit)
-    value, low, high, other = (to_display(each, unit) for each in (band.value, *band.ci95, band.other))
+    value, low, high, other = (to_display(amount, unit) for amount in (band.value, *band.ci95, band.other))
     error = abs(high - low) / 4
     mark = "" if band.holds or band.p_value is not None else " *"
     last = () if band.p_value is None else (f"{band.p_value:.2g}",)

@@ -4,54 +4,60 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
-from labpipe.quantities import display_unit, to_display
 from labpipe.records.comparison import ComparedBand, Comparison, Curve
+from labpipe.report.chart import INK, PALETTE_SIZE, Axis, Panel, Series, curve, dots, level, stacked
 from labpipe.report.document import Figure
-from labpipe.report.drawing import COLOURS, STYLE
-from labpipe.report.figures import PlainLog, stacked_axes
+from labpipe.report.figures import FREQUENCY, over_frequency, scale_of
 from labpipe.report.wording import unit_text
 
 # Ratios and damping of the lowest bands have intervals many times their value, which would flatten all others.
 LEAST_RATIO_RANGE = 0.2
 # Upper ends of the zones of ISO 14839-3; D lies above the last.
 ZONE_LIMITS = (("A", 3.0), ("B", 4.0), ("C", 5.0))
+SMALL_DOT = 2.5
 
 
 def prediction_figures(comparison: Comparison) -> list[Figure]:
     """k and c of the bands beside the prediction and, below, measured / predicted stiffness; every test in its colour."""
     names = list(dict.fromkeys(band.parameter for band in comparison.bands))
     tests = list(dict.fromkeys(band.test for band in comparison.bands))
-    with mpl.rc_context(STYLE):
-        canvas, (above, middle, below) = stacked_axes(3, 7.4, sharex=True, height_ratios=(3, 3, 2))
-        for axes, name in zip((above, middle), names, strict=True):
-            for number, test in enumerate(tests):
-                _coefficient(axes, comparison, name, test, COLOURS[number % len(COLOURS)], _aside(comparison, number, len(tests)))
-            unit = next(band.unit for band in comparison.bands if band.parameter == name)
-            axes.set_ylabel(f"{name} [{unit_text(unit)}]")
-        for number, test in enumerate(tests):
-            aside = _aside(comparison, number, len(tests)) or 0.0
-            _ratios(below, _of(comparison.bands, names[0], test), COLOURS[number % len(COLOURS)], aside)
-        _ratio_axis(below, [band for band in comparison.bands if band.parameter == names[0]])
-        below.set_ylabel(f"{names[0]}: measured / predicted")
-        below.set_xlabel("frequency [Hz]")
-        above.legend(ncols=2, fontsize=8)
-    fitted = ", dashed: with the fitted unknowns" if any(curve.matched for curve in comparison.curves) else ""
+    first = [_of(comparison.bands, names[0], test) for test in tests]
+    ratios = []
+    for number, (test, bands) in enumerate(zip(tests, first, strict=True)):
+        name = f"{test} measured" if len(tests) > 1 else "measured"
+        ratios.append(_ratios(bands, number % PALETTE_SIZE, name, _aside(comparison, number, len(tests))))
+    low, high = _ratio_range([band for band in comparison.bands if band.parameter == names[0]])
+    ratio_axis = Axis(f"{names[0]}: measured / predicted", low=low, high=high)
+    panels = [_coefficient_panel(comparison, name, tests) for name in names]
+    chart = stacked([*panels, over_frequency(ratio_axis, (level(1.0), *ratios), 2.0)], 7.4)
+    fitted = ", dashed: with the fitted unknowns" if any(part.matched for part in comparison.curves) else ""
     caption = (
         f"{comparison.name}: bands with 95 % intervals (dots); lines: the prediction as the same fit sees it; dotted: the loop's K_eq and "
         f"C_eq at each frequency{fitted}; below: ratio of the stiffness with 95 % intervals."
     )
-    return [Figure(canvas, caption, f"Measured and predicted {comparison.subject} over frequency")]
+    return [Figure(chart, caption, f"Measured and predicted {comparison.subject} over frequency")]
 
 
-def _aside(comparison: Comparison, number: int, tests: int) -> float | None:
-    """How far the dots of a test stand beside the centre of their band [Hz], so that tests do not hide each other; None for one test."""
+def _coefficient_panel(comparison: Comparison, name: str, tests: Sequence[str]) -> Panel:
+    """One coefficient of every test beside its prediction; the axis shows nine values in ten and all of the prediction."""
+    series: list[Series] = []
+    for number, test in enumerate(tests):
+        label = f"{test} " if len(tests) > 1 else ""
+        aside = _aside(comparison, number, len(tests))
+        series += _coefficient(comparison, _of(comparison.bands, name, test), label, number % PALETTE_SIZE, aside)
+    ends = [_focus(_of(comparison.bands, name, test)) for test in tests]
+    unit = next(band.unit for band in comparison.bands if band.parameter == name)
+    factor = scale_of(unit)
+    y = Axis(name, unit_text(unit), low=factor * min(low for low, _ in ends), high=factor * max(high for _, high in ends))
+    return over_frequency(y, series, 3.0)
+
+
+def _aside(comparison: Comparison, number: int, tests: int) -> float:
+    """How far the dots of a test stand beside the centre of their band [Hz], so that tests do not hide each other."""
     if tests == 1:
-        return None
+        return 0.0
     centres = np.unique([band.centre_hz for band in comparison.bands])
     apart = float(np.min(np.diff(centres))) if centres.size > 1 else 1.0
     return 0.5 * apart * (number - (tests - 1) / 2) / tests
@@ -61,102 +67,89 @@ def _of(bands: Sequence[ComparedBand], name: str, test: str) -> list[ComparedBan
     return [band for band in bands if band.parameter == name and band.test == test]
 
 
-def _coefficient(axes: Axes, comparison: Comparison, name: str, test: str, colour: str, aside: float | None) -> None:
-    bands, several = _of(comparison.bands, name, test), aside is not None
-    factor = to_display(1.0, display_unit(bands[0].unit))
+def _coefficient(comparison: Comparison, bands: Sequence[ComparedBand], label: str, colour: int, aside: float) -> list[Series]:
+    """The bands of one test, the prediction for them, and the loop's own values at each frequency."""
+    factor = scale_of(bands[0].unit)
     centres = np.array([band.centre_hz for band in bands])
-    values, ends = factor * np.array([band.value for band in bands]), factor * np.array([band.ci95 for band in bands])
-    label = f"{test} " if several else ""
-    _bars(axes, centres + (aside or 0.0), values, ends, colour, f"{label}measured")
-    line = colour if several else COLOURS[1]
-    axes.plot(centres, factor * np.array([band.other for band in bands]), "-", color=line, linewidth=1.2, label=f"{label}predicted")
-    for curve in comparison.curves:
-        if curve.test == test and curve.quantity == name[0]:
-            _pointwise(axes, curve, factor, line, line if several else COLOURS[2])
-    _focus(axes, values, factor * np.array([band.other for band in bands]))
+    ends = factor * np.array([band.ci95 for band in bands]).T
+    values, predicted = factor * np.array([[band.value, band.other] for band in bands]).T
+    line, matched = (colour, colour) if label else (1, 2)
+    measured = dots(f"{label}measured", centres + aside, values, colour, marker="o", size=SMALL_DOT, bars=(ends[0], ends[1]))
+    series = [measured, curve(f"{label}predicted", centres, predicted, line, width=1.2)]
+    for part in comparison.curves:
+        if part.test == bands[0].test and part.quantity == bands[0].parameter[0]:
+            series += _pointwise(part, factor, label, line, matched)
+    return series
 
 
-def _pointwise(axes: Axes, curve: Curve, factor: float, colour: str, matched: str) -> None:
-    axes.plot(curve.frequency, factor * np.array(curve.theory), ":", color=colour, linewidth=0.9)
-    if curve.matched:
-        axes.plot(curve.frequency, factor * np.array(curve.matched), "--", color=matched, linewidth=1)
+def _pointwise(part: Curve, factor: float, label: str, colour: int, matched: int) -> list[Series]:
+    """Stiffness or damping of the loop at each frequency, and with the fitted unknowns where there are any."""
+    series = [curve(f"{label}loop", part.frequency, factor * np.array(part.theory), colour, ":", width=0.9)]
+    if part.matched:
+        series.append(curve(f"{label}with the fitted unknowns", part.frequency, factor * np.array(part.matched), matched, "--"))
+    return series
 
 
-def _focus(axes: Axes, values: NDArray[np.floating], predicted: NDArray[np.floating]) -> None:
-    """The axis shows nine values in ten and all of the prediction; the widest intervals leave it."""
+def _focus(bands: Sequence[ComparedBand]) -> tuple[float, float]:
+    """Ends (SI) between which nine values in ten and all of the prediction lie; the widest intervals reach beyond."""
+    values, predicted = np.array([[band.value, band.other] for band in bands]).T
     shown = np.concatenate([np.nanquantile(values, [0.05, 0.95]), predicted])
     margin = 0.25 * float(np.ptp(shown) or np.max(np.abs(shown)) or 1.0)
-    before = [axes.get_ylim()] if axes.get_label() == "focused" else []
-    low, high = float(np.min(shown)) - margin, float(np.max(shown)) + margin
-    axes.set_ylim(min([low, *(each[0] for each in before)]), max([high, *(each[1] for each in before)]))
-    axes.set_label("focused")
+    return float(np.min(shown)) - margin, float(np.max(shown)) + margin
 
 
-def _bars(axes: Axes, x: NDArray[np.floating], values: NDArray[np.floating], ends: NDArray[np.floating], colour: str, label: str) -> None:
-    reach = np.abs(ends.T - values)
-    axes.errorbar(x, values, reach, fmt="o", color=colour, markersize=2.5, elinewidth=0.7, capsize=0, alpha=0.8, label=label)
+def _ratios(bands: Sequence[ComparedBand], colour: int, name: str, aside: float = 0.0) -> Series:
+    """Measured over predicted of every band with its 95 % interval."""
+    values = np.array([band.ratio for band in bands], float)
+    ends = np.array([band.ratio_ci95 or (np.nan, np.nan) for band in bands], float).T
+    centres = np.array([band.centre_hz for band in bands]) + aside
+    return dots(name, centres, values, colour, marker="o", size=SMALL_DOT, bars=(ends[0], ends[1]))
 
 
-def _ratios(axes: Axes, bands: Sequence[ComparedBand], colour: str, aside: float = 0.0) -> None:
-    values, ends = np.array([band.ratio for band in bands], float), np.array([band.ratio_ci95 for band in bands], float)
-    _bars(axes, np.array([band.centre_hz for band in bands]) + aside, values, ends, colour, "")
-
-
-def _ratio_axis(axes: Axes, bands: Sequence[ComparedBand]) -> None:
-    """One stands in the middle; nine bands in ten are within the axis with their intervals."""
+def _ratio_range(bands: Sequence[ComparedBand]) -> tuple[float, float]:
+    """Both ends of an axis of ratios: one stands in the middle; nine bands in ten are within with their intervals."""
     reach = [max(abs(end - 1) for end in band.ratio_ci95) for band in bands if band.ratio_ci95 is not None]
     size = max(LEAST_RATIO_RANGE, 1.1 * float(np.nanquantile(reach, 0.9))) if reach else 1.0
-    axes.axhline(1.0, color="0.4", linewidth=0.8)
-    axes.set_ylim(1 - size, 1 + size)
+    return 1 - size, 1 + size
 
 
 def band_figures(comparison: Comparison) -> list[Figure]:
     """Second test over first for every coefficient, with the interval of the difference; bands that differ stand out."""
     names = list(dict.fromkeys(band.parameter for band in comparison.bands))
-    with mpl.rc_context(STYLE):
-        canvas, panels = stacked_axes(len(names), 0.8 + 1.8 * len(names), sharex=True)
-        for axes, name in zip(panels, names, strict=True):
-            bands = [band for band in comparison.bands if band.parameter == name]
-            _ratio_axis(axes, bands)
-            _ratios(axes, [band for band in bands if not _differs(comparison, band)], COLOURS[0])
-            if any(_differs(comparison, band) for band in bands):
-                _ratios(axes, [band for band in bands if _differs(comparison, band)], COLOURS[1])
-            axes.set_ylabel(f"{name}: ratio")
-        panels[-1].set_xlabel("frequency [Hz]")
+    panels = [_band_panel(comparison, [band for band in comparison.bands if band.parameter == name]) for name in names]
     test = comparison.bands[0].test
     meaning = "ratio of every band with its 95 % interval, not corrected; orange: different after Holm's correction"
     caption = f"{comparison.name}: {test}, {meaning}."
-    return [Figure(canvas, caption, f"{test}: ratio of {comparison.subject} over frequency")]
+    return [Figure(stacked(panels, 0.8 + 1.8 * len(names)), caption, f"{test}: ratio of {comparison.subject} over frequency")]
+
+
+def _band_panel(comparison: Comparison, bands: Sequence[ComparedBand]) -> Panel:
+    """The ratios of one coefficient, those that differ in a colour of their own."""
+    low, high = _ratio_range(bands)
+    alike = [band for band in bands if not _differs(comparison, band)]
+    different = [band for band in bands if _differs(comparison, band)]
+    parts = ((alike, 0, "alike"), (different, 1, "different"))
+    series = [_ratios(some, colour, name) for some, colour, name in parts if some]
+    return Panel(FREQUENCY, Axis(f"{bands[0].parameter}: ratio", low=low, high=high), (level(1.0), *series))
 
 
 def _differs(comparison: Comparison, band: ComparedBand) -> bool:
     """Whether the band is among those that are counted as different."""
     count = round(comparison.amount("different").value)
-    ordered = sorted(each.p_value for each in comparison.bands if each.p_value is not None)
+    ordered = sorted(other.p_value for other in comparison.bands if other.p_value is not None)
     return count > 0 and band.p_value is not None and band.p_value <= ordered[count - 1]
 
 
 def sensitivity_figures(comparison: Comparison) -> list[Figure]:
     """Measured |S| with its 95 % band, the prediction, and the limits of the zones."""
-    (curve,) = comparison.curves
-    frequency, measured = np.array(curve.frequency), np.array(curve.measured)
-    with mpl.rc_context(STYLE):
-        canvas, (axes,) = stacked_axes(1, 3.6)
-        axes.fill_between(frequency, curve.low, curve.high, color=COLOURS[0], alpha=0.25, linewidth=0)
-        axes.plot(frequency, measured, ".", color=COLOURS[0], markersize=2.5, label="measured")
-        if curve.theory:
-            axes.plot(frequency, curve.theory, "-", color=COLOURS[1], linewidth=1.1, label="predicted")
-        if curve.matched:
-            axes.plot(frequency, curve.matched, "--", color=COLOURS[2], linewidth=1.1, label="with the fitted unknowns")
-        for name, limit in ZONE_LIMITS:
-            axes.axhline(limit, color="0.4", linewidth=0.8, linestyle="--")
-            axes.text(frequency[-1], limit, f"zone {name} ends", fontsize=7, ha="right", va="bottom", color="0.3")
-        axes.plot(comparison.amount("peak_frequency").value, comparison.amount("peak").value, "v", color=COLOURS[6], label="peak")
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter(PlainLog())
-        axes.set_ylim(0, None)
-        axes.set_ylabel("|S| [1]")
-        axes.set_xlabel("frequency [Hz]")
-        axes.legend(ncols=4, fontsize=8)
+    (part,) = comparison.curves
+    series = [dots("measured", part.frequency, part.measured, size=1.25, band=(part.low, part.high), opacity=0.25)]
+    series += [curve("predicted", part.frequency, part.theory, 1, width=1.1)] if part.theory else []
+    series += [curve("with the fitted unknowns", part.frequency, part.matched, 2, "--", width=1.1)] if part.matched else []
+    zones = [level(limit, line="--", name=f"zone {name} ends") for name, limit in ZONE_LIMITS]
+    at, peak = comparison.amount("peak_frequency").value, comparison.amount("peak").value
+    x = Axis(FREQUENCY.title, FREQUENCY.unit, logarithmic=True)
+    panel = Panel(x, Axis("|S|", "1", low=0.0), (*series, *zones, dots("peak", [at], [peak], INK, marker="v", size=6.0)))
     caption = f"{comparison.name}: measured sensitivity with its 95 % band; dashed: limits of the zones of ISO 14839-3."
-    return [Figure(canvas, caption, f"Sensitivity of the control loop over frequency, {comparison.verdict}")]
+    alternative = f"Sensitivity of the control loop over frequency, {comparison.verdict}"
+    return [Figure(stacked([panel], 3.6), caption, alternative)]

@@ -2,43 +2,37 @@
 
 from __future__ import annotations
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure as Canvas
 
 from labpipe.records.identification import Fit, FittedCurve
+from labpipe.report.chart import WIDTH, Chart, Panel, curve, dots
 from labpipe.report.document import Figure
-from labpipe.report.drawing import COLOURS, STYLE
-from labpipe.report.figures import WIDTH, form_unit, logarithmic
+from labpipe.report.figures import FREQUENCY, form_axis, form_unit
 from labpipe.report.wording import fit_title
 
 # More elements than this cannot be told apart in one pair of axes.
 MOST_TOGETHER = 4
+# Part of the amplitude at which a band ends that would reach below zero, for which a logarithmic axis has no place.
+LEAST_SHARE = 0.05
 
 
-def matrix_figure(fit: Fit, curve: FittedCurve) -> Figure:
+def matrix_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     """Amplitude of every element, measured with two standard deviations (dots, shaded) and fitted (line)."""
-    n_output, n_input = len(curve.outputs), len(curve.inputs)
-    label, factor = form_unit(curve.form)
-    with mpl.rc_context(STYLE):
-        canvas = Canvas(figsize=(WIDTH, 0.6 + 1.7 * n_output), layout="constrained")
-        panels = canvas.subplots(n_output, n_input, squeeze=False, sharex=True, sharey=True)
-        for (o, i), axes in np.ndenumerate(panels):
-            _element(axes, curve, o, i, factor)
-        logarithmic(panels[0, 0])
-        canvas.supxlabel("frequency [Hz]", fontsize=9)
-        canvas.supylabel(label, fontsize=9)
-    caption = f"{fit_title(fit)}: measured (dots; shaded: two standard deviations) and fitted (lines) {curve.form}, response/force."
-    return Figure(canvas, caption, f"Amplitude of every element of the FRF matrix of fit {fit_title(fit)} over frequency")
+    rows, columns = len(fitted.outputs), len(fitted.inputs)
+    panels = tuple(_element(fitted, o, i) for o in range(rows) for i in range(columns))
+    chart = Chart(panels, rows, columns, (WIDTH, 0.6 + 1.7 * rows), "xy", "above")
+    caption = f"{fit_title(fit)}: measured (dots; shaded: two standard deviations) and fitted (lines) {fitted.form}, response/force."
+    return Figure(chart, caption, f"Amplitude of every element of the FRF matrix of fit {fit_title(fit)} over frequency")
 
 
-def _element(axes: Axes, curve: FittedCurve, o: int, i: int, factor: float) -> None:
-    size = factor * np.abs(curve.measured[:, o, i])
-    if curve.variance is not None:
+def _element(fitted: FittedCurve, o: int, i: int) -> Panel:
+    factor = form_unit(fitted.form)[1]
+    size, band = factor * np.abs(fitted.measured[:, o, i]), None
+    if fitted.variance is not None:
         # Half of the variance of the complex value lies along it.
-        spread = 2 * factor * np.sqrt(curve.variance[:, o, i] / 2)
-        axes.fill_between(curve.frequency, np.maximum(size - spread, 0.05 * size), size + spread, color=COLOURS[0], alpha=0.15, linewidth=0)
-    axes.plot(curve.frequency, size, ".", color=COLOURS[0], markersize=3)
-    axes.plot(curve.frequency, factor * np.abs(curve.fitted[:, o, i]), "-", color=COLOURS[1], linewidth=1)
-    axes.set_title(f"{curve.outputs[o]}/{curve.inputs[i]}", fontsize=8)
+        spread = 2 * factor * np.sqrt(fitted.variance[:, o, i] / 2)
+        band = np.maximum(size - spread, LEAST_SHARE * size), size + spread
+    lines, values = fitted.drawn
+    measured = dots("measured", fitted.frequency, size, 0, size=1.5, band=band)
+    model = curve("fitted", lines, factor * np.abs(values[:, o, i]), 1)
+    return Panel(FREQUENCY, form_axis(fitted.form), (measured, model), f"{fitted.outputs[o]}/{fitted.inputs[i]}")

@@ -1,4 +1,4 @@
-"""Run-ups as people read them: what was measured, what each method predicts, how far its coefficients are known, and their pictures."""
+"""Run-ups as people read them: what was measured, what each method predicts, how far its coefficients are determined, and their figures."""
 
 from __future__ import annotations
 
@@ -24,18 +24,13 @@ FRAME = (
 )
 
 
-def run_up_report(result: RunUpResult, _identification: Identification) -> tuple[Section, ...]:
-    """The sections of run-ups."""
-    return run_up_sections(result)
-
-
 def cover_facts(result: RunUpResult) -> dict[str, str]:
     """The rotor, and its runs with their loads."""
     return {"rig": result.rotor, "run-ups": ", ".join(f"{run.name} ({run.load:.3g} N, {run.role})" for run in result.runs)}
 
 
-def run_up_sections(result: RunUpResult) -> tuple[Section, ...]:
-    """The sections of a report, in the order in which they are asked for."""
+def run_up_sections(result: RunUpResult, _identification: Identification) -> tuple[Section, ...]:
+    """What was measured, both speeds, doubt, coefficients, metamodels, and the response of every run."""
     return (
         Section(f"Run-ups: {result.rotor}", _measured(result)),
         Section("Critical speed and threshold", (speeds_figure(result), *speed_blocks(result), *_cautions(result))),
@@ -49,35 +44,35 @@ def run_up_sections(result: RunUpResult) -> tuple[Section, ...]:
 def _measured(result: RunUpResult) -> tuple[Block, ...]:
     method = best_method(result)
     words = f"{result.rotor}, on its {result.bearing}. {FRAME}"
-    cascades = [cascade_figure(run, one) for run in result.runs for one in run.cascades]
+    cascades = [cascade_figure(run, cascade) for run in result.runs for cascade in run.cascades]
     return (Paragraph(words), measured_table(result), polar_figure(result, method), orbit_figure(result, method), *cascades)
 
 
 def _cautions(result: RunUpResult) -> tuple[Block, ...]:
     """What limits a prediction, beside its number; what could not be predicted, and why."""
-    told = _told(result.methods)
+    notes = _notes(result.methods)
     held = {run.name for run in result.runs if run.role == HELD_OUT}
     return tuple(
         Paragraph(f"{words} ({', '.join(runs)}).", "warning" if held & set(runs) and "outside the loads" in words else "note")
-        for words, runs in told.items()
+        for words, runs in notes.items()
     )
 
 
-def _told(owners: Sequence[RunUpMethod | MetamodelResult]) -> dict[str, list[str]]:
+def _notes(owners: Sequence[RunUpMethod | MetamodelResult]) -> dict[str, list[str]]:
     """Every note once, with the runs that it is about."""
-    told: dict[str, list[str]] = {}
+    notes: dict[str, list[str]] = {}
     for owner in owners:
-        for one in owner.predictions:
-            for words in one.notes:
-                told.setdefault(f"{owner.title}: {words}", []).append(one.run)
-    return told
+        for prediction in owner.predictions:
+            for words in prediction.notes:
+                notes.setdefault(f"{owner.title}: {words}", []).append(prediction.run)
+    return notes
 
 
 def _doubt(result: RunUpResult) -> tuple[Block, ...]:
     searches: list[Block] = []
     for method in result.methods:
-        searches += [convergence_figure(method, one) for one in method.convergence]
-        searches += [spread_figure(method, one) for one in method.spreads]
+        searches += [convergence_figure(method, search) for search in method.convergence]
+        searches += [spread_figure(method, spread) for spread in method.spreads]
     return (*doubt_blocks(result), *searches)
 
 
@@ -97,7 +92,7 @@ def _metamodels(result: RunUpResult) -> tuple[Block, ...]:
         "better than what it is made of: a small error at a load left out says that coefficients are smooth, not that they are right."
     )
     blocks: list[Block] = [Paragraph(basis), left_out_table(result.metamodels)]
-    blocks += [Paragraph(f"{words} ({', '.join(runs)}).", "note") for words, runs in _told(result.metamodels).items()]
+    blocks += [Paragraph(f"{words} ({', '.join(runs)}).", "note") for words, runs in _notes(result.metamodels).items()]
     for model in result.metamodels:
         blocks += [Paragraph(f"{model.title}: {' '.join(model.remarks)}")] if model.remarks else []
         blocks += surface_figures(model)

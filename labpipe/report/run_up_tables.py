@@ -85,21 +85,22 @@ def _speed_table(result: RunUpResult, item: str, caption: str, models: Sequence[
     columns: Sequence[RunUpMethod | MetamodelResult] = models or result.methods
     header = ("run", "measured", *(SHORT.get(column.name, column.name) for column in columns))
     rows = []
-    for run in _told_runs(result, item):
+    for run in _runs_with(result, item):
         measured: Amount | None = getattr(run, item)
-        cells = (_told(column.prediction(run.name), item, measured) for column in columns)
+        cells = (_speed_text(column.prediction(run.name), item, measured) for column in columns)
         rows.append((_run_name(run), _measured_text(measured), *cells))
     # What holds two numbers is text: it may wrap, so that all methods fit side by side.
     return Table(header, tuple(rows), caption)
 
 
-def _told_runs(result: RunUpResult, item: str) -> list[MeasuredRun]:
-    """Runs that have such a speed, by measurement or by a method; a threshold belongs to a load, and is told once."""
+def _runs_with(result: RunUpResult, item: str) -> list[MeasuredRun]:
+    """Runs that have such a speed, by measurement or by a method; a threshold belongs to a load, and stands once."""
     kept: list[MeasuredRun] = []
     for run in result.runs:
-        known = any(getattr(told, item) is not None for method in result.methods if (told := method.prediction(run.name)) is not None)
+        predictions = [method.prediction(run.name) for method in result.methods]
+        predicted = any(getattr(prediction, item) is not None for prediction in predictions if prediction is not None)
         again = item == "threshold" and any(run.load == other.load for other in kept)
-        if getattr(run, item) is not None or (known and not again):
+        if getattr(run, item) is not None or (predicted and not again):
             kept.append(run)
     return kept
 
@@ -113,7 +114,7 @@ def _measured_text(measured: Amount | None) -> str:
     return "none" if measured is None else f"{rpm_text(measured)} rpm".replace("± ", f"±{FIXED}")
 
 
-def _told(prediction: RunPrediction | None, item: str, measured: Amount | None) -> str:
+def _speed_text(prediction: RunPrediction | None, item: str, measured: Amount | None) -> str:
     amount: Amount | None = None if prediction is None else getattr(prediction, item)
     if amount is None:
         return "none"
@@ -121,8 +122,8 @@ def _told(prediction: RunPrediction | None, item: str, measured: Amount | None) 
     if measured is None:
         return text
     value = f"{text}{_mark(amount, measured)}".replace("± ", f"±{FIXED}")
-    own, rule = both_differences(amount.value, measured.value).split(" (")
-    return f"{value}: {own.replace(' ', FIXED)} ({rule.replace(' ', FIXED)}"
+    relative, rule = both_differences(amount.value, measured.value).split(" (")
+    return f"{value}: {relative.replace(' ', FIXED)} ({rule.replace(' ', FIXED)}"
 
 
 def _mark(amount: Amount, measured: Amount) -> str:
@@ -133,8 +134,8 @@ def _mark(amount: Amount, measured: Amount) -> str:
 
 def both_differences(predicted: float, measured: float) -> str:
     """ "+2.15 % (2.10 %)": relative to the measurement, and by the source's rule, relative to the larger of the two."""
-    own, rule = (predicted - measured) / measured, abs(predicted - measured) / max(abs(predicted), abs(measured))
-    return f"{100 * own:+.2f} % ({100 * rule:.2f} %)"
+    relative, rule = (predicted - measured) / measured, abs(predicted - measured) / max(abs(predicted), abs(measured))
+    return f"{100 * relative:+.2f} % ({100 * rule:.2f} %)"
 
 
 def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
@@ -146,7 +147,7 @@ def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
             continue
         measured, original, enhanced = (60 * value for value in printed)
         differences = (both_differences(value, measured) for value in (original, enhanced))
-        shown = [f"{value:.6g}: {told}" for value, told in zip((original, enhanced), differences, strict=True)]
+        shown = [f"{value:.6g}: {difference}" for value, difference in zip((original, enhanced), differences, strict=True)]
         rows.append((_run_name(run), f"{measured:.6g}", *shown))
     if not rows:
         return []
@@ -195,10 +196,10 @@ def _rank_blocks(result: RunUpResult) -> list[Block]:
     rows = tuple((row.data, f"{row.rank} of 8", f"{row.condition:.3g}", row.words) for row in result.ranks)
     table = Table(("data", "rank", "condition", "what is seen"), rows, f"What run-ups can tell of eight coefficients, at {where}", (1, 2))
     blocks: list[Block] = [table, Paragraph(f"Advice: {ADVICE_WORDS}", "note")]
-    own = result.measured_rank
-    if own is not None and own.free:
-        free = tuple((str(number), words) for number, words in enumerate(own.free, 1))
-        caption = f"Combinations that the runs at hand ({own.data}) leave free at {where}, in parts of the coefficients' own sizes"
+    rank = result.measured_rank
+    if rank is not None and rank.free:
+        free = tuple((str(number), words) for number, words in enumerate(rank.free, 1))
+        caption = f"Combinations that the runs at hand ({rank.data}) leave free at {where}, in parts of the coefficients' own sizes"
         blocks.append(Table(("no.", "combination"), free, caption, (0,)))
     return blocks
 
@@ -206,33 +207,33 @@ def _rank_blocks(result: RunUpResult) -> list[Block]:
 def parameter_table(method: RunUpMethod) -> Table:
     """The physical parameters of a joint fit: factors on the rotor file's values, exponents for the slopes."""
     rows = []
-    for one in method.parameters:
-        interval = "at bound" if one.ci95 is None else f"{one.ci95[0]:.3f} to {one.ci95[1]:.3f}"
-        kind = "exponent" if one.name.startswith("viscosity_") else "factor"
-        error = "none" if one.std_error is None else f"{one.std_error:.2g}"
-        rows.append((one.name, kind, f"{one.value:.3f}", error, interval))
+    for parameter in method.parameters:
+        interval = "at bound" if parameter.ci95 is None else f"{parameter.ci95[0]:.3f} to {parameter.ci95[1]:.3f}"
+        kind = "exponent" if parameter.name.startswith("viscosity_") else "factor"
+        error = "none" if parameter.std_error is None else f"{parameter.std_error:.2g}"
+        rows.append((parameter.name, kind, f"{parameter.value:.3f}", error, interval))
     caption = f"{method.title}: posterior values with their standard deviations, as factors on the rotor file's bearing"
     return Table(("parameter", "kind", "value", "std. deviation", "95 % interval"), tuple(rows), caption, (2, 3, 4))
 
 
 def coefficient_table(method: RunUpMethod, run: MeasuredRun) -> Table | None:
     """The eight coefficients of a method at some of a run's speeds, with their standard deviations."""
-    told = method.prediction(run.name)
-    if told is None or not told.coefficients:
+    prediction = method.prediction(run.name)
+    if prediction is None or not prediction.coefficients:
         return None
-    n = len(told.coefficient_speed)
+    n = len(prediction.coefficient_speed)
     chosen = dict.fromkeys(np.linspace(0, n - 1, min(n, MOST_SPEEDS)).round().astype(int).tolist())
-    rows = tuple((f"{RPM * told.coefficient_speed[place]:.0f}", *_eight(told, place)) for place in chosen)
+    rows = tuple((f"{RPM * prediction.coefficient_speed[place]:.0f}", *_eight(prediction, place)) for place in chosen)
     units = tuple(f"{name} [{'kN/m' if name.startswith('k') else 'N s/m'}]" for name in NAMES)
     caption = f"{method.title}: coefficients at {run.load:.4g} N ({run.name}), ± one standard deviation; every speed in identification.json"
     return Table(("speed [rpm]", *units), rows, caption, tuple(range(9)))
 
 
-def _eight(told: RunPrediction, place: int) -> list[str]:
+def _eight(prediction: RunPrediction, place: int) -> list[str]:
     cells = []
-    for number, value in enumerate(told.coefficients[place]):
+    for number, value in enumerate(prediction.coefficients[place]):
         scale = 1e-3 if number < 4 else 1.0
-        error = told.std_errors[place][number] if told.std_errors else None
+        error = prediction.std_errors[place][number] if prediction.std_errors else None
         cells.append(_with_deviation(scale * value, None if error is None else scale * error))
     return cells
 

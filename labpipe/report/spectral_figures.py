@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-import matplotlib as mpl
+from typing import Any
+
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 
 from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse
+from labpipe.report.chart import INK, PALETTE_SIZE, WIDTH, Axis, Chart, Panel, Series, arrow, curve, dots, stacked
 from labpipe.report.document import Block, Figure, Paragraph, Table
-from labpipe.report.drawing import COLOURS, STYLE
-from labpipe.report.figures import WIDTH, form_unit, logarithmic, stacked_axes
+from labpipe.report.figures import PHASE, element_names, form_axis, form_unit, over_frequency, phase_degrees
 from labpipe.spectra.directional import FORWARD_BACKWARD, FROM_DIRECTIONAL, two_sided
 from labpipe.spectra.peaks import HalfPower, half_power
 
 TURNS = {"f": "forward", "b": "backward"}
+TWO_SIDED = Axis("frequency: backward < 0 < forward", "Hz")
+# The arrow on an orbit lies between these of its points.
+ARROW = (8, 12)
 
 
 def spectral_blocks(response: FrequencyResponse) -> tuple[Block, ...]:
     """What is shown below the FRF itself: of a directional response its two sides and orbits; distortion where it was measured."""
     blocks: list[Block] = []
     if tuple(port.label for port in (*response.outputs, *response.inputs)) == 2 * FORWARD_BACKWARD:
-        found = resonances(response)
-        blocks += [two_sided_figure(response, found), *_half_power_table(response, found)]
-        blocks += [orbit_figure(response, found)] if found else []
+        peaks = resonances(response)
+        blocks += [two_sided_figure(response, peaks), *_half_power_table(response, peaks)]
+        blocks += [orbit_figure(response, peaks)] if peaks else []
     if response.distortion is not None and response.variance is not None:
         blocks.append(distortion_figure(response))
     return tuple(blocks)
@@ -34,49 +36,51 @@ def spectral_blocks(response: FrequencyResponse) -> tuple[Block, ...]:
 def resonances(response: FrequencyResponse) -> dict[str, HalfPower]:
     """The highest resonance of H_ff and of H_bb with its half-power points, where the response has one."""
     band = float(response.frequency[0]), float(response.frequency[-1])
-    found = {}
+    peaks = {}
     for number, label in enumerate(FORWARD_BACKWARD):
         try:
-            found[label] = half_power(response.frequency, response.matrix[:, number, number], band)
+            peaks[label] = half_power(response.frequency, response.matrix[:, number, number], band)
         except DataError:
             continue
-    return found
+    return peaks
 
 
-def two_sided_figure(response: FrequencyResponse, found: dict[str, HalfPower]) -> Figure:
+def two_sided_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -> Figure:
     """H_ff and H_fb over negative (backward) and positive (forward) frequencies, half-power points marked."""
-    label_of_form, factor = form_unit(response.form)
+    factor = form_unit(response.form)[1]
     frequency, both = two_sided(response)
-    half = response.n_frequency
-    with mpl.rc_context(STYLE):
-        canvas, (amplitude, phase) = stacked_axes(2, 4.8, sharex=True, height_ratios=(3, 2))
-        for column, name in enumerate(("f/f", "f/b")):
-            for side in (slice(0, half), slice(half, None)):
-                label = name if side.start == 0 else None
-                amplitude.plot(frequency[side], factor * np.abs(both[side, column]), color=COLOURS[column], linewidth=1, label=label)
-                phase.plot(frequency[side], np.degrees(np.angle(both[side, column])), ".", color=COLOURS[column], markersize=2)
-        for label, peak in found.items():
-            _mark(amplitude, peak, factor, 1 if label == "f" else -1)
-        logarithmic(amplitude)
-        amplitude.set_ylabel(label_of_form)
-        amplitude.legend(ncols=3, fontsize=8)
-        phase.set_ylabel("phase [deg]")
-        phase.set_xlabel("frequency [Hz]: backward < 0 < forward")
-    marked = "; circles: resonance and half-power points" if found else ""
+    # Between the two sides nothing was measured.
+    x, sides = _with_gap(frequency, response.n_frequency), _with_gap(both, response.n_frequency)
+    amplitude, phase = [], []
+    for column, name in enumerate(("f/f", "f/b")):
+        amplitude.append(curve(name, x, factor * np.abs(sides[:, column]), column))
+        phase.append(dots(name, x, phase_degrees(sides[:, column]), column, size=1.0))
+    marks = [_mark(peak, factor, 1 if label == "f" else -1) for label, peak in peaks.items()]
+    panels = (
+        Panel(TWO_SIDED, form_axis(response.form), (*amplitude, *marks), share=3.0),
+        Panel(TWO_SIDED, PHASE, tuple(phase), share=2.0),
+    )
+    marked = "; circles: resonance and half-power points" if peaks else ""
     name = response.name or "the measurement"
     caption = f"Two-sided {response.form} of {name}: forward response to forward (f/f) and backward (f/b) force{marked}."
-    return Figure(canvas, caption, f"Directional {response.form} of {name} over negative and positive frequencies")
+    return Figure(stacked(panels, 4.8), caption, f"Directional {response.form} of {name} over negative and positive frequencies")
 
 
-def _mark(axes: Axes, peak: HalfPower, factor: float, sign: int) -> None:
+def _with_gap(values: NDArray[Any], place: int) -> NDArray[Any]:
+    """Rows with one of NaN before *place*, where a curve is interrupted."""
+    return np.insert(values, place, np.nan, axis=0)
+
+
+def _mark(peak: HalfPower, factor: float, sign: int) -> Series:
+    """Rings at the resonance and its half-power points."""
     frequency = sign * np.array([peak.low, peak.frequency, peak.high])
-    level = factor * peak.amplitude * np.array([1, np.sqrt(2), 1]) / np.sqrt(2)
-    axes.plot(frequency, level, "o", color="black", markerfacecolor="none", markersize=5)
+    amplitude = factor * peak.amplitude * np.array([1, np.sqrt(2), 1]) / np.sqrt(2)
+    return dots("resonance and half power", frequency, amplitude, INK, marker="o", size=5.0, hollow=True)
 
 
-def _half_power_table(response: FrequencyResponse, found: dict[str, HalfPower]) -> tuple[Block, ...]:
-    label_of_form, factor = form_unit(response.form)
-    header = ("term", "resonance [Hz]", label_of_form, "half power from [Hz]", "to [Hz]", "damping ratio [%]")
+def _half_power_table(response: FrequencyResponse, peaks: dict[str, HalfPower]) -> tuple[Block, ...]:
+    unit, factor = form_unit(response.form)
+    header = ("term", "resonance [Hz]", f"{response.form} [{unit}]", "half power from [Hz]", "to [Hz]", "damping ratio [%]")
     rows = tuple(
         (
             f"H_{label}{label} ({TURNS[label]})",
@@ -86,33 +90,30 @@ def _half_power_table(response: FrequencyResponse, found: dict[str, HalfPower]) 
             f"{peak.high:.2f}",
             f"{100 * peak.damping_ratio:.2f}",
         )
-        for label, peak in found.items()
+        for label, peak in peaks.items()
     )
     if not rows:
         return (Paragraph("No resonance with both half-power points lies in the band of the directional response."),)
     return (Table(header, rows, "Resonances and half-power points", (1, 2, 3, 4, 5)),)
 
 
-def orbit_figure(response: FrequencyResponse, found: dict[str, HalfPower]) -> Figure:
+def orbit_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -> Figure:
     """Orbits (x, y) under a force of 1 N turning forward, and backward, at resonance and at the half-power points."""
-    label_of_form, factor = form_unit(response.form)
-    unit = label_of_form.partition("[")[2].rstrip("]")
-    with mpl.rc_context(STYLE):
-        canvas = Canvas(figsize=(WIDTH, 0.5 * WIDTH), layout="constrained")
-        for place, (label, peak) in enumerate(found.items(), 1):
-            axes = canvas.add_subplot(1, 2, place)
-            column = FORWARD_BACKWARD.index(label)
-            for number, frequency in enumerate((peak.low, peak.frequency, peak.high)):
-                line = int(np.argmin(np.abs(response.frequency - frequency)))
-                _orbit(axes, factor * orbit(response.matrix[line, :, column]), f"{response.frequency[line]:.4g} Hz", COLOURS[number])
-            axes.set_aspect("equal", adjustable="datalim")
-            axes.set_title(f"force turning {TURNS[label]}", fontsize=9)
-            axes.set_xlabel(f"x [{unit}]")
-            axes.set_ylabel(f"y [{unit}]")
-            axes.legend(fontsize=8)
+    panels = tuple(_orbits(response, label, peak) for label, peak in peaks.items())
     name = response.name or "the measurement"
     caption = f"Orbits of {name} under a turning force of 1 N; the dot is where the force points along x, the arrow the sense of rotation."
-    return Figure(canvas, caption, f"Orbits of {name} at resonance and half-power points")
+    return Figure(Chart(panels, 1, 2, (WIDTH, 0.5 * WIDTH)), caption, f"Orbits of {name} at resonance and half-power points")
+
+
+def _orbits(response: FrequencyResponse, label: str, peak: HalfPower) -> Panel:
+    """The orbits under a force that turns one way."""
+    unit, factor = form_unit(response.form)
+    column, series = FORWARD_BACKWARD.index(label), []
+    for number, frequency in enumerate((peak.low, peak.frequency, peak.high)):
+        line = int(np.argmin(np.abs(response.frequency - frequency)))
+        path = factor * orbit(response.matrix[line, :, column])
+        series += _orbit(path, f"{response.frequency[line]:.4g} Hz", number)
+    return Panel(Axis("x", unit), Axis("y", unit), tuple(series), f"force turning {TURNS[label]}", equal=True)
 
 
 def orbit(amplitude: NDArray[np.complexfloating], n_point: int = 181) -> NDArray[np.floating]:
@@ -121,38 +122,33 @@ def orbit(amplitude: NDArray[np.complexfloating], n_point: int = 181) -> NDArray
     return np.asarray(((FROM_DIRECTIONAL @ amplitude)[:, None] * turn).real)
 
 
-def _orbit(axes: Axes, path: NDArray[np.floating], label: str, colour: str) -> None:
-    axes.plot(*path, color=colour, linewidth=1.2, label=label)
-    axes.plot(*path[:, 0], "o", color=colour, markersize=4)
-    axes.annotate("", path[:, 12], path[:, 8], arrowprops={"arrowstyle": "-|>", "color": colour})
+def _orbit(path: NDArray[np.floating], name: str, colour: int) -> list[Series]:
+    """An orbit (2, n) with a dot at its first point and an arrow along it."""
+    tail, head = path[:, ARROW[0]], path[:, ARROW[1]]
+    first = dots(name, path[0, :1], path[1, :1], colour, marker="o", size=4.0)
+    return [curve(name, path[0], path[1], colour, width=1.2), first, arrow(tail, head, colour)]
 
 
 def distortion_figure(response: FrequencyResponse) -> Figure:
     """|H| with the two parts of its standard deviation: noise, and what nonlinearity scatters."""
     assert response.distortion is not None and response.variance is not None
-    label_of_form, factor = form_unit(response.form)
+    factor = form_unit(response.form)[1]
     noise = np.sqrt(np.maximum(response.variance - response.distortion**2, 0.0))
-    pairs = [(o, i) for o in range(len(response.outputs)) for i in range(len(response.inputs))]
-    with mpl.rc_context(STYLE):
-        canvas, (axes,) = stacked_axes(1, 3.4)
-        for number, (o, i) in enumerate(pairs):
-            colour = COLOURS[number % len(COLOURS)]
-            name = f"{response.outputs[o].label}/{response.inputs[i].label}"
-            axes.plot(response.frequency, factor * np.abs(response.matrix[:, o, i]), "-", color=colour, linewidth=1, label=name)
-            for level, style, what in ((response.distortion, "--", "distortion"), (noise, ":", "noise")):
-                axes.plot(response.frequency, factor * _shown(level[:, o, i]), style, color=colour, linewidth=1, label=f"{name} {what}")
-        logarithmic(axes)
-        axes.set_ylabel(label_of_form)
-        axes.set_xlabel("frequency [Hz]")
-        axes.legend(ncols=3, fontsize=8)
+    parts = ((np.abs(response.matrix), "-", ""), (response.distortion, "--", " distortion"), (noise, ":", " noise"))
+    series = [
+        curve(f"{name}{what}", response.frequency, factor * _positive(values[:, o, i]), number % PALETTE_SIZE, line)
+        for number, (o, i, name) in enumerate(element_names(response))
+        for values, line, what in parts
+    ]
     name = response.name or "the measurement"
     caption = (
         f"{response.form} of {name} averaged over realisations of the phases, and the two parts of its standard deviation: "
         "distortion above noise means that the rig left its linear range."
     )
-    return Figure(canvas, caption[0].upper() + caption[1:], f"Distortion and noise of {name} over frequency")
+    chart = stacked([over_frequency(form_axis(response.form), series)], 3.4)
+    return Figure(chart, caption[0].upper() + caption[1:], f"Distortion and noise of {name} over frequency")
 
 
-def _shown(level: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Nothing where the level is zero: a logarithmic axis has no place for it."""
-    return np.where(level > 0, level, np.nan)
+def _positive(values: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Nothing where a value is zero: a logarithmic axis has no place for it."""
+    return np.where(values > 0, values, np.nan)

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
 
 from labpipe.records.identification import Identification
 from labpipe.records.study import Studies, Study, StudyCase
+from labpipe.report.chart import Axis, Panel, Series, curve, level, look, stacked
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
-from labpipe.report.drawing import COLOURS, STYLE
-from labpipe.report.figures import logarithmic, stacked_axes
 from labpipe.report.wording import threshold_text
 
 CASE_HEADER = ("fit", "noise", "lines", "mean error", "variance", "median", "no result", "success", "RMSE / CRLB", "coverage")
@@ -25,7 +22,7 @@ EXPLAINED = (
 
 
 def study_sections(studies: Studies, _identification: Identification) -> tuple[Section, ...]:
-    """One section for every study."""
+    """One section for every Monte Carlo study."""
     return tuple(Section(f"Study: {study.rig}", study_blocks(study)) for study in studies)
 
 
@@ -62,8 +59,8 @@ def _case_table(study: Study) -> Table:
             "" if case.rmse_over_bound is None else f"{case.rmse_over_bound:.3f}",
             "" if case.coverage is None else _per_cent(case.coverage),
         )
-        known = printed.get(case.fit)
-        rows.append((*row, f"{known[levels.index(case.noise)]:g}" if known else "") if printed else row)
+        errors = printed.get(case.fit)
+        rows.append((*row, f"{errors[levels.index(case.noise)]:g}" if errors else "") if printed else row)
     numeric = tuple(n for n in range(len(header)) if n != 0)
     return Table(header, tuple(rows), "Errors, success and coverage of every fit", numeric)
 
@@ -96,34 +93,32 @@ def _means_table(study: Study, fit: str) -> Table:
 
 
 def _noise_figure(study: Study) -> Figure:
-    """Median error, RMSE over the bound, coverage and success over the noise."""
-    curves: tuple[tuple[str, Callable[[StudyCase], float | None]], ...] = (
-        ("median error", lambda case: case.median_error),
-        ("RMSE / CRLB", lambda case: case.rmse_over_bound),
-        ("coverage [%]", lambda case: None if case.coverage is None else 100 * case.coverage),
-        ("success [%]", lambda case: 100 * case.success[0]),
-    )
+    """Median error, RMSE over the bound, coverage and success over the noise; grey: what is asked for."""
     fits = list(dict.fromkeys(case.fit for case in study.cases))
-    with mpl.rc_context(STYLE):
-        canvas, axes = stacked_axes(len(curves), 7.4, sharex=True)
-        for own, (label, value) in zip(axes, curves, strict=True):
-            for number, fit in enumerate(fits):
-                _curve(own, [case for case in study.cases if case.fit == fit], value, fit, COLOURS[number % len(COLOURS)])
-            own.set_ylabel(label)
-        logarithmic(axes[0])
-        logarithmic(axes[1])
-        axes[1].axhline(1.0, color="0.5", linewidth=0.8)
-        axes[2].axhline(95.0, color="0.5", linewidth=0.8)
-        axes[3].axhline(100 * study.share, color="0.5", linewidth=0.8)
-        axes[0].legend(ncols=4, fontsize=8)
-        axes[-1].set_xlabel("noise [%]")
+    panels = []
+    for title, unit, logarithmic, value, goal in _quantities(study):
+        series = [_curve([case for case in study.cases if case.fit == fit], value, number) for number, fit in enumerate(fits)]
+        goals = [] if goal is None else [level(goal)]
+        panels.append(Panel(Axis("noise", "%"), Axis(title, unit, logarithmic=logarithmic), (*series, *goals)))
     caption = "Errors against the Cramer-Rao bound, coverage of the 95 % intervals, and success over the noise; grey: what is asked for."
-    return Figure(canvas, caption, f"Study on {study.rig}: error, efficiency, coverage and success of {', '.join(fits)} over the noise")
+    alternative = f"Study on {study.rig}: error, efficiency, coverage and success of {', '.join(fits)} over the noise"
+    return Figure(stacked(panels, 7.4), caption, alternative)
 
 
-def _curve(axes: Axes, cases: Sequence[StudyCase], value: Callable[[StudyCase], float | None], label: str, colour: str) -> None:
-    values = [np.nan if (found := value(case)) is None else found for case in cases]
-    axes.plot([100 * case.noise for case in cases], values, ".-", color=colour, label=label, linewidth=1)
+def _quantities(study: Study) -> tuple[tuple[str, str, bool, Callable[[StudyCase], float | None], float | None], ...]:
+    """(title, unit, logarithmic axis, value of a case, what is asked for) of every panel."""
+    return (
+        ("median error", "", True, lambda case: case.median_error, None),
+        ("RMSE / CRLB", "", True, lambda case: case.rmse_over_bound, 1.0),
+        ("coverage", "%", False, lambda case: None if case.coverage is None else 100 * case.coverage, 95.0),
+        ("success", "%", False, lambda case: 100 * case.success[0], 100 * study.share),
+    )
+
+
+def _curve(cases: Sequence[StudyCase], value: Callable[[StudyCase], float | None], number: int) -> Series:
+    """A quantity of one fit over the noise [%], NaN where a case has none."""
+    values = [np.nan if (amount := value(case)) is None else amount for case in cases]
+    return curve(cases[0].fit, [100 * case.noise for case in cases], values, *look(number), marker=".")
 
 
 def _per_cent(share: float) -> str:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import matplotlib as mpl
 import numpy as np
 
 from labpipe.records.identification import Identification
 from labpipe.records.unbalance import UnbalanceRuns
+from labpipe.report.chart import Axis, Panel, curve, look, stacked
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
-from labpipe.report.drawing import COLOURS, STYLE
-from labpipe.report.figures import logarithmic, stacked_axes
 
 UM = 1e6
 HEADER = ("case", "depth [um]", "angle [deg]", "forward [um]", "at [Hz]", "backward [um]", "at [Hz]", "ratio")
@@ -20,7 +18,7 @@ EXPLAINED = (
 
 
 def unbalance_sections(runs: UnbalanceRuns, _identification: Identification) -> tuple[Section, ...]:
-    """The section of a response to unbalance."""
+    """The section of the response to unbalance."""
     return (Section(f"Unbalance: {runs.rotor}", unbalance_blocks(runs)),)
 
 
@@ -28,8 +26,7 @@ def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:
     """What it means, table and figure."""
     rows = []
     for case in runs.cases:
-        found = runs.values(case)
-        (forward, _), (at, _), (backward, _), (back_at, _) = found.values()
+        (forward, _), (at, _), (backward, _), (back_at, _) = runs.values(case).values()
         wear = (f"{UM * case.depth:.4g}", f"{np.degrees(case.angle):.4g}") if case.depth else ("0", "")
         peaks = (f"{UM * forward:.4g}", f"{at:g}", f"{UM * backward:.4g}", f"{back_at:g}", f"{backward / forward:.3f}")
         rows.append((case.name, *wear, *peaks))
@@ -39,14 +36,11 @@ def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:
 
 def unbalance_figure(runs: UnbalanceRuns) -> Figure:
     """Forward and backward radius over speed, one line per case."""
-    with mpl.rc_context(STYLE):
-        canvas, panels = stacked_axes(2, 5.0, sharex=True)
-        for axes, name in zip(panels, ("forward", "backward"), strict=True):
-            for number, case in enumerate(runs.cases):
-                axes.plot(runs.speed, UM * np.array(getattr(case, name)), color=COLOURS[number % len(COLOURS)], label=case.name)
-            logarithmic(axes)
-            axes.set_ylabel(f"{name} [um]")
-        panels[0].legend(ncols=4, fontsize=8)
-        panels[1].set_xlabel("speed [Hz]")
+    panels = []
+    for name in ("forward", "backward"):
+        radii = [UM * np.array(getattr(case, name)) for case in runs.cases]
+        cases = enumerate(zip(runs.cases, radii, strict=True))
+        series = [curve(case.name, runs.speed, radius, *look(number), width=1.5) for number, (case, radius) in cases]
+        panels.append(Panel(Axis("speed", "Hz"), Axis(name, "um", logarithmic=True), tuple(series)))
     caption = f"{runs.rotor}: response to unbalance at node {runs.node}, wear of {runs.bearing}; forward circle above, backward below."
-    return Figure(canvas, caption, f"Forward and backward response to unbalance of {runs.rotor} over speed")
+    return Figure(stacked(panels, 5.0), caption, f"Forward and backward response to unbalance of {runs.rotor} over speed")

@@ -40,7 +40,7 @@ def rounded(value: float, std_error: float | None) -> str:
 def parameter_row(parameter: Parameter, dof: int, unit: str = "") -> tuple[str, ...]:
     """Name, value, unit, standard error, 95 % interval, t-ratio, significance, variance inflation factor.
 
-    *unit*: the one that a whole table has; by default the one that suits the value.
+    *unit*: that of a whole table; by default that which suits the value.
     """
     unit = unit or display_unit(parameter.unit, parameter.value)
     error = None if parameter.std_error is None else abs(to_display(parameter.std_error, unit) - to_display(0.0, unit))
@@ -94,8 +94,10 @@ def threshold_text(threshold: StudyThreshold, share: float) -> str:
 
 def inflated_text(fit: Fit) -> str:
     """What the standard errors are when the excess of the residual is taken for noise; nothing where there is none."""
-    own = [p for p in fit.parameters if p.std_error_inflated is not None and not p.derived]
-    if not own:
+    inflated = [p for p in fit.parameters if p.std_error_inflated is not None and not p.derived]
+    if not inflated:
         return ""
-    listed = ", ".join(f"{p.name} {to_display(p.std_error_inflated or 0.0, display_unit(p.unit)):.2g} {unit_text(p.unit)}" for p in own)
+    listed = ", ".join(
+        f"{p.name} {to_display(p.std_error_inflated or 0.0, display_unit(p.unit)):.2g} {unit_text(p.unit)}" for p in inflated
+    )
     return f" The residual exceeds the noise; standard errors times the root of chi² per degree of freedom: {listed}."

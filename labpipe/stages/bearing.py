@@ -60,15 +60,15 @@ def bearing_json(entry: dict[str, Any]) -> str:
 
 def write_bearing(file: BearingFile, name: str, found: BearingCoefficients, output: OutputFolder) -> list[str]:
     """bearing.json, the heat map of the stiffness matrix, a film's pressure, a shaft's transfer matrix as FRF table; the files' names."""
+    from labpipe.document.saving import canvas_of, svg_text
     from labpipe.report.bearing_figures import stiffness_figure
-    from labpipe.report.drawing import svg_text
     from labpipe.report.film_figure import film_figure
 
     output.write_path("bearing.json").write_text(bearing_json(bearing_entry(file, name, found)), encoding="utf-8")
-    output.write_path("stiffness.svg").write_text(svg_text(stiffness_figure(name, found).drawing), encoding="utf-8")
+    output.write_path("stiffness.svg").write_text(svg_text(canvas_of(stiffness_figure(name, found).graphic)), encoding="utf-8")
     names = ["bearing.json", "stiffness.svg"]
     if found.film is not None:
-        output.write_path("pressure.svg").write_text(svg_text(film_figure(name, found.film).drawing), encoding="utf-8")
+        output.write_path("pressure.svg").write_text(svg_text(canvas_of(film_figure(name, found.film).graphic)), encoding="utf-8")
         names.append("pressure.svg")
     response = file.kind.response and file.kind.response(file.settings(), found)
     if response is not None:
@@ -79,8 +79,8 @@ def write_bearing(file: BearingFile, name: str, found: BearingCoefficients, outp
 
 def write_sweep(name: str, sweep: Sweep, found: list[BearingCoefficients], output: OutputFolder) -> list[str]:
     """sweep.csv with every coefficient, and their curves; the names of the files."""
+    from labpipe.document.saving import canvas_of, svg_text
     from labpipe.report.bearing_figures import sweep_figures
-    from labpipe.report.drawing import svg_text
 
     columns = sweep_columns(sweep, found)
     with output.write_path("sweep.csv").open("w", encoding="utf-8", newline="\n") as stream:
@@ -89,7 +89,7 @@ def write_sweep(name: str, sweep: Sweep, found: list[BearingCoefficients], outpu
             stream.write(",".join(value if isinstance(value, str) else f"{value:.9g}" for value in row) + "\n")
     names = ["sweep.csv"]
     for kind, figure in sweep_figures(name, sweep.label, sweep.values, found).items():
-        output.write_path(f"sweep-{kind}.svg").write_text(svg_text(figure.drawing), encoding="utf-8")
+        output.write_path(f"sweep-{kind}.svg").write_text(svg_text(canvas_of(figure.graphic)), encoding="utf-8")
         names.append(f"sweep-{kind}.svg")
     return names
 

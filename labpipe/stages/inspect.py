@@ -40,8 +40,8 @@ def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse:
 
 def write_card(seen: Overview | FrequencyResponse, file: str, path: Path) -> None:
     """The card of a file as a document; the format follows from the ending of *path* (.html, .pdf, .md)."""
+    from labpipe.document.render import DOCUMENTS
     from labpipe.report.card import recording_card, response_card
-    from labpipe.report.render import DOCUMENTS
 
     document = response_card(seen, file) if isinstance(seen, FrequencyResponse) else recording_card(seen)
     content: bytes = DOCUMENTS.load(format_of(path))(document)

@@ -7,9 +7,9 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from labpipe.artefacts.writing import output_file, output_folder
+from labpipe.document.render import DOCUMENTS, RENDERERS
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.identification import Identification
-from labpipe.report.render import DOCUMENTS, RENDERERS
 
 SUFFIX_FORMATS = {".html": "html", ".htm": "html", ".md": "md", ".pdf": "pdf"}
 
@@ -32,8 +32,8 @@ def write_report(identification: Identification, path: Path, report_format: str 
 
 def write_campaign(results: Sequence[tuple[str, Identification]], path: Path, figures: Path | None = None) -> None:
     """Write the report of many results (name, identification) together: trends, control limits, differences."""
+    from labpipe.document.figure_files import figure_files
     from labpipe.report.campaign import campaign_document
-    from labpipe.report.figure_files import figure_files
 
     document = campaign_document(results)
     content: bytes = DOCUMENTS.load(format_of(path))(document)
@@ -41,8 +41,8 @@ def write_campaign(results: Sequence[tuple[str, Identification]], path: Path, fi
 
 
 def _figures_of(identification: Identification) -> dict[str, bytes]:
+    from labpipe.document.figure_files import figure_files
     from labpipe.report.build import build
-    from labpipe.report.figure_files import figure_files
 
     return figure_files(build(identification))
 

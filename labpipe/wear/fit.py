@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import FitError
+from labpipe.identify.dense_curve import drawn_densely
 from labpipe.identify.diagnostics import MISMATCH_P, collinear_groups, estimate_findings, quality_findings
 from labpipe.identify.regression import triangle_of
 from labpipe.identify.settings import FitSettings
@@ -252,14 +253,20 @@ def _region(solved: _Solved, parameters: tuple[Parameter, ...]) -> Region | None
 
 
 def _curve(data: WornData, solved: _Solved) -> FittedCurve:
-    """Measured and fitted receptance in the fit's frame, all terms; of a tuning also the model before it."""
+    """Measured and fitted receptance in the fit's frame, all terms, between the lines too; of a tuning also the model before it."""
     measured = data.measured
     variance = None
     if measured.covariance is not None:
         variance = np.einsum("lii->li", measured.covariance).real.reshape(measured.matrix.shape)
-    fitted = solved.misfit.model.response(solved.best.parameters)[0]
-    before = None if DEPTH in solved.misfit.model.names else _untuned(solved.misfit.model)
-    return FittedCurve(data.frequency, measured.matrix, fitted, variance, data.names, data.names, "receptance", before)
+    model, parameters = solved.misfit.model, solved.best.parameters
+    fitted = model.response(parameters)[0]
+    before = None if DEPTH in model.names else _untuned(model)
+
+    def at(frequency: Array) -> ComplexArray:
+        return replace(model, frequency=tuple(frequency.tolist())).response(parameters)[0]
+
+    dense = drawn_densely(at, data.frequency)
+    return FittedCurve(data.frequency, measured.matrix, fitted, variance, data.names, data.names, "receptance", before, *dense)
 
 
 def _untuned(model: WornModel) -> ComplexArray:

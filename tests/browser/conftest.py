@@ -12,11 +12,11 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from labpipe.document.render import html_report
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings, Sliding
 from labpipe.records.identification import Identification, RuleOutcome
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
-from labpipe.report.render import html_report
 
 
 def _driver() -> ModuleType:

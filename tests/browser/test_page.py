@@ -10,6 +10,10 @@ from typing import Any
 
 import pytest
 
+from labpipe.document.render import html_document
+from labpipe.report.chart import Axis, Chart, Panel, arrow, curve, level
+from labpipe.report.document import Document, Figure, Section
+
 CURVE = "figure.numbers .panels > svg"
 TICKS = "[...document.querySelectorAll('#figure-1 .ticks text[text-anchor=middle]')]"
 LIMITS = f"Math.max(...{TICKS}.map((t) => Number(t.textContent.replace('−', '-'))))"
@@ -181,3 +185,33 @@ def test_a_page_of_79_bands_is_small_and_soon_there(browser: Any, report_page: P
         print(f"{path.name}: loaded after {loaded:.0f} ms, main thread {1000 * spent[path.name]:.0f} ms, {path.stat().st_size} bytes")
         opened.close()
     assert spent["report.html"] < 30 * spent["empty.html"]
+
+
+def test_arrows_names_of_levels_and_notes_are_drawn(browser: Any, tmp_path: Path) -> None:
+    across = Axis("x", "um")
+    series = (curve("orbit", [0.0, 1.0], [0.0, 1.0]), arrow([0.0, 0.0], [0.5, 0.5], 1), level(0.5, name="limit"))
+    sense = Panel(across, Axis("y", "um"), series)
+    empty = Panel(across, Axis(), (), note="no doubt is stated")
+    figure = Figure(Chart((sense, empty), 1, 2), "Orbit", "An orbit")
+    (tmp_path / "kinds.html").write_bytes(html_document(Document("T", "", (Section("F", (figure,)),), to_sign=False)))
+    opened = browser.open(tmp_path / "kinds.html")
+    texts = opened.run("[...document.querySelectorAll('.panels text')].map((one) => one.textContent)")
+    assert "limit" in texts and "no doubt is stated" in texts
+    head = opened.run("document.querySelector('.head').getBBox().width")
+    assert 0 < head < 20 and opened.run("getComputedStyle(document.querySelector('.head')).fill") == "rgb(213, 94, 0)"
+    assert opened.said("Runtime.exceptionThrown") == []
+    opened.close()
+
+
+def test_keys_go_from_measured_point_to_measured_point(page: Any) -> None:
+    """The fitted curve has many more points than the lines it was fitted to."""
+    panel = "document.querySelectorAll('#figure-4 .panels > svg')[0]"
+    page.run(f"{panel}.scrollIntoView(); {panel}.focus()")
+    page.key("Home")
+    places = []
+    for _ in range(3):
+        told = re.search(r"frequency ([\d.]+) Hz", page.run("document.querySelector('#figure-4 .reading').innerText"))
+        assert told is not None
+        places.append(float(told[1]))
+        page.key("ArrowRight")
+    assert places == [40.0, 41.0, 42.0]

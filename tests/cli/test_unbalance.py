@@ -52,7 +52,7 @@ def test_run_leaves_result_and_report(labpipe, pipeline: Path, tmp_path: Path) -
     assert [row[0] for row in table.rows] == ["healthy", "wear 1"] and table.rows[1][1:3] == ("20.52", "21")
     worn = found.sections["unbalance"].cases[1]
     assert float(table.rows[1][7]) == pytest.approx(max(worn.backward) / max(worn.forward), abs=1e-3)
-    drawn = {line.get_label(): line.get_ydata() for line in figure.drawing.axes[1].get_lines()}
+    drawn = {series.name: series.y for series in figure.graphic.panels[1].series}
     np.testing.assert_allclose(drawn["wear 1"], 1e6 * np.array(worn.backward))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -125,6 +126,21 @@ def test_identification_round_trip(tmp_path: Path, rng: np.random.Generator) -> 
     assert other.fits[0].parameters == parameters
     assert other.fits[0].condition_number == float("inf")
     np.testing.assert_array_equal(other.fits[0].curve.measured, curve.measured)
+
+
+def test_the_model_between_the_lines_travels_and_older_files_have_none(tmp_path: Path) -> None:
+    lines, between = np.arange(3.0), np.linspace(0.0, 2.0, 5)
+    plain = FittedCurve(lines, np.ones((3, 1, 1)) * 1j, np.ones((3, 1, 1)), None, ("x",), ("f",), "receptance")
+    dense = replace(plain, dense_frequency=between, dense=(between + 1j)[:, None, None])
+    goodness = Goodness(0.9, 0.8)
+    for name, curve in (("plain", plain), ("dense", dense)):
+        fit = Fit("a", "sdof", "ml", (1.0, 2.0), 3, 6, 4, goodness, (), 1.0, np.eye(1), curve=curve)
+        write_identification(tmp_path / name, Identification((fit,), version="1"))
+    old, new = (read_identification(tmp_path / name).fits[0].curve for name in ("plain", "dense"))
+    assert old is not None and old.dense is None and old.drawn[0].tolist() == lines.tolist()
+    assert new is not None and new.drawn[0].tolist() == between.tolist()
+    np.testing.assert_array_equal(new.drawn[1], dense.dense)
+    assert "dense" not in (tmp_path / "plain").read_text(encoding="utf-8")
 
 
 def test_a_folder_changes_only_if_all_succeeds(tmp_path: Path) -> None:

@@ -148,6 +148,7 @@ def test_it_survives_its_file_and_is_reported() -> None:
     assert record_of(json.loads(json.dumps(entry_of(found))), Comparison) == found
     blocks = comparison_blocks(found, ())
     (figure,) = (block for block in blocks if isinstance(block, Figure))
-    assert [axes.get_ylabel() for axes in figure.drawing.axes] == ["k: ratio", "c: ratio"]
+    assert [panel.y.label for panel in figure.graphic.panels] == ["k: ratio", "c: ratio"]
+    assert {series.name for series in figure.graphic.panels[0].series if series.name} == {"alike", "different"}
     table = [block for block in blocks if isinstance(block, Table)][1]
     assert table.header[-1] == "p-value, corrected" and table.rows[1][0] == "10-20"

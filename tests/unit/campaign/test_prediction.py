@@ -126,9 +126,10 @@ def test_a_prediction_survives_its_file_and_is_reported(rng: np.random.Generator
     assert record_of(json.loads(json.dumps(entry_of(found))), Comparison) == found
     blocks = comparison_blocks(found, ())
     (figure,) = (block for block in blocks if isinstance(block, Figure))
-    above, middle, below = figure.drawing.axes
-    assert above.get_ylabel() == "k [kN/m]" and middle.get_ylabel() == "c [N s/m]" and "measured / predicted" in below.get_ylabel()
-    assert above.lines[0].get_ydata()[0] == pytest.approx(found.bands[0].value / 1e3)
+    above, middle, below = figure.graphic.panels
+    assert above.y.label == "k [kN/m]" and middle.y.label == "c [N s/m]" and "measured / predicted" in below.y.label
+    assert above.series[0].y[0] == pytest.approx(found.bands[0].value / 1e3)
+    assert [series.name for series in above.series] == ["measured", "predicted", "loop", "with the fitted unknowns"]
     tables = [block for block in blocks if isinstance(block, Table)]
     gap = next(row for row in tables[0].rows if row[0] == "gap")
     delay = next(row for row in tables[0].rows if row[0] == "delay")

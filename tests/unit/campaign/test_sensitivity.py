@@ -126,10 +126,10 @@ def test_it_survives_its_file_and_is_drawn(rng: np.random.Generator) -> None:
     found = loop_sensitivity(ASKED, response(rng), FILE)
     assert record_of(json.loads(json.dumps(entry_of(found))), Comparison) == found
     (figure,) = (block for block in comparison_blocks(found, ()) if isinstance(block, Figure))
-    (axes,) = figure.drawing.axes
-    labels = [line.get_label() for line in axes.lines]
-    assert {"measured", "predicted", "peak"} <= set(labels)
-    assert [text.get_text() for text in axes.texts] == ["zone A ends", "zone B ends", "zone C ends"]
+    (panel,) = figure.graphic.panels
+    assert {"measured", "predicted", "peak"} <= {series.name for series in panel.series}
+    zones = {series.name: float(series.y[0]) for series in panel.series if series.kind == "hline"}
+    assert zones == {"zone A ends": 3.0, "zone B ends": 4.0, "zone C ends": 5.0}
 
 
 def test_unknowns_are_fitted_to_it_within_their_doubt(rng: np.random.Generator) -> None:

@@ -15,13 +15,13 @@ from labpipe.artefacts.response_file import read_response, write_response
 from labpipe.cli.frf import echo_response
 from labpipe.cli.terminal import echo_identification
 from labpipe.config.rules import Rule
+from labpipe.document.render import html_report
 from labpipe.formats.exports import parameter_table
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
 from labpipe.records.finding import NOTE, WARNING, Finding, note, of_level
 from labpipe.records.identification import Identification
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
-from labpipe.report.render import html_report
 from labpipe.stages.judging import judge
 
 MASKED = note("masked", "lines of the shaft speed are left out: 49.6-50.4 Hz")

@@ -20,11 +20,13 @@ def bearing(force: float) -> BearingCoefficients:
 
 def test_heat_map_says_value_and_unit_of_every_coefficient() -> None:
     found = bearing(427.0)
-    (axes, _) = stiffness_figure("6208", found).drawing.axes
-    texts = [text.get_text() for text in axes.texts]
+    (panel,) = stiffness_figure("6208", found).graphic.panels
+    (matrix,) = panel.series
+    texts = [text for row in matrix.texts for text in row]
     assert len(texts) == 25 and texts[0] == f"{found.stiffness[0, 0] / 1e3:.4g}\nkN/m" and texts[1] == "0"
     assert texts[4] == f"{found.stiffness[0, 4]:.4g}\nN/rad"
-    np.testing.assert_allclose(axes.images[0].get_array(), found.relative)
+    np.testing.assert_allclose(matrix.y, found.relative)
+    assert panel.x.ticks[2] == (2.0, "z") and matrix.name == "k_ij / sqrt(k_ii k_jj)"
 
 
 def test_sweep_curves_are_the_coefficients_in_panels_by_unit() -> None:
@@ -32,11 +34,11 @@ def test_sweep_curves_are_the_coefficients_in_panels_by_unit() -> None:
     found = [bearing(force) for force in values]
     figures = sweep_figures("6208", "loads.z [N]", values, found)
     assert list(figures) == ["stiffness"]
-    panels = figures["stiffness"].drawing.axes
-    assert [axes.get_ylabel() for axes in panels] == ["stiffness [kN/m]", "stiffness [N/rad]", "stiffness [N.m/rad]"]
-    lines = {line.get_label(): line for axes in panels for line in axes.get_lines()}
+    panels = figures["stiffness"].graphic.panels
+    assert [panel.y.label for panel in panels] == ["stiffness [kN/m]", "stiffness [N/rad]", "stiffness [N.m/rad]"]
+    lines = {series.name: series for panel in panels for series in panel.series}
     assert set(lines) == {"k x,x", "k y,y", "k y,z", "k z,z", "k x,by", "k y,bx", "k z,bx", "k bx,bx", "k by,by"}
-    assert lines["k z,z"].get_ydata() == pytest.approx([each.stiffness[2, 2] / 1e3 for each in found])
+    assert lines["k z,z"].y == pytest.approx([each.stiffness[2, 2] / 1e3 for each in found])
     assert "range over one ball passage" in figures["stiffness"].caption
 
 
@@ -45,7 +47,7 @@ def test_damping_has_its_figure_and_asymmetric_matrices_show_both_sides() -> Non
     stiffness = np.array([[2.0, 7.0], [-8.0, 1.0]]) * 1e6
     found = [BearingCoefficients(("y", "z"), factor * stiffness, np.eye(2) * 1e3) for factor in (1.0, 2.0)]
     figures = sweep_figures("journal", "speed [Hz]", np.array([10.0, 20.0]), found)
-    labels = [line.get_label() for line in figures["stiffness"].drawing.axes[0].get_lines()]
+    labels = [series.name for series in figures["stiffness"].graphic.panels[0].series]
     assert labels == ["k y,y", "k y,z", "k z,y", "k z,z"]
-    assert figures["damping"].drawing.axes[0].get_ylabel() == "damping [kN.s/m]"
+    assert figures["damping"].graphic.panels[0].y.label == "damping [kN.s/m]"
     assert "range" not in figures["stiffness"].caption

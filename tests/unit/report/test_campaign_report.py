@@ -12,14 +12,13 @@ from click.testing import CliRunner
 
 from labpipe.artefacts.identification_file import write_identification
 from labpipe.cli.report import report
+from labpipe.document.figure_files import figure_files
+from labpipe.document.render import DOCUMENTS
 from labpipe.errors import DataError
 from labpipe.records.identification import Fit, Goodness, Identification, Parameter
 from labpipe.report.campaign import campaign_document
 from labpipe.report.coefficient_series import coefficient_series
 from labpipe.report.document import Figure, Paragraph, Table
-from labpipe.report.figure_files import figure_files
-from labpipe.report.plotted import plotted
-from labpipe.report.render import DOCUMENTS
 
 
 def one_result(k: float, preload: str, day: str, band: tuple[float, float] = (1.0, 9.0)) -> Identification:
@@ -98,11 +97,11 @@ def test_the_numbers_of_every_figure_come_as_csv() -> None:
     assert files == figure_files(document)
 
 
-def test_drawings_are_read_back_as_what_was_drawn() -> None:
+def test_figures_hold_the_tests_the_trend_and_the_limits() -> None:
     document = campaign_document(campaign([10000.0, 10040.0, 9970.0, 10600.0]))
     figures = [block for section in document.sections for block in section.blocks if isinstance(block, Figure)]
-    trend, chart = (plotted(figure.drawing) for figure in figures)
-    assert trend.complete and [one.name for one in trend.panels[0].series] == ["trend", "tests"]
+    trend, chart = (figure.graphic for figure in figures)
+    assert [one.name for one in trend.panels[0].series] == ["trend", "tests"]
     assert [one.interval for one in trend.panels[0].series] == ["shaded", "bar"]
     assert [one.kind for one in chart.panels[0].series].count("hline") == 3 and chart.panels[0].x.ticks[0] == (1.0, "2026-03-01")
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.document import render
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Identification
 from labpipe.records.parameter import Parameter
@@ -25,11 +26,10 @@ from labpipe.records.run_up_result import (
     StartSpread,
     Surface,
 )
-from labpipe.report import render
 from labpipe.report.build import build
+from labpipe.report.chart import Drawing
 from labpipe.report.document import Figure, Paragraph, Table
-from labpipe.report.plotted import plotted
-from labpipe.report.run_up import run_up_sections
+from labpipe.report.run_up import result_sections
 from labpipe.report.run_up_coefficients import coefficient_figure, convergence_figure, spread_figure, surface_figures
 from labpipe.report.run_up_figures import best_method, bode_figure, cascade_figure, orbit_figure, orbit_places, polar_figure, speeds_figure
 from labpipe.report.run_up_tables import both_differences, coefficient_table, doubt_blocks, rpm_text, speed_blocks
@@ -201,14 +201,13 @@ def test_coefficients_carry_their_deviation_or_their_bound() -> None:
 
 
 def named(figure: Figure) -> dict[str, object]:
-    drawn = plotted(figure.drawing)
-    assert drawn.complete, figure.caption
+    drawn = figure.graphic
     return {one.name: one for panel in drawn.panels for one in panel.series}
 
 
 def test_bode_shows_measured_points_and_every_method() -> None:
-    drawn = plotted(bode_figure(RESULT, RUNS[0]).drawing)
-    assert drawn.complete and len(drawn.panels) == 8
+    drawn = bode_figure(RESULT, RUNS[0]).graphic
+    assert len(drawn.panels) == 8
     amplitude, phase = drawn.panels[0], drawn.panels[2]
     assert amplitude.y.label == "x amplitude [um]" and phase.y.label == "x phase [deg]"
     series = {one.name: one for one in amplitude.series}
@@ -221,11 +220,11 @@ def test_bode_shows_measured_points_and_every_method() -> None:
 
 
 def test_polar_and_orbits_are_those_of_the_phasors() -> None:
-    polar = plotted(polar_figure(RESULT, best_method(RESULT)).drawing)
-    assert polar.complete and [panel.title for panel in polar.panels] == ["disc 1, x", "disc 1, y", "disc 2, x", "disc 2, y"]
+    polar = polar_figure(RESULT, best_method(RESULT)).graphic
+    assert [panel.title for panel in polar.panels] == ["disc 1, x", "disc 1, y", "disc 2, x", "disc 2, y"]
     assert orbit_places(RUNS[0]) == [1, 3, 4, 6]
-    orbits = plotted(orbit_figure(RESULT, JOINT).drawing)
-    assert orbits.complete and len(orbits.panels) == 8
+    orbits = orbit_figure(RESULT, JOINT).graphic
+    assert len(orbits.panels) == 8
     first = {one.name: one for one in orbits.panels[0].series}["disc 1 measured"]
     # x = cos(t - 30 deg), y = 2 cos(t + 60 deg) = -2 sin(t - 30 deg): half axes 1 and 2 um.
     np.testing.assert_allclose(first.x**2 + (first.y / 2) ** 2, 1.0)
@@ -234,15 +233,15 @@ def test_polar_and_orbits_are_those_of_the_phasors() -> None:
 def test_speeds_over_load_have_bars_where_there_is_an_error() -> None:
     series = named(speeds_figure(RESULT))
     assert {"measured", "original (start)", "(a) amplitudes", "(c) joint physical fit"} <= set(series)
-    threshold = plotted(speeds_figure(RESULT).drawing).panels[1]
+    threshold = speeds_figure(RESULT).graphic.panels[1]
     joint = next(one for one in threshold.series if one.name == "(c) joint physical fit")
     np.testing.assert_allclose(joint.y, [2800.28, 2772.0])
     np.testing.assert_allclose(joint.high - joint.low, 2 * 1.959964 * np.array([0.3, 0.8]), rtol=1e-6)
 
 
 def test_coefficients_over_speed_have_bands() -> None:
-    drawn = plotted(coefficient_figure(RESULT, RUNS[0]).drawing)
-    assert drawn.complete and [panel.y.label for panel in drawn.panels][:3] == ["k_xx [kN/m]", "c_xx [N s/m]", "k_xy [kN/m]"]
+    drawn = coefficient_figure(RESULT, RUNS[0]).graphic
+    assert [panel.y.label for panel in drawn.panels][:3] == ["k_xx [kN/m]", "c_xx [N s/m]", "k_xy [kN/m]"]
     joint = next(one for one in drawn.panels[0].series if one.name == "(c) joint physical fit")
     np.testing.assert_allclose(joint.y, 100.01)
     np.testing.assert_allclose(joint.high - joint.y, 0.0392 * 100.01, rtol=1e-3)
@@ -251,7 +250,8 @@ def test_coefficients_over_speed_have_bands() -> None:
 def test_searches_are_shown_with_what_they_do_not_say() -> None:
     (search,), (spread,) = AMPLITUDES.convergence, AMPLITUDES.spreads
     figure = convergence_figure(AMPLITUDES, search)
-    assert "33 evaluations, a cap on the evaluations ended it" in figure.caption and plotted(figure.drawing).complete
+    assert "33 evaluations, a cap on the evaluations ended it" in figure.caption
+    assert figure.graphic.panels[0].series[0].y == pytest.approx([1.0, 0.01, 0.001]) and figure.graphic.panels[0].y.logarithmic
     drawn = spread_figure(AMPLITUDES, spread)
     assert "the coefficients are not determined" in drawn.caption and "0.57 (median)" in drawn.caption
     alike = replace(spread, factors=((1.0,) * 8,) * 20)
@@ -260,16 +260,17 @@ def test_searches_are_shown_with_what_they_do_not_say() -> None:
 
 def test_surfaces_stand_as_drawings_with_a_text() -> None:
     stiffness, damping = surface_figures(MODEL)
-    assert len(stiffness.drawing.axes) == 4 and not plotted(stiffness.drawing).complete
+    assert isinstance(stiffness.graphic, Drawing) and stiffness.graphic.subject.titles[1] == "k_xy [kN/m]"
+    np.testing.assert_allclose(stiffness.graphic.subject.values[0], [[100, 200], [100, 300], [100, 400]])
     assert "stiffness" in stiffness.caption and "3.66 to 3.66 N carried on" in damping.caption and "damping" in damping.alternative
 
 
 def test_a_cascade_raises_every_spectrum_by_its_speed() -> None:
     cascade = Cascade("disc 1.x", (10.0, 20.0, 30.0), (0.0, 10.0, 20.0, 30.0), ((0, 2e-6, 0, 0), (0, 0, 4e-6, 0), (0, 0, 0, 1e-6)))
     figure = cascade_figure(RUNS[0], cascade)
-    drawn = plotted(figure.drawing)
+    drawn = figure.graphic
     spectra = [one for one in drawn.panels[0].series if one.x.size == 4]
-    assert drawn.complete and len(spectra) == 3 and "4 um" in figure.caption
+    assert len(spectra) == 3 and "4 um" in figure.caption
     # The largest line stands three steps of speed high: 600 rpm each.
     assert spectra[1].y.max() == pytest.approx(1200 + 1800) and spectra[0].y.max() == pytest.approx(600 + 900)
 
@@ -297,4 +298,4 @@ def test_the_whole_report_reads_and_warns() -> None:
     text = render.markdown_report(identification).decode()
     assert "collinear: run-ups" in text and "no rig file was named" not in text and "falah.yaml" in text
     page = render.html_report(identification).decode()
-    assert page.count("<figure") == sum(isinstance(block, Figure) for section in run_up_sections(RESULT) for block in section.blocks)
+    assert page.count("<figure") == sum(isinstance(block, Figure) for section in result_sections(RESULT) for block in section.blocks)

@@ -10,11 +10,11 @@ import pytest
 
 from labpipe import __version__
 from labpipe.artefacts.identification_file import read_identification, write_identification
+from labpipe.document.render import html_report
 from labpipe.records.identification import Identification
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.report import figures
 from labpipe.report.document import Figure, Paragraph, Table
-from labpipe.report.render import html_report
 from labpipe.report.spectral_figures import distortion_figure, orbit, orbit_figure, resonances, spectral_blocks, two_sided_figure
 from labpipe.spectra.directional import directional
 
@@ -29,8 +29,8 @@ def response(stiffness: np.ndarray = K) -> FrequencyResponse:
     return FrequencyResponse(FREQUENCY, h, ports, ports, covariance=uncorrelated(np.full(h.shape, 1e-16)), name="run 1")
 
 
-def curves(figure: Figure, axes: int = 0) -> list[tuple[np.ndarray, np.ndarray]]:
-    return [line.get_data() for line in figure.drawing.axes[axes].lines]
+def curves(figure: Figure, panel: int = 0) -> list[tuple[np.ndarray, np.ndarray]]:
+    return [(series.x, series.y) for series in figure.graphic.panels[panel].series if series.kind == "line"]
 
 
 def test_resonances_of_an_isotropic_rotor_are_those_of_one_dof() -> None:
@@ -55,12 +55,15 @@ def test_both_sides_stand_apart_and_half_power_points_on_the_curve() -> None:
     turned = directional(response())
     figure = two_sided_figure(turned, resonances(turned))
     lines = curves(figure)
-    assert len(lines) == 6
-    (backward_f, backward), (forward_f, forward) = lines[0], lines[1]
+    assert len(lines) == 4
+    # Nothing stands between the sides, where nothing was measured.
+    n = FREQUENCY.size
+    assert np.isnan(lines[0][0][n]) and np.isnan(lines[0][1][n])
+    (backward_f, backward), (forward_f, forward) = ((lines[0][0][side], lines[0][1][side]) for side in (slice(0, n), slice(n + 1, None)))
     assert np.all(backward_f < 0) and np.all(forward_f > 0)
     np.testing.assert_allclose(forward, 1e6 * np.abs(turned.matrix[:, 0, 0]), rtol=1e-12)
     np.testing.assert_allclose(backward[::-1], 1e6 * np.abs(turned.matrix[:, 1, 1]), rtol=1e-12)
-    marks, levels = lines[4]
+    marks, levels = lines[2]
     assert levels[1] / levels[0] == levels[1] / levels[2] == pytest.approx(np.sqrt(2))
     np.testing.assert_allclose(levels, np.interp(marks, forward_f, forward), rtol=2e-3)
 
@@ -82,13 +85,15 @@ def test_orbits_are_drawn_at_resonance_and_half_power_points() -> None:
     turned = directional(response())
     found = resonances(turned)
     figure = orbit_figure(turned, found)
-    assert len(figure.drawing.axes) == 2
-    labels = [text.get_text() for text in figure.drawing.axes[0].get_legend().get_texts()]
+    assert len(figure.graphic.panels) == 2 and all(panel.equal for panel in figure.graphic.panels)
+    labels = list(dict.fromkeys(series.name for series in figure.graphic.panels[0].series if series.name))
     nearest = [FREQUENCY[np.argmin(abs(FREQUENCY - f))] for f in (found["f"].low, found["f"].frequency, found["f"].high)]
     assert labels == [f"{frequency:g} Hz" for frequency in nearest]
     x, y = curves(figure)[0]
     line = int(np.argmin(abs(FREQUENCY - found["f"].low)))
     np.testing.assert_allclose([x, y], 1e6 * orbit(turned.matrix[line, :, 0]), rtol=1e-12)
+    (first, *_) = (series for series in figure.graphic.panels[0].series if series.kind == "arrow")
+    np.testing.assert_array_equal(first.x, x[[8, 12]])
 
 
 def test_distortion_and_noise_are_the_parts_of_the_deviation() -> None:
@@ -117,9 +122,9 @@ def test_partial_coherence_takes_the_place_of_ordinary_where_there_are_several_f
     plain = response()
     both = replace(plain, coherence=np.full(plain.matrix.shape, 0.5), partial_coherence=np.full(plain.matrix.shape, 0.9))
     figure = figures.response_figure(both)
-    assert figure.drawing.axes[1].get_ylabel() == "partial coherence" and curves(figure, 1)[0][1][0] == 0.9
+    assert figure.graphic.panels[1].y.label == "partial coherence" and curves(figure, 1)[0][1][0] == 0.9
     ordinary = figures.response_figure(replace(both, partial_coherence=None))
-    assert ordinary.drawing.axes[1].get_ylabel() == "coherence" and "the other forces" not in ordinary.caption
+    assert ordinary.graphic.panels[1].y.label == "coherence" and "the other forces" not in ordinary.caption
 
 
 def test_a_report_made_later_from_the_file_shows_the_same(tmp_path: Path) -> None:

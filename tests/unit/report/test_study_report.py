@@ -46,8 +46,8 @@ def test_parameters_at_the_highest_noise_with_bias_and_bound() -> None:
 
 def test_curves_over_the_noise_are_the_cases() -> None:
     figure = next(block for block in study_blocks(study()) if isinstance(block, Figure))
-    coverage = figure.drawing.axes[2].lines[0]
-    assert list(coverage.get_xdata()) == pytest.approx([1.1, 4.3]) and list(coverage.get_ydata()) == pytest.approx([95.7, 95.7])
+    coverage, asked = figure.graphic.panels[2].series
+    assert coverage.x == pytest.approx([1.1, 4.3]) and coverage.y == pytest.approx([95.7, 95.7]) and asked.y == [95.0]
     alone = study_blocks(study(cases=(CASE,)))
     assert not any(isinstance(block, Figure) for block in alone)
 
@@ -84,11 +84,11 @@ def test_every_element_of_a_large_matrix_has_its_panel() -> None:
     matrix = np.arange(1, 28).reshape(3, 3, 3) * 1e-6 * (1 + 1j)
     curve = FittedCurve(frequency, matrix, 1.1 * matrix, np.full(matrix.shape, 1e-14), ("1", "2", "3"), ("a", "b", "c"), "receptance")
     figure = matrix_figure(replace(FIT, curve=curve), curve)
-    panels = figure.drawing.axes
-    assert [axes.get_title() for axes in panels] == [f"{o}/{i}" for o in "123" for i in "abc"]
-    measured, fitted = panels[5].lines
-    np.testing.assert_allclose(measured.get_ydata(), np.abs(matrix[:, 1, 2]) * 1e6)
-    np.testing.assert_allclose(fitted.get_ydata(), 1.1 * np.abs(matrix[:, 1, 2]) * 1e6)
+    panels = figure.graphic.panels
+    assert [panel.title for panel in panels] == [f"{o}/{i}" for o in "123" for i in "abc"]
+    measured, fitted = panels[5].series
+    np.testing.assert_allclose(measured.y, np.abs(matrix[:, 1, 2]) * 1e6)
+    np.testing.assert_allclose(fitted.y, 1.1 * np.abs(matrix[:, 1, 2]) * 1e6)
 
 
 def test_soft_springs_stay_in_newtons_per_metre_but_tables_keep_one_unit() -> None:

@@ -43,36 +43,35 @@ def through_file(found: Fit, folder: Path) -> Fit:
 
 
 def test_region_is_drawn_closed_in_the_units_people_read() -> None:
-    (axes,) = region_figure(fit(REGION), REGION).drawing.axes
-    lines = {line.get_label(): line for line in axes.get_lines()}
-    x, y = lines["95 % joint region"].get_data()
-    np.testing.assert_allclose(x, [*(OUTLINE[:, 0] * 1e6), OUTLINE[0, 0] * 1e6])
-    np.testing.assert_allclose(y[:-1], np.rad2deg(OUTLINE[:, 1]))
-    assert [float(values[0]) for values in lines["estimate"].get_data()] == pytest.approx([22.0, 11.0])
-    assert axes.get_xlabel().startswith("wear_depth [") and axes.get_ylabel() == "wear_angle [deg]"
+    (panel,) = region_figure(fit(REGION), REGION).graphic.panels
+    shade, edge = (series for series in panel.series if series.name == "95 % joint region")
+    assert (shade.kind, edge.kind) == ("area", "line")
+    np.testing.assert_allclose(edge.x, [*(OUTLINE[:, 0] * 1e6), OUTLINE[0, 0] * 1e6])
+    np.testing.assert_allclose(edge.y[:-1], np.rad2deg(OUTLINE[:, 1]))
+    estimate = panel.series[-1]
+    assert estimate.name == "estimate" and (estimate.x[0], estimate.y[0]) == pytest.approx((22.0, 11.0))
+    assert panel.x.label == "wear_depth [um]" and panel.y.label == "wear_angle [deg]"
 
 
 def test_intervals_of_each_parameter_alone_are_drawn_beside_the_region() -> None:
-    (axes,) = region_figure(fit(REGION), REGION).drawing.axes
-    dashed = [line for line in axes.get_lines() if line.get_linestyle() == "--"]
-    assert [line.get_xdata()[0] for line in dashed[:2]] == pytest.approx([21.76, 22.24])
-    assert [line.get_ydata()[0] for line in dashed[2:]] == pytest.approx([10.6, 11.4])
+    (panel,) = region_figure(fit(REGION), REGION).graphic.panels
+    assert [series.x[0] for series in panel.series if series.kind == "vline"] == pytest.approx([21.76, 22.24])
+    assert [series.y[0] for series in panel.series if series.kind == "hline"] == pytest.approx([10.6, 11.4])
 
 
 def test_a_parameter_without_interval_leaves_its_lines_out() -> None:
     found = fit(REGION)
     found = replace(found, parameters=(replace(found.parameters[0], ci95=None), found.parameters[1]))
-    (axes,) = region_figure(found, REGION).drawing.axes
-    shown = [line for line in axes.get_lines() if line.get_linestyle() == "--" and np.isfinite(np.array(line.get_data(), float)).all()]
-    assert len(shown) == 2
+    (panel,) = region_figure(found, REGION).graphic.panels
+    assert [series.kind for series in panel.series if series.line == "--"] == ["hline", "hline"]
 
 
 def test_tuning_shows_measured_before_and_after_in_one_panel_per_term() -> None:
     found = curve(True)
-    panels = tuning_figure(fit(), found).drawing.axes
-    assert [axes.get_ylabel().split("\n")[0] for axes in panels] == ["y/y", "y/z", "z/y", "z/z"]
-    for axes, size in zip(panels, (1.0, 0.2, 0.2, 0.8), strict=True):
-        drawn = {line.get_label(): line.get_ydata() for line in axes.get_lines()}
+    panels = tuning_figure(fit(), found).graphic.panels
+    assert [panel.y.title.split()[0] for panel in panels] == ["y/y", "y/z", "z/y", "z/z"]
+    for panel, size in zip(panels, (1.0, 0.2, 0.2, 0.8), strict=True):
+        drawn = {series.name: series.y for series in panel.series}
         expected = size * np.abs(1 + 0.5j) * (1 + FREQUENCY / 50)
         ratio = drawn["measured"] / expected
         np.testing.assert_allclose(ratio, ratio[0])

@@ -57,6 +57,9 @@ def test_joint_fit_is_complete(joint: Fit) -> None:
     assert joint.gof.chi2_reduced == pytest.approx(1.0, abs=4 * np.sqrt(2 / joint.dof)) and joint.gof.chi2_p > 1e-4
     assert joint.gof.r2 > 0.99 and joint.converged and joint.estimator == "ml" and joint.correlation.shape == (4, 4)
     assert joint.curve is not None and joint.curve.outputs == ("f", "b") and joint.curve.fitted.shape == (BAND.size, 2, 2)
+    between, drawn = joint.curve.drawn
+    np.testing.assert_allclose(drawn[np.searchsorted(between, joint.curve.frequency)], joint.curve.fitted, rtol=1e-9)
+    assert between.size >= 200
     assert [finding.code for finding in joint.findings] == []
     assert "of 20 starts lead to this minimum" in joint.notes[0] and "96 x 16 cells" in joint.notes[0]
 

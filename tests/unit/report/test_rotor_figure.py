@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 
 from labpipe.config.rotor import load_rotor
+from labpipe.document.saving import canvas_of
 from labpipe.records.identification import Identification
 from labpipe.report.build import build
 from labpipe.report.document import Figure
-from labpipe.report.rotor_drawing import disc_dimensions, node_positions, rotor_figure, rotor_figures, shaft_diameter
+from labpipe.report.rotor_figure import disc_dimensions, node_positions, rotor_figure, rotor_figures, rotor_sketch, shaft_diameter
 from labpipe.rotors.parts import ALUMINIUM, Disc
 
 ROTORS = Path(__file__).parents[3] / "configs" / "rotors"
@@ -27,9 +28,8 @@ def entries(name: str) -> dict[str, Any]:
 
 def boxes(name: str, label: str) -> list[tuple[float, float, float, float]]:
     """(left, bottom, width, height) [mm] of the drawn boxes of one kind."""
-    (axes,) = rotor_figure(entries(name)).drawing.axes
-    chosen = [patch for patch in axes.patches if patch.get_label() == label]
-    return [(p.get_x(), p.get_y(), p.get_width(), p.get_height()) for p in chosen]  # type: ignore[attr-defined]
+    chosen = [ring for ring in rotor_sketch(entries(name)).rings if ring.part == label]
+    return [(ring.left, bottom, ring.length, height) for ring in chosen for bottom, height in ring.boxes]
 
 
 def test_shaft_is_drawn_element_by_element_in_mm() -> None:
@@ -69,7 +69,7 @@ def test_a_disc_without_inertia_is_still_seen() -> None:
 
 
 def test_every_node_bearing_and_place_of_excitation_is_named() -> None:
-    (axes,) = rotor_figure(entries("mendes")).drawing.axes
+    (axes,) = canvas_of(rotor_figure(entries("mendes")).graphic).axes
     texts = [text.get_text() for text in axes.texts]
     assert {"bearing 1", "bearing 2", "force", "response", *map(str, range(1, 17))} == set(texts)
 

@@ -112,7 +112,10 @@ function step(figure, panel, by) {
 
 function stepAlong(figure, panel, first, here, by) {
   const [low, high] = panel.limits.x;
-  const places = [...new Set(panel.shown().filter((one) => one.kind === "line").flatMap((one) => one.x))]
+  // Keys go from point to point; a curve alone has many where it bends, so that it is stepped along only where there are no points.
+  const curves = panel.shown().filter((one) => one.kind === "line");
+  const dotted = curves.filter((one) => one.marker);
+  const places = [...new Set((dotted.length ? dotted : curves).flatMap((one) => one.x))]
     .filter((x) => x !== null && x >= low && x <= high).sort((a, b) => a - b);
   if (!places.length) return;
   const now = here ? places.findIndex((x) => x >= here.x) : by > 0 ? -1 : places.length;

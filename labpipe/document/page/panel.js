@@ -30,6 +30,7 @@ function drawPanel(panel, width, left, lowest) {
   element("rect", { x: box.left, y: box.top, width: box.right - box.left, height: box.bottom - box.top }, clip);
   const inside = element("g", { "clip-path": `url(#${panel.id}-clip)`, class: "series" }, svg);
   for (const one of panel.shown()) drawSeries(panel, one, inside);
+  if (spec.note) element("text", { x: (box.left + box.right) / 2, y: (box.top + box.bottom) / 2, "text-anchor": "middle" }, svg).textContent = spec.note;
   panel.cursor = element("g", { class: "cursor" }, svg);
 }
 
@@ -75,6 +76,7 @@ function drawSeries(panel, one, inside) {
   const group = element("g", { style: `--own: ${inkOf(one.colour)}` }, inside);
   if (one.kind === "cells") drawCells(panel, one, group);
   else if (one.kind === "area") drawArea(panel, one, group);
+  else if (one.kind === "arrow") drawArrow(panel, one, group);
   else if (one.kind !== "line") drawAcross(panel, one, group);
   else drawCurve(panel, one, group);
 }
@@ -129,6 +131,16 @@ function drawAcross(panel, one, group) {
   }
   const path = flat ? `M${box.left} ${places[0]}H${box.right}` : `M${places[0]} ${box.top}V${box.bottom}`;
   element("path", { class: "curve", d: path, "stroke-dasharray": DASHES[one.line] || "", "stroke-width": one.width * 1.2 }, group);
+  if (flat && one.name) element("text", { x: box.right - 3, y: places[0] - 3, "text-anchor": "end" }, group).textContent = one.name;
+}
+
+function drawArrow(panel, one, group) {
+  const [tail, head] = panel.pixels(one, one.y);
+  if (!tail || !head) return;
+  const long = Math.hypot(head[0] - tail[0], head[1] - tail[1]) || 1;
+  const [x, y] = [(head[0] - tail[0]) / long, (head[1] - tail[1]) / long];
+  const corners = [[head[0] + 5 * x, head[1] + 5 * y], [head[0] - 5 * x - 4 * y, head[1] - 5 * y + 4 * x], [head[0] - 5 * x + 4 * y, head[1] - 5 * y - 4 * x]];
+  element("path", { class: "head", d: `M${corners.map((corner) => corner.join(" ")).join("L")}Z` }, group);
 }
 
 function drawCells(panel, one, group) {

@@ -9,12 +9,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from labpipe.document import render
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings, Sliding
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Identification, Parameter, RuleOutcome
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
-from labpipe.report import render
 from labpipe.report.wording import parameter_row, rounded, significance
 
 HOSTILE = '<script>alert("x")</script> $y_1$ | *bold*'
@@ -144,7 +144,7 @@ def test_a_parameter_without_an_error_shows_none() -> None:
 
 
 def test_the_pdf_has_pages_with_numbers_and_is_the_same_each_time() -> None:
-    from labpipe.report.pdf import pdf_report
+    from labpipe.document.pdf import pdf_report
 
     first, second = pdf_report(result()), pdf_report(result())
     assert first.startswith(b"%PDF-") and first == second
@@ -152,8 +152,8 @@ def test_the_pdf_has_pages_with_numbers_and_is_the_same_each_time() -> None:
 
 
 def test_the_pdf_has_a_cover_with_the_dates_of_the_recordings_and_lines_instead_of_dots() -> None:
+    from labpipe.document.pdf import pdf_report
     from labpipe.report.cover import cover_facts
-    from labpipe.report.pdf import pdf_report
 
     base = result()
     responses = tuple(replace(base.responses[0], conditions={"date": day, "preload": "427 N"}) for day in ("2026-03-02", "2026-02-27"))

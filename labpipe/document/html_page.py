@@ -9,10 +9,10 @@ from functools import cache
 from html import escape
 from importlib.resources import files
 
+from labpipe.document.figure_numbers import figure_json
+from labpipe.document.saving import canvas_of, svg_text
+from labpipe.report.chart import Chart
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
-from labpipe.report.drawing import svg_text
-from labpipe.report.figure_numbers import figure_json
-from labpipe.report.plotted import plotted
 
 SCRIPTS = ("scale.js", "panel.js", "reading.js", "zoom.js", "figure.js")
 # Many sections need a way to them; few do not.
@@ -24,7 +24,7 @@ FINER = re.compile(r"(\d\.\d\d)\d+")
 @cache
 def page_part(name: str) -> str:
     """A file of the page: its style or a part of its script."""
-    return files("labpipe.report").joinpath("page", name).read_text(encoding="utf-8")
+    return files("labpipe.document").joinpath("page", name).read_text(encoding="utf-8")
 
 
 @cache
@@ -63,13 +63,12 @@ class _Figures:
         self.count, self.alive = 0, False
 
     def html(self, figure: Figure) -> str:
+        """A figure with its number: the drawing for print and without scripts, the numbers of a chart for the script, the caption."""
         self.count += 1
-        drawn = plotted(figure.drawing)
-        numbers = ""
-        if drawn.complete:
+        numbers, kind = "", ""
+        if isinstance(figure.graphic, Chart):
             self.alive = True
-            numbers = f'<script type="application/json">{figure_json(drawn)}</script>'
-        kind = ' class="numbers"' if drawn.complete else ""
+            numbers, kind = f'<script type="application/json">{figure_json(figure.graphic)}</script>', ' class="numbers"'
         return (
             f'<figure id="figure-{self.count}" role="group" aria-label="{escape(figure.alternative)}"{kind}>'
             f'<div class="static">{inline_svg(figure, self.count)}</div>{numbers}'
@@ -79,9 +78,9 @@ class _Figures:
 
 def inline_svg(figure: Figure, number: int) -> str:
     """The drawing as SVG inside a page: named for those who cannot see it, its ids its own, its style not the page's."""
-    text = svg_text(figure.drawing)
+    text = svg_text(canvas_of(figure.graphic))
     text = re.sub(r"<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<!--.*?-->", "", text, flags=re.DOTALL)
-    text = re.sub(r'\b(?:d|x|y)="[^"]*"', lambda found: FINER.sub(r"\1", found[0]), text)
+    text = re.sub(r'\b(?:d|x|y)="[^"]*"', lambda match: FINER.sub(r"\1", match[0]), text)
     text = re.sub(r'(\bid="|xlink:href="#|url\(#)', rf"\g<1>f{number}-", text)
     return text.replace("<svg", f'<svg role="img" aria-label="{escape(figure.alternative)}"', 1)
 

@@ -12,10 +12,11 @@ from fpdf import FPDF
 from fpdf.enums import TableBordersLayout
 from fpdf.fonts import FontFace
 
+from labpipe.document.saving import canvas_of, png_bytes, svg_text
 from labpipe.records.identification import Identification
 from labpipe.report.build import build
+from labpipe.report.chart import Chart
 from labpipe.report.document import SIGNATURE, Block, Code, Document, Figure, Paragraph, Section, Table
-from labpipe.report.drawing import png_bytes, svg_text
 
 FONT = "DejaVu"
 INK, GREY, SOFT, PAPER = (27, 31, 36), (87, 96, 106), (244, 246, 248), (255, 255, 255)
@@ -44,6 +45,7 @@ class _Pages(FPDF):
         self.set_title(document.title)
 
     def footer(self) -> None:
+        """The title and the number of the page at its foot."""
         self.set_y(-14)
         self.set_font(FONT, "", 7)
         self.set_text_color(*GREY)
@@ -87,9 +89,9 @@ def _height_of(section: Section) -> float:
 
 def _size(figure: Figure) -> tuple[float, float]:
     """Width and height [mm] of a drawing in its own size, at most as wide as the text."""
-    inches_wide, inches_high = figure.drawing.get_size_inches()
-    width = min(25.4 * float(inches_wide), WIDEST_FIGURE)
-    return width, width * float(inches_high / inches_wide)
+    inches_wide, inches_high = figure.graphic.size
+    width = min(25.4 * inches_wide, WIDEST_FIGURE)
+    return width, width * inches_high / inches_wide
 
 
 def _cover(pages: _Pages, document: Document) -> None:
@@ -170,11 +172,12 @@ def _figure(pages: _Pages, figure: Figure) -> None:
 
 
 def _picture(figure: Figure) -> io.BytesIO:
-    """The drawing as lines and outlines; as dots of print resolution where it holds a heat map or very many points."""
-    text = svg_text(figure.drawing, outlined=True)
-    if "<image" in text or len(text) > MOST_VECTOR:
-        return png_bytes(figure.drawing)
-    return io.BytesIO(text.encode())
+    """The drawing as lines and outlines; as dots of print resolution where it is a heat map or has very many points."""
+    canvas, graphic = canvas_of(figure.graphic), figure.graphic
+    if isinstance(graphic, Chart) and any(series.kind == "cells" for panel in graphic.panels for series in panel.series):
+        return io.BytesIO(png_bytes(canvas))
+    text = svg_text(canvas, outlined=True)
+    return io.BytesIO(text.encode() if len(text) <= MOST_VECTOR else png_bytes(canvas))
 
 
 def _table(pages: _Pages, table: Table) -> None:

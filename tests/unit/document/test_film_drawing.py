@@ -11,7 +11,9 @@ from labpipe.artefacts.writing import output_folder
 from labpipe.bearings.coefficients import PressureField
 from labpipe.bearings.journal_kind import JournalFile, journal_coefficients
 from labpipe.config.bearing import open_bearing
-from labpipe.report.film_figure import contour_levels, film_figure
+from labpipe.document.film_drawing import contour_levels
+from labpipe.document.saving import canvas_of
+from labpipe.report.film_figure import film_figure
 from labpipe.stages.bearing import write_bearing
 
 MENDES = JournalFile(
@@ -35,7 +37,7 @@ def test_the_field_carries_the_load(film: PressureField) -> None:
 
 
 def test_field_and_middle_are_drawn_in_bar_over_degrees(film: PressureField) -> None:
-    field, middle, beside = [axes for axes in film_figure("b", film).drawing.axes if axes.get_label() != "<colorbar>"]
+    field, middle, beside = [axes for axes in canvas_of(film_figure("b", film).graphic).axes if axes.get_label() != "<colorbar>"]
     x, y = (np.asarray(values, float) for values in middle.get_lines()[0].get_data())
     assert x[0] >= 0 and x[-1] <= 360 and np.all(np.diff(x) > 0)
     centre = np.abs(film.axial) == np.abs(film.axial).min()
@@ -50,7 +52,7 @@ def test_an_odd_number_of_cells_has_its_own_middle() -> None:
     theta = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     pressure = np.outer(np.linspace(1, 1.7, 8), [1e5, 3e5, 1e5])
     figure = film_figure("b", PressureField(theta, np.array([-0.005, 0.0, 0.005]), pressure, np.full(8, 5e-5)))
-    middle = figure.drawing.axes[1]
+    middle = canvas_of(figure.graphic).axes[1]
     np.testing.assert_allclose(np.asarray(middle.get_lines()[0].get_ydata(), float), 3 * np.linspace(1, 1.7, 8))
 
 

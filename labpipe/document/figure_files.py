@@ -1,0 +1,80 @@
+"""The figures of a report as files of their own: drawing as SVG and PNG, numbers as CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+
+from labpipe.document.saving import canvas_of, png_bytes, svg_text
+from labpipe.report.chart import Chart, Panel, Series
+from labpipe.report.document import Document, Figure
+
+COLUMNS = ("panel", "series", "x axis", "x", "y axis", "y", "low", "high", "interval")
+MOST_LETTERS = 48
+
+
+def figure_files(document: Document) -> dict[str, bytes]:
+    """name -> content: figure-01-... .svg, .png and .csv of every figure, numbered as in the report; the same for the same result."""
+    figures = [block for section in document.sections for block in section.blocks if isinstance(block, Figure)]
+    contents: dict[str, bytes] = {}
+    for number, figure in enumerate(figures, 1):
+        stem = f"figure-{number:02d}-{_short(figure.caption)}".rstrip("-")
+        canvas = canvas_of(figure.graphic)
+        contents[f"{stem}.svg"] = ('<?xml version="1.0" encoding="utf-8"?>\n' + svg_text(canvas)).encode()
+        contents[f"{stem}.png"] = png_bytes(canvas)
+        if isinstance(figure.graphic, Chart):
+            contents[f"{stem}.csv"] = figure_csv(figure.graphic, figure.caption).encode()
+    return contents
+
+
+def _short(caption: str) -> str:
+    plain = re.sub(r"[^a-z0-9]+", "-", caption.lower()).strip("-")
+    return plain[:MOST_LETTERS].rpartition("-")[0] if len(plain) > MOST_LETTERS else plain
+
+
+def figure_csv(chart: Chart, caption: str) -> str:
+    """One row per point, in the units of the axes, which stand beside it; low and high are the ends of its interval."""
+    stream = io.StringIO()
+    stream.write("# " + caption.replace("\n", " ") + "\n")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for number, panel in enumerate(chart.panels, 1):
+        for series in panel.series:
+            writer.writerows(_rows(panel, panel.title or str(number), series))
+    return stream.getvalue()
+
+
+def _rows(panel: Panel, name: str, series: Series) -> list[list[str]]:
+    """The rows of one series; an arrow only says the sense of a curve, and has none."""
+    if series.kind == "arrow":
+        return []
+    return _cell_rows(panel, name, series) if series.kind == "cells" else _point_rows(panel, name, series)
+
+
+def _cell_rows(panel: Panel, name: str, series: Series) -> list[list[str]]:
+    """One row per cell, named by the row and column it stands in."""
+    columns, rows = ([label for _, label in axis.ticks] or [str(n) for n in range(max(series.y.shape))] for axis in (panel.x, panel.y))
+    n_row, n_column = series.y.shape
+    return [[name, rows[r], "", columns[c], "", _number(float(series.y[r, c])), "", "", ""] for r in range(n_row) for c in range(n_column)]
+
+
+def _point_rows(panel: Panel, name: str, series: Series) -> list[list[str]]:
+    return [
+        [
+            name,
+            series.name or series.kind,
+            panel.x.label,
+            _number(float(series.x[n])) if n < series.x.size else "",
+            panel.y.label,
+            _number(float(series.y[n])) if n < series.y.size else "",
+            *("" if end is None else _number(float(end[n])) for end in (series.low, series.high)),
+            series.interval,
+        ]
+        for n in range(max(series.x.size, series.y.size))
+    ]
+
+
+def _number(value: float) -> str:
+    return f"{value:.12g}" if math.isfinite(value) else ""

@@ -1,0 +1,90 @@
+"""The numbers of a chart as JSON inside a page: what its script draws, zooms and reads."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+
+from labpipe.document.palette import heat
+from labpipe.report.chart import GREY, Axis, Chart, Numbers, Series
+
+DIGITS = 7
+RULE = "var(--rule)"
+
+
+class NumberList:
+    """Arrays of one figure, each kept once: curves of one figure share their abscissa."""
+
+    def __init__(self) -> None:
+        self.lists: list[list[float | None]] = []
+        self._places: dict[tuple[float | None, ...], int] = {}
+
+    def add(self, values: Numbers) -> int:
+        """The place of *values* (n,) in the list, rounded to the digits that a screen can show."""
+        rounded = tuple(_rounded(value) for value in np.ravel(values).tolist())
+        if rounded not in self._places:
+            self._places[rounded] = len(self.lists)
+            self.lists.append(list(rounded))
+        return self._places[rounded]
+
+
+def _rounded(value: float) -> float | int | None:
+    if not math.isfinite(value):
+        return None
+    near = float(f"{value:.{DIGITS}g}")
+    return int(near) if near.is_integer() and abs(near) < 1e15 else near
+
+
+def figure_json(chart: Chart) -> str:
+    """The chart for the page's script; no text of it can end the script element that it stands in."""
+    numbers = NumberList()
+    entry = {
+        "height": chart.size[1],
+        "rows": chart.rows,
+        "columns": chart.columns,
+        "panels": [_panel(chart, number, numbers) for number in range(len(chart.panels))],
+        "numbers": numbers.lists,
+    }
+    text = json.dumps(entry, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _panel(chart: Chart, number: int, numbers: NumberList) -> dict[str, Any]:
+    panel = chart.panels[number]
+    return {
+        "title": panel.title,
+        "note": panel.note,
+        "share": chart.heights[number // chart.columns],
+        "equal": panel.equal,
+        "x": _axis(panel.x, chart.limits(number, "x"), chart.group(number, "x")),
+        "y": _axis(panel.y, chart.limits(number, "y"), chart.group(number, "y")),
+        "series": [_series(series, numbers) for series in panel.series],
+    }
+
+
+def _axis(axis: Axis, limits: tuple[float, float], group: int) -> dict[str, Any]:
+    return {
+        "title": axis.title,
+        "unit": axis.unit,
+        "label": axis.label,
+        "limits": [float(f"{end:.12g}") for end in limits],
+        "log": axis.logarithmic,
+        "group": group,
+        "ticks": [list(tick) for tick in axis.ticks],
+    }
+
+
+def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
+    colour = RULE if series.colour == GREY else series.colour
+    entry: dict[str, Any] = {"kind": series.kind, "name": series.name, "colour": colour, "line": series.line, "width": series.width}
+    if series.kind == "cells":
+        nothing = numbers.add(np.empty(0))
+        fills = [[heat(value) for value in row] for row in series.y.tolist()]
+        return {**entry, "name": "", "x": nothing, "y": nothing, "texts": series.texts, "fills": fills}
+    entry |= {"x": numbers.add(series.x), "y": numbers.add(series.y), "marker": series.marker, "size": series.size, "hollow": series.hollow}
+    if series.low is not None and series.high is not None:
+        entry |= {"low": numbers.add(series.low), "high": numbers.add(series.high), "interval": series.interval}
+    return entry

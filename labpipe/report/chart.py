@@ -1,0 +1,253 @@
+"""Figures as numbers: panels of series over axes. Pages, prints, tables and tests read the same numbers; nothing here draws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Numbers = NDArray[np.float64]
+Ends = tuple[ArrayLike, ArrayLike]
+Ticks = tuple[tuple[float, str], ...]
+
+KINDS = ("line", "area", "hline", "vline", "hspan", "vspan", "cells", "arrow")
+# Numbers of the palette for series; INK is that of the text, GREY that of what values are held against.
+PALETTE_SIZE, INK, GREY = 7, 6, -1
+LINES = ("-", "--", ":")
+# Width of a figure [in]: that of a page's text.
+WIDTH = 7.2
+# Room beyond the outermost values, as part of their range.
+MARGIN = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One entry of a panel. *kind*: 'line' (points, joined or not), 'area' (a closed outline), 'hline', 'vline', 'hspan', 'vspan',
+    'cells' (a matrix of values between -1 and 1 with a text in each) or 'arrow' (from the first point to the second).
+
+    x, y: (n,) in the units of the axes, NaN where nothing is shown; of a line or span across the panel one of them is empty.
+    cells: y is (n_row, n_column). low, high: (n,) ends of an interval around y, shown as *interval* ('shaded' or 'bar').
+    line: '-', '--', ':' or '-.', '' for none; marker: '.', 'o', 's' or 'v', '' for none; size, width: diameter and line [pt].
+    """
+
+    kind: str
+    name: str
+    x: Numbers
+    y: Numbers
+    colour: int = 0
+    low: Numbers | None = None
+    high: Numbers | None = None
+    interval: str = ""
+    line: str = ""
+    marker: str = ""
+    size: float = 0.0
+    width: float = 1.0
+    opacity: float = 1.0
+    hollow: bool = False
+    texts: tuple[tuple[str, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y", "low", "high"):
+            values = getattr(self, name)
+            if values is not None:
+                plain = np.array(values, np.float64)
+                plain.setflags(write=False)
+                object.__setattr__(self, name, plain)
+        if self.kind not in KINDS:
+            raise ValueError(f"no series of kind '{self.kind}'")
+        if self.kind in ("line", "area", "arrow") and self.x.shape != self.y.shape:
+            raise ValueError(f"series '{self.name}': {self.x.shape} over {self.y.shape}")
+        if (self.low is None) != (self.high is None) or any(end is not None and end.shape != self.y.shape for end in (self.low, self.high)):
+            raise ValueError(f"series '{self.name}': both ends of its interval must be as long as its values")
+
+
+def curve(
+    name: str,
+    x: ArrayLike,
+    y: ArrayLike,
+    colour: int = 0,
+    line: str = "-",
+    *,
+    width: float = 1.0,
+    marker: str = "",
+    size: float = 3.0,
+    band: Ends | None = None,
+    bars: Ends | None = None,
+    opacity: float = 0.15,
+    hollow: bool = False,
+) -> Series:
+    """Points (n,) joined by a *line*; *band* and *bars*: the two ends (n,) of an interval, shaded (with *opacity*) or as bars."""
+    low, high = (None, None) if band is None and bars is None else (np.asarray(end, float) for end in band or bars or ())
+    interval = "shaded" if band is not None else "bar" if bars is not None else ""
+    across, along = np.asarray(x, float), np.asarray(y, float)
+    marked = size if marker else 0.0
+    return Series("line", name, across, along, colour, low, high, interval, line, marker, marked, width, opacity, hollow)
+
+
+def dots(name: str, x: ArrayLike, y: ArrayLike, colour: int = 0, *, marker: str = ".", **look: Any) -> Series:
+    """Points (n,) that are not joined; *look* as of a curve."""
+    return curve(name, x, y, colour, "", marker=marker, **look)
+
+
+def level(y: float, colour: int = GREY, line: str = "-", *, width: float = 0.8, name: str = "") -> Series:
+    """A line across the panel at *y*; its name, if any, is written at its end."""
+    return Series("hline", name, np.empty(0), np.array([y]), colour, line=line, width=width)
+
+
+def upright(x: float, colour: int = GREY, line: str = "-", *, width: float = 0.8) -> Series:
+    """A line from the foot of the panel to its head at *x*."""
+    return Series("vline", "", np.array([x]), np.empty(0), colour, line=line, width=width)
+
+
+def span(low: float, high: float, colour: int, opacity: float = 0.15) -> Series:
+    """A shade across the panel between two values."""
+    return Series("hspan", "", np.empty(0), np.array([low, high]), colour, opacity=opacity)
+
+
+def outline(name: str, x: ArrayLike, y: ArrayLike, colour: int = 0, opacity: float = 0.15) -> Series:
+    """The shaded inside of a closed path (n,)."""
+    return Series("area", name, np.asarray(x, float), np.asarray(y, float), colour, opacity=opacity)
+
+
+def cells(values: ArrayLike, texts: Sequence[Sequence[str]], name: str = "") -> Series:
+    """A matrix (n_row, n_column) of values between -1 and 1, which *name* says, as colours with a text in each; row 0 is above."""
+    matrix = np.asarray(values, float)
+    return Series("cells", name, np.arange(matrix.shape[1], dtype=float), matrix, INK, texts=tuple(tuple(row) for row in texts))
+
+
+def arrow(tail: ArrayLike, head: ArrayLike, colour: int) -> Series:
+    """The sense of a motion: an arrow from one point (2,) to another."""
+    across, along = np.array([tail, head], float).T
+    return Series("arrow", "", across, along, colour)
+
+
+def look(number: int) -> tuple[int, str]:
+    """Colour and line of the curve of this number among many: where colours begin anew the lines are dashed."""
+    return number % PALETTE_SIZE, LINES[number // PALETTE_SIZE % len(LINES)]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis with its *title* and *unit*; *low*, *high*: ends that do not follow from the series; *ticks* where places have names."""
+
+    title: str = ""
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    logarithmic: bool = False
+    ticks: Ticks = ()
+
+    @property
+    def label(self) -> str:
+        """Title and unit as people read them."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
+
+
+def named_ticks(names: Sequence[str], first: float = 0.0) -> Ticks:
+    """Names at whole numbers from *first* on."""
+    return tuple((first + number, name) for number, name in enumerate(names))
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One pair of axes; *equal*: both have one scale; *share* of the height among the rows; *note*: words where there is no series."""
+
+    x: Axis
+    y: Axis
+    series: tuple[Series, ...]
+    title: str = ""
+    equal: bool = False
+    share: float = 1.0
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Panels row by row in a grid of *rows* and *columns*; *size* (width, height) [in]; *shared*: the axes that move together, 'x' or 'xy'.
+
+    legend: 'panels' (the names that are new in each panel), 'above' (all of them above the panels) or 'none'.
+    """
+
+    panels: tuple[Panel, ...]
+    rows: int = 1
+    columns: int = 1
+    size: tuple[float, float] = (WIDTH, 3.2)
+    shared: str = ""
+    legend: str = "panels"
+
+    def __post_init__(self) -> None:
+        if len(self.panels) > self.rows * self.columns:
+            raise ValueError(f"{len(self.panels)} panels in {self.rows} x {self.columns}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of all series, each once."""
+        return tuple(dict.fromkeys(series.name for panel in self.panels for series in panel.series if series.name))
+
+    @property
+    def heights(self) -> tuple[float, ...]:
+        """(n_row,) height of every row as part of the whole."""
+        shares = [self.panels[row * self.columns].share for row in range(self.rows)]
+        return tuple(share / sum(shares) for share in shares)
+
+    def group(self, number: int, which: str) -> int:
+        """The panel whose axis *which* ('x' or 'y') the panel of this number moves with; its own number where it moves alone."""
+        return 0 if which in self.shared else number
+
+    def limits(self, number: int, which: str) -> tuple[float, float]:
+        """Both ends of an axis of a panel: as stated, else from all series of the panels that it moves with."""
+        panels = self.panels if which in self.shared else (self.panels[number],)
+        axis = getattr(self.panels[number], which)
+        if any(series.kind == "cells" for panel in panels for series in panel.series):
+            return _cell_limits(panels[0], which)
+        values = np.concatenate([part for panel in panels for series in panel.series for part in _extent(series, which)] or [np.empty(0)])
+        low, high = _with_margin(values, axis.logarithmic)
+        return low if axis.low is None else axis.low, high if axis.high is None else axis.high
+
+
+def stacked(panels: Sequence[Panel], height: float, legend: str = "panels") -> Chart:
+    """Panels below each other over one abscissa, *height* [in] in all."""
+    return Chart(tuple(panels), len(panels), 1, (WIDTH, height), "x" if len(panels) > 1 else "", legend)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """What is not numbers over axes: *kind* says who draws it (a table of those who show documents), *subject* what it is of.
+
+    size: (width, height) [in].
+    """
+
+    kind: str
+    subject: Any
+    size: tuple[float, float]
+
+
+Graphic = Chart | Drawing
+
+
+def _cell_limits(panel: Panel, which: str) -> tuple[float, float]:
+    """The outer edges of a matrix, its first row above."""
+    rows, columns = next(series.y.shape for series in panel.series if series.kind == "cells")
+    return (-0.5, columns - 0.5) if which == "x" else (rows - 0.5, -0.5)
+
+
+def _extent(series: Series, which: str) -> list[Numbers]:
+    """All values of a series along an axis."""
+    parts = [series.x] if which == "x" else [series.y, series.low, series.high]
+    return [part.reshape(-1) for part in parts if part is not None]
+
+
+def _with_margin(values: Numbers, logarithmic: bool) -> tuple[float, float]:
+    """Least and largest of the values with some room beyond; 0 to 1 (1 to 10) where there is none."""
+    there = values[np.isfinite(values) & ((values > 0) | (not logarithmic))]
+    if not there.size:
+        return (1.0, 10.0) if logarithmic else (0.0, 1.0)
+    ends = np.array([there.min(), there.max()])
+    if logarithmic:
+        low, high = _with_margin(np.log10(ends), False) if ends[1] > ends[0] else np.log10(ends[0]) + np.array([-1.0, 1.0])
+        return float(10**low), float(10**high)
+    room = MARGIN * float(ends[1] - ends[0]) or MARGIN * abs(float(ends[0])) or MARGIN
+    return float(ends[0]) - room, float(ends[1]) + room

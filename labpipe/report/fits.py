@@ -1,0 +1,121 @@
+"""The sections of fits: every single fit in full, the bands of a sliding fit over frequency, the lines of a calibration together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from labpipe.quantities import display_unit
+from labpipe.records.finding import WARNING, of_level
+from labpipe.records.identification import Fit, Identification
+from labpipe.report import figures
+from labpipe.report.candidates import candidate_blocks
+from labpipe.report.document import Block, Figure, Paragraph, Section, Table
+from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figure
+from labpipe.report.wear_figures import wear_figures
+from labpipe.report.wording import STARS_EXPLAINED, band_text, fit_title, inflated_text, parameter_row, unit_text
+
+PARAMETER_HEADER = ("parameter", "value", "unit", "std. error", "95 % interval", "t-ratio", "significance", "VIF")
+NUMERIC = (1, 3, 4, 5, 7)
+
+
+def fit_sections(identification: Identification) -> tuple[Section, ...]:
+    """One section for every fit; the bands of a sliding fit and the lines of a calibration share theirs."""
+    return tuple(Section(f"Result: {_title(fits)}", _result(fits)) for fits in _groups(identification.fits))
+
+
+def fit_figures(fit: Fit) -> list[Figure]:
+    """The figures of a single fit: measured and fitted FRF, what a worn-bearing fit shows, correlation of the estimates."""
+    shown: list[Figure] = []
+    if fit.curve is not None:
+        many = len(fit.curve.outputs) * len(fit.curve.inputs) > MOST_TOGETHER
+        shown.append(matrix_figure(fit, fit.curve) if many else figures.fitted_curve_figure(fit, fit.curve))
+    shown.extend(wear_figures(fit))
+    if fit.correlation.shape[0] > 1:
+        shown.append(figures.correlation_figure(fit))
+    return shown
+
+
+def _groups(fits: Sequence[Fit]) -> list[list[Fit]]:
+    """Fits that belong together: the bands of a sliding fit, the lines of one calibration."""
+    groups: dict[tuple[str, str, str], list[Fit]] = {}
+    for fit in fits:
+        groups.setdefault((fit.name, fit.term, "" if fit.model == "straight-line" else fit.test), []).append(fit)
+    return list(groups.values())
+
+
+def _title(fits: list[Fit]) -> str:
+    """A calibration's lines stand under one heading, whatever group they belong to."""
+    return fits[0].name if fits[0].model == "straight-line" else fit_title(fits[0])
+
+
+def _result(fits: list[Fit]) -> tuple[Block, ...]:
+    if fits[0].model == "straight-line":
+        return _calibration(fits)
+    return _sliding(fits) if len(fits) > 1 else _single(fits[0])
+
+
+def _single(fit: Fit) -> tuple[Block, ...]:
+    rows = tuple(parameter_row(parameter, fit.dof) for parameter in fit.parameters)
+    return (
+        Paragraph(_described(fit)),
+        Table(PARAMETER_HEADER, rows, f"Parameters of {fit_title(fit)}", NUMERIC),
+        Paragraph(STARS_EXPLAINED),
+        *(Paragraph(note, "note") for note in fit.notes),
+        *candidate_blocks(fit),
+        *fit_figures(fit),
+    )
+
+
+def _described(fit: Fit) -> str:
+    """Model, estimator, band, degrees of freedom and goodness in one paragraph."""
+    chi2 = ""
+    if fit.gof.chi2_reduced is not None:
+        p_value = "" if fit.gof.chi2_p is None else f" (p = {fit.gof.chi2_p:.3g})"
+        chi2 = f" The weighted residual has chi² per degree of freedom {fit.gof.chi2_reduced:.3f}{p_value}; 1 is expected."
+    end = f"converged after {fit.iterations} iterations" if fit.iterations else "solved directly"
+    if not fit.converged:
+        end = "NOT converged"
+    return (
+        f"Model {fit.model}, estimator {fit.estimator}, band {band_text(fit)}: {fit.lines} frequency lines, {fit.equations} real "
+        f"equations, {fit.dof} degrees of freedom, {end}. G.o.F (adjusted R²) {fit.gof.r2_adjusted:.5f}.{chi2} "
+        f"Condition number {fit.condition_number:.3g}.{inflated_text(fit)}"
+    )
+
+
+def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
+    """Coefficients over frequency as figures, and as a table."""
+    names = figures.sliding_names(fits)
+    units = {name: unit_text(fits[0].parameter(name).unit) for name in names}
+    header = ("band", "centre [Hz]", "G.o.F", *(f"{name} [{unit}]" for name, unit in units.items()), "warnings")
+    rows = tuple(_band_row(fit, names) for fit in fits)
+    first = f"{len(fits)} bands from {fits[0].band_hz[0]:g} to {fits[-1].band_hz[1]:g} Hz; model {fits[0].model}, {fits[0].estimator}. "
+    meaning = "Each value belongs to the centre of its band; ± is one standard error, n.s. marks values that cannot be told from zero."
+    table = Table(header, rows, f"Bands of {fit_title(fits[0])}", tuple(range(1, 3 + len(names))))
+    return (Paragraph(first + meaning), *figures.sliding_figures(fits), table)
+
+
+def _band_row(fit: Fit, names: Sequence[str]) -> tuple[str, ...]:
+    return (
+        band_text(fit),
+        f"{fit.centre_hz:g}",
+        f"{fit.gof.r2_adjusted:.4f}",
+        *(_with_error(fit, name) for name in names),
+        ", ".join(finding.code for finding in of_level(WARNING, fit.findings)),
+    )
+
+
+def _with_error(fit: Fit, name: str) -> str:
+    parameter = fit.parameter(name)
+    _, value, _, error, _, _, significance, _ = parameter_row(parameter, fit.dof, display_unit(parameter.unit))
+    mark = " n.s." if significance == "n.s." else ""
+    return f"{value} ± {error}{mark}"
+
+
+def _calibration(fits: list[Fit]) -> tuple[Block, ...]:
+    """Straight lines: slope, intercept and linear range of each; inflation factors say nothing here."""
+    rows = tuple((fit.test or fit.name, *parameter_row(parameter, fit.dof)[:-1]) for fit in fits for parameter in fit.parameters)
+    table = Table(("line", *PARAMETER_HEADER[:-1]), rows, f"Straight lines of {fits[0].name}", tuple(n + 1 for n in NUMERIC[:-1]))
+    goodness = tuple((fit.test or fit.name, f"{fit.gof.r2:.5f}", str(fit.lines), "; ".join(fit.notes)) for fit in fits)
+    quality = Table(("line", "R²", "points", "remarks"), goodness, "Goodness of the lines", (1, 2))
+    slopes = [figures.line_figure(fits)] if len(fits) > 1 else []
+    return (table, Paragraph(STARS_EXPLAINED), quality, *slopes)

@@ -1,0 +1,133 @@
+"""The rotor of worn-bearing fits as a sketch: shaft elements, sleeves, discs, bearings, and where it is excited and measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from labpipe.records.identification import Identification
+from labpipe.report.chart import WIDTH, Drawing
+from labpipe.report.document import Figure, Section
+
+MM = 1e3
+HEIGHT = 2.9
+# A bearing is drawn so thick, as part of the largest radius.
+BEARING_WALL = 0.4
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A tube along the shaft [mm]: *part* says what it is of ('shaft', 'sleeve', 'disc', 'bearing'), *left* its left end."""
+
+    part: str
+    left: float
+    length: float
+    inner: float
+    outer: float
+
+    @property
+    def boxes(self) -> tuple[tuple[float, float], ...]:
+        """(bottom, height) [mm] of its section: above and below its bore, or once where it has none."""
+        if self.inner <= 0:
+            return ((-self.outer / 2, self.outer),)
+        height = (self.outer - self.inner) / 2
+        return ((self.inner / 2, height), (-self.outer / 2, height))
+
+
+@dataclass(frozen=True)
+class RotorSketch:
+    """What a sketch of a rotor shows [mm]: its *rings*, *stations* of the nodes, *bearings* and *places* by name, largest radius."""
+
+    rings: tuple[Ring, ...]
+    stations: tuple[float, ...]
+    bearings: tuple[tuple[str, float], ...]
+    places: tuple[tuple[str, float], ...]
+    reach: float
+
+
+def rotor_sections(identification: Identification) -> tuple[Section, ...]:
+    """The section of the rotors that the fits stand on, if any."""
+    figures = tuple(rotor_figures(identification.settings))
+    return (Section("Rotor", figures),) if figures else ()
+
+
+def rotor_figures(settings: Mapping[str, Any]) -> list[Figure]:
+    """One sketch for every rotor that an identification's settings name, each once: of its fits and of its response to unbalance."""
+    own = [fit.get("model_settings") or {} for fit in settings.get("identify", [])]
+    rigs = [settings_of_model["rig"] for settings_of_model in own if settings_of_model.get("rig")]
+    rigs += [settings["unbalance"]["rig"]] if "unbalance" in settings else []
+    distinct = [rig for number, rig in enumerate(rigs) if rig not in rigs[:number]]
+    return [rotor_figure(rig) for rig in distinct]
+
+
+def rotor_figure(rig: Mapping[str, Any]) -> Figure:
+    """A rotor from its entries (elements, discs, sleeves, bearings; SI units), lengths in mm, nodes numbered from 1."""
+    discs = " Discs have the outline of a cylinder with their mass and moments of inertia." if rig["rotor"]["discs"] else ""
+    caption = f"{rig['name']}: the rotor, its nodes numbered from the left. Diameters are drawn larger than lengths.{discs}"
+    drawing = Drawing("rotor", rotor_sketch(rig), (WIDTH, HEIGHT))
+    return Figure(drawing, caption, f"Drawing of the rotor {rig['name']} with its bearings")
+
+
+def rotor_sketch(rig: Mapping[str, Any]) -> RotorSketch:
+    """The sketch of a rotor from its entries (SI units)."""
+    rotor, stations = rig["rotor"], node_positions(rig["rotor"])
+    shaft = [
+        _ring("shaft", left, entry["length"], entry["inner_diameter"], entry["outer_diameter"])
+        for entry, left in zip(rotor["elements"], stations, strict=False)
+    ]
+    rings = [*shaft, *_sleeves(rotor, stations), *_discs(rotor, stations)]
+    reach = max(ring.outer / 2 for ring in rings)
+    centres = tuple((place["name"], MM * stations[place["node"] - 1]) for place in rig["bearings"])
+    bearings = []
+    for place in rig["bearings"]:
+        bore, length = place["bearing"]["diameter"], place["bearing"]["length"]
+        left = stations[place["node"] - 1] - length / 2
+        bearings.append(_ring("bearing", left, length, bore, bore + BEARING_WALL * reach / MM))
+    places = tuple((name, MM * stations[rig[name] - 1]) for name in ("force", "response"))
+    return RotorSketch((*rings, *bearings), tuple(MM * station for station in stations), centres, places, reach)
+
+
+def _ring(part: str, left: float, length: float, inner: float, outer: float) -> Ring:
+    """A ring in mm from lengths in m."""
+    return Ring(part, MM * left, MM * length, MM * inner, MM * outer)
+
+
+def _sleeves(rotor: Mapping[str, Any], stations: list[float]) -> list[Ring]:
+    """The sleeves around their elements."""
+    rings = []
+    for sleeve in rotor["sleeves"]:
+        shaft, left = rotor["elements"][sleeve["element"] - 1], stations[sleeve["element"] - 1]
+        rings.append(_ring("sleeve", left, shaft["length"], shaft["outer_diameter"], sleeve["outer_diameter"]))
+    return rings
+
+
+def _discs(rotor: Mapping[str, Any], stations: list[float]) -> list[Ring]:
+    """The discs about their nodes."""
+    rings = []
+    for disc in rotor["discs"]:
+        inner, outer, length = disc_dimensions(disc, shaft_diameter(rotor, disc["node"]))
+        rings.append(_ring("disc", stations[disc["node"] - 1] - length / 2, length, inner, outer))
+    return rings
+
+
+def node_positions(rotor: Mapping[str, Any]) -> list[float]:
+    """Position of every node along the shaft [m], the first at zero."""
+    return [0.0, *np.cumsum([entry["length"] for entry in rotor["elements"]]).tolist()]
+
+
+def shaft_diameter(rotor: Mapping[str, Any], node: int) -> float:
+    """The larger of the shaft's diameters at a node [m]."""
+    return max(float(entry["outer_diameter"]) for entry in rotor["elements"][max(node - 2, 0) : node])
+
+
+def disc_dimensions(disc: Mapping[str, Any], bore: float) -> tuple[float, float, float]:
+    """(bore, outer diameter, length) [m] of the hollow cylinder with a disc's mass and inertia.
+
+    From I_p = m/8 (D^2 + d^2) and I_t = I_p/2 + m l^2/12; a disc of less inertia is drawn a little larger than its bore, to be seen.
+    """
+    outer = np.sqrt(max(8 * disc["polar_inertia"] / disc["mass"] - bore**2, 0.0))
+    length = np.sqrt(max(12 * (disc["transverse_inertia"] - disc["polar_inertia"] / 2) / disc["mass"], 0.0))
+    return bore, max(float(outer), 1.2 * bore), float(length)

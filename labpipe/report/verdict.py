@@ -1,0 +1,109 @@
+"""What a reader must know first: whether the result is accepted, and every warning and note in words."""
+
+from __future__ import annotations
+
+from labpipe.records.finding import NOTE, WARNING, Finding
+from labpipe.records.identification import Identification, RuleOutcome
+from labpipe.report.document import Block, Paragraph, Section, Table
+from labpipe.report.wording import fit_title
+from labpipe.sections import section
+
+MOST_NOTES = 12
+# Codes of findings for which a result must not be used as it stands.
+SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch", "unstable-loop")
+
+
+def verdict_sections(identification: Identification) -> tuple[Section, ...]:
+    """Verdict, warnings and, where there are any, notes."""
+    notes = _notes(identification)
+    return (
+        Section("Verdict", _verdict(identification)),
+        Section("Warnings", _warnings(identification)),
+        *([Section("Notes", notes)] if notes else []),
+    )
+
+
+def _verdict(identification: Identification) -> tuple[Block, ...]:
+    if identification.failed:
+        return (*_failed(identification), *_judged(identification))
+    return _judged(identification)
+
+
+def _failed(identification: Identification) -> tuple[Block, ...]:
+    """What is missing, and why: it stands before all results."""
+    rows = tuple((failed.name, failed.message) for failed in identification.failed)
+    lead = Paragraph(f"INCOMPLETE: {len(rows)} test(s) or comparison(s) could not be evaluated. What follows is the rest.", "failed")
+    return (lead, Table(("test", "why"), rows, "What could not be evaluated"))
+
+
+def _judged(identification: Identification) -> tuple[Block, ...]:
+    outcomes = identification.outcomes
+    codes = _by_code(identification, WARNING)
+    doubt = f" {len(codes)} kind(s) of warning below limit how far the numbers can be trusted." if codes else " No warnings."
+    if not outcomes:
+        lead = Paragraph(f"No acceptance rules were given, so nothing is accepted or refused.{doubt}", "note")
+        return (lead, *_not_to_be_signed(identification))
+    failed = sum(not outcome.passed for outcome in outcomes)
+    if failed:
+        lead = Paragraph(f"NOT ACCEPTED: {failed} of {len(outcomes)} rules fail.{doubt}", "failed")
+    else:
+        lead = Paragraph(f"ACCEPTED: all {len(outcomes)} rules hold.{doubt}", "passed")
+    rows = tuple((outcome.section, outcome.rule, _outcome_text(outcome), "holds" if outcome.passed else "FAILS") for outcome in outcomes)
+    return (lead, *_not_to_be_signed(identification), Table(("section", "rule", "found (SI)", "outcome"), rows, "Rules of the pipeline"))
+
+
+def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
+    """Fits and comparisons that must not be used as they stand, named beside the verdict: a rule can hold for the wrong reason."""
+    serious: dict[str, list[str]] = {}
+    for origin, finding in (*_of_fits(identification), *_of_sections(identification)):
+        if finding.code in SERIOUS:
+            serious.setdefault(origin, []).append(finding.code)
+    if not serious:
+        return ()
+    listed = [f"{origin} ({', '.join(dict.fromkeys(codes))})" for origin, codes in serious.items()]
+    return (Paragraph(f"Read the warnings before using: {'; '.join(listed)}.", "warning"),)
+
+
+def _outcome_text(outcome: RuleOutcome) -> str:
+    return "none" if outcome.value is None else outcome.value if isinstance(outcome.value, str) else f"{outcome.value:.6g}"
+
+
+def _of_fits(identification: Identification) -> list[tuple[str, Finding]]:
+    """The findings of all fits, each with the fit that it is of."""
+    return [(fit_title(fit), finding) for fit in identification.fits for finding in fit.findings]
+
+
+def _of_sections(identification: Identification) -> list[tuple[str, Finding]]:
+    """The findings of the sections beside the fits, each with what it is of."""
+    return [pair for name, record in identification.sections.items() for pair in section(name).call("findings", record)]
+
+
+def _by_code(identification: Identification, level: str) -> dict[str, list[tuple[str, Finding]]]:
+    """Every finding of a level by its code, with where it comes from: measurements, fits, other sections."""
+    measured = [(response.name or "measurement", finding) for response in identification.responses for finding in response.findings]
+    codes: dict[str, list[tuple[str, Finding]]] = {}
+    for origin, finding in (*measured, *_of_fits(identification), *_of_sections(identification)):
+        if finding.level == level:
+            codes.setdefault(finding.code, []).append((origin, finding))
+    return codes
+
+
+def _warnings(identification: Identification) -> tuple[Block, ...]:
+    """Each kind of warning once in full, with the number of fits that carry it."""
+    none = "None. No rule for collinear excitation, coherence, significance, residuals or clipping was broken."
+    blocks: list[Block] = []
+    for code, entries in _by_code(identification, WARNING).items():
+        origin, finding = entries[0]
+        more = f" ({len(entries)} times in all; this is the first)" if len(entries) > 1 else ""
+        blocks.append(Paragraph(f"{code}: {origin}{more}: {finding.message}", "warning"))
+    return tuple(blocks) or (Paragraph(none, "passed"),)
+
+
+def _notes(identification: Identification) -> tuple[Block, ...]:
+    """Each kind of note in one box, every note in full up to a number: they tell what was done, test by test."""
+    blocks: list[Block] = []
+    for code, entries in _by_code(identification, NOTE).items():
+        notes = list(dict.fromkeys(f"{origin}: {finding.message}" for origin, finding in entries))
+        more = [f"and {len(notes) - MOST_NOTES} more"] if len(notes) > MOST_NOTES else []
+        blocks.append(Paragraph(f"{code}: {'; '.join([*notes[:MOST_NOTES], *more])}.", "note"))
+    return tuple(blocks)

@@ -1,0 +1,118 @@
+"""Every format of a document, over every kind of figure; and that nothing is drawn that nobody sees."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import labpipe
+from labpipe.document import html_page, pdf
+from labpipe.document.render import DOCUMENTS, RENDERERS
+from labpipe.records.identification import Identification, RuleOutcome
+from labpipe.report.chart import Chart, Drawing
+from labpipe.report.document import Code, Document, Figure, Paragraph, Section, Table
+
+PAGE = re.compile(rb"/Type /Page\n")
+RULE = RuleOutcome("accept", "a.k > 0", 1.0, True)
+RESULT = Identification((), "Report", "p.yaml", ({"path": "a.csv", "sha256": "ab" * 32},), outcomes=(RULE,), version="0.1.0")
+
+
+@pytest.fixture
+def document(every_kind: Chart, heat_map: Chart, drawings: dict[str, Drawing]) -> Document:
+    figures = tuple(Figure(graphic, f"Caption {n}", f"Shows {n}") for n, graphic in enumerate((every_kind, heat_map, *drawings.values())))
+    table = Table(("name", "value"), (("a|b", "1"), ("c", "2")), "Values", (1,))
+    words = (Paragraph("All well.", "passed"), Paragraph("Plain *words*."), Code('{"a": 1}'))
+    sections = (Section("Verdict", words), Section("Table", (table,)), Section("Figures", figures))
+    return Document("Title", "Subtitle", sections, (("rig", "bench"),))
+
+
+@pytest.mark.parametrize("name", DOCUMENTS.names())
+def test_every_format_holds_all_parts_and_is_the_same_each_time(name: str, document: Document) -> None:
+    content = DOCUMENTS.load(name)(document)
+    assert content == DOCUMENTS.load(name)(document)
+    if name == "pdf":
+        assert content.startswith(b"%PDF-")
+        return
+    text = content.decode()
+    for words in ("Title", "Subtitle", "All well.", "Values", *(f"Caption {n}" for n in range(5)), "Signature"):
+        assert words in text
+
+
+@pytest.mark.parametrize("name", RENDERERS.names())
+def test_every_format_renders_an_identification(name: str) -> None:
+    assert len(RENDERERS.load(name)(RESULT)) > 500
+
+
+def test_the_page_has_numbers_for_charts_only(document: Document, every_kind: Chart) -> None:
+    html = DOCUMENTS.load("html")(document).decode()
+    figures = re.findall(r"<figure .*?</figure>", html, re.DOTALL)
+    numbers = [re.search(r'<script type="application/json">(.*?)</script>', figure) for figure in figures]
+    assert [found is not None for found in numbers] == [True, True, False, False, False]
+    assert numbers[0] is not None
+    panels = json.loads(numbers[0][1])["panels"]
+    assert [len(panel["series"]) for panel in panels] == [len(panel.series) for panel in every_kind.panels]
+    assert all(figure.count("<svg") == 1 for figure in figures) and html.count("use strict") == 1
+
+
+def test_a_page_without_charts_has_no_script(drawings: dict[str, Drawing]) -> None:
+    document = Document("T", "", (Section("Rotor", (Figure(drawings["rotor"], "The rotor", "rotor"),)),), to_sign=False)
+    html = DOCUMENTS.load("html")(document).decode()
+    assert "<script" not in html and html.count("<svg") == 1
+
+
+@pytest.mark.parametrize(("module", "name"), [(html_page, "html"), (pdf, "pdf")])
+def test_every_figure_is_drawn_once(module: object, name: str, document: Document, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = []
+    draw = module.canvas_of  # type: ignore[attr-defined]
+    monkeypatch.setattr(module, "canvas_of", lambda graphic: drawn.append(graphic) or draw(graphic))
+    DOCUMENTS.load(name)(document)
+    assert len(drawn) == 5 and len(set(map(id, drawn))) == 5
+
+
+def test_pages_of_a_pdf_are_a_cover_and_what_its_figures_need(document: Document) -> None:
+    # At 165 mm of width the figures are 92, 64, 66, 119 and 142 mm high, and a page holds 259 mm: behind the cover the words with the
+    # first two (which leave no room for 66 mm and a caption), the next two, and the last.
+    assert len(PAGE.findall(DOCUMENTS.load("pdf")(document))) == 4
+    alone = replace(document, sections=document.sections[:1], to_sign=False)
+    assert len(PAGE.findall(DOCUMENTS.load("pdf")(alone))) == 1
+
+
+def test_heat_maps_are_dots_in_a_pdf_and_curves_are_lines(every_kind: Chart, heat_map: Chart) -> None:
+    for graphic, dots in ((every_kind, False), (heat_map, True)):
+        content = pdf.render_pdf(Document("T", "", (Section("F", (Figure(graphic, "c", "a"),)),), to_sign=False))
+        assert (b"/Subtype /Image" in content) == dots
+
+
+def test_a_drawing_of_very_many_points_is_a_picture_in_a_pdf(every_kind: Chart, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pdf, "MOST_VECTOR", 100)
+    content = pdf.render_pdf(Document("T", "", (Section("F", (Figure(every_kind, "c", "a"),)),), to_sign=False))
+    assert b"/Subtype /Image" in content
+
+
+def test_markdown_is_plain_text(document: Document) -> None:
+    text = DOCUMENTS.load("md")(document).decode()
+    assert "> **passed**: All well." in text and "Plain \\*words\\*." in text and '```json\n{"a": 1}\n```' in text
+    assert "| name | value |\n| --- | ---: |\n| a\\|b | 1 |" in text and "*Figure (drawn in the HTML report):* Caption 0" in text
+
+
+def test_a_markdown_report_loads_no_matplotlib(tmp_path: Path) -> None:
+    """In a process of its own: others have loaded it here."""
+    code = (
+        "import sys, labpipe\n"
+        "from labpipe.records.identification import Identification\n"
+        "labpipe.markdown_report(Identification((), 'T', version='1'))\n"
+        "assert 'matplotlib' not in sys.modules and 'fpdf' not in sys.modules\n"
+    )
+    root = str(Path(labpipe.__file__).parents[1])
+    ended = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
+def test_reports_at_the_root_are_those_of_the_table() -> None:
+    assert labpipe.html_report(RESULT) == RENDERERS.load("html")(RESULT) and labpipe.markdown_report(RESULT) == RENDERERS.load("md")(RESULT)

@@ -1,0 +1,71 @@
+"""The numbers of a page are those of its charts, each list once, and no text of them can end the script they stand in."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from labpipe.document.figure_numbers import RULE, figure_json
+from labpipe.document.palette import HEAT
+from labpipe.report.chart import Axis, Chart, Panel, curve, stacked
+
+X = np.array([1.0, 2.0, 4.0])
+
+
+def entry_of(chart: Chart) -> dict[str, Any]:
+    return json.loads(figure_json(chart))
+
+
+def test_every_series_has_its_numbers_and_its_look(every_kind: Chart) -> None:
+    entry = entry_of(every_kind)
+    numbers = entry["numbers"]
+    for panel, written in zip(every_kind.panels, entry["panels"], strict=True):
+        for series, part in zip(panel.series, written["series"], strict=True):
+            assert [series.kind, series.name, series.line, series.marker, series.size] == [
+                part[key] for key in ("kind", "name", "line", "marker", "size")
+            ]
+            for name in ("x", "y", "low", "high"):
+                values = getattr(series, name)
+                shown = [None if np.isnan(value) else value for value in values] if values is not None else None
+                assert (numbers[part[name]] if name in part else None) == shown
+    colours = [part["colour"] for part in entry["panels"][0]["series"]]
+    assert colours == [0, 1, RULE, RULE, 2]
+
+
+def test_axes_say_what_they_are_and_move_together(every_kind: Chart) -> None:
+    entry = entry_of(every_kind)
+    above, below = entry["panels"]
+    assert above["x"] == {
+        "title": "speed",
+        "unit": "rpm",
+        "label": "speed [rpm]",
+        "limits": above["x"]["limits"],
+        "log": False,
+        "group": 0,
+        "ticks": [],
+    }
+    assert above["x"]["limits"] == pytest.approx(every_kind.limits(0, "x")) and below["x"]["group"] == 0 and below["y"]["group"] == 1
+    assert above["y"]["log"] and not below["y"]["log"] and (above["share"], below["share"]) == (0.75, 0.25)
+    assert (entry["rows"], entry["columns"], entry["height"], above["title"]) == (2, 1, 4.0, "stiffness")
+
+
+def test_a_heat_map_has_texts_and_fills(heat_map: Chart) -> None:
+    (panel,) = entry_of(heat_map)["panels"]
+    (cells,) = panel["series"]
+    assert cells["texts"] == [["1", "half"], ["-half", "1"]] and cells["fills"][0][0] == cells["fills"][1][1] == HEAT[-1]
+    # A scale beside it is no series that could be hidden.
+    assert cells["name"] == "" and panel["x"]["ticks"] == [[0, "k"], [1, "c"]]
+
+
+def test_no_text_of_a_figure_ends_the_element_it_stands_in() -> None:
+    text = figure_json(stacked([Panel(Axis("x"), Axis("y"), (curve("</script><b>&", X, X),))], 3.0))
+    assert not set("<>&") & set(text) and json.loads(text)["panels"][0]["series"][0]["name"] == "</script><b>&"
+
+
+def test_curves_of_one_figure_share_their_abscissa_and_digits_end_at_the_seventh() -> None:
+    entry = entry_of(stacked([Panel(Axis("x"), Axis("y"), (curve("a", X, X / 3), curve("b", X, X**3)))], 3.0))
+    assert len(entry["numbers"]) == 3 and entry["numbers"][1][0] == 0.3333333
+    assert entry_of(Chart(()))["panels"] == []
