@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.records.arrays import frozen_array
 from labpipe.records.finding import Finding
 from labpipe.records.response import FrequencyResponse
@@ -32,10 +32,10 @@ class PressureField:
     thickness (n_theta,) [m]: of the film.
     """
 
-    theta: NDArray[np.floating]
-    axial: NDArray[np.floating]
-    pressure: NDArray[np.floating]
-    thickness: NDArray[np.floating]
+    theta: FloatArray
+    axial: FloatArray
+    pressure: FloatArray
+    thickness: FloatArray
 
 
 @dataclass(frozen=True)
@@ -49,17 +49,17 @@ class BearingCoefficients:
     """
 
     dofs: tuple[str, ...]
-    stiffness: NDArray[np.floating]
-    damping: NDArray[np.floating]
+    stiffness: FloatArray
+    damping: FloatArray
     rest: tuple[Amount, ...] = ()
-    element_state: Mapping[str, NDArray[np.floating]] = field(default_factory=dict)
-    lowest: NDArray[np.floating] | None = None
-    highest: NDArray[np.floating] | None = None
+    element_state: Mapping[str, FloatArray] = field(default_factory=dict)
+    lowest: FloatArray | None = None
+    highest: FloatArray | None = None
     notes: tuple[Amount, ...] = ()
     shaft: tuple[Amount, ...] = ()
     findings: tuple[Finding, ...] = ()
     shares: tuple[Amount, ...] = ()
-    poles: NDArray[np.complexfloating] | None = None
+    poles: ComplexArray | None = None
     words: Mapping[str, str] = field(default_factory=dict)
     film: PressureField | None = None
 
@@ -75,11 +75,11 @@ class BearingCoefficients:
         return ("N/m", "N/rad", "N.m/rad")[tilts]
 
     @property
-    def relative(self) -> NDArray[np.floating]:
+    def relative(self) -> FloatArray:
         """K_ij / sqrt(|K_ii K_jj|): what couples, whatever the units; zero where a diagonal term is zero."""
         diagonal = np.sqrt(np.abs(np.diag(self.stiffness)))
         scale = np.outer(diagonal, diagonal)
-        relative: NDArray[np.floating] = np.divide(self.stiffness, scale, out=np.zeros_like(scale), where=scale > 0)
+        relative: FloatArray = np.divide(self.stiffness, scale, out=np.zeros_like(scale), where=scale > 0)
         return relative
 
 

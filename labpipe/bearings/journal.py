@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.journal_equilibrium import FilmState, film_at, film_equilibrium
 from labpipe.bearings.journal_film import Film
 from labpipe.bearings.journal_mesh import FilmMesh
@@ -19,8 +19,6 @@ from labpipe.errors import ConfigError, FitError
 DEFAULT_MESH = FilmMesh(120, 30)
 MOST_CELLS_AROUND = 960
 WIDEST_GROOVE = 2 * np.pi / 3
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,7 @@ class JournalEquilibrium:
     error: float | None = None
 
     @property
-    def position(self) -> Array:
+    def position(self) -> FloatArray:
         """Displacement of the journal's centre from the bearing's (2,) [m]."""
         return self.state.displacement * self.bearing.clearance
 
@@ -113,33 +111,33 @@ class JournalEquilibrium:
         return self.bearing.force_scale(self.speed) / (6 * np.pi * float(np.hypot(*self.load)))
 
     @property
-    def stiffness(self) -> Array:
+    def stiffness(self) -> FloatArray:
         """K = -dF/dx [N/m], (2, 2)."""
         return self.state.stiffness * (self.bearing.force_scale(self.speed) / self.bearing.clearance)
 
     @property
-    def damping(self) -> Array:
+    def damping(self) -> FloatArray:
         """C = -dF/dx' [N s/m], (2, 2), symmetric."""
         return self.state.damping * (self.bearing.force_scale(self.speed) / (self.bearing.clearance * self.speed))
 
     @property
-    def theta(self) -> Array:
+    def theta(self) -> FloatArray:
         """Angles of the cells [rad], (n_theta,)."""
         return self.bearing.film(self.speed, self.mesh).grid.centre
 
     @property
-    def axial(self) -> Array:
+    def axial(self) -> FloatArray:
         """Axial positions of the cells from mid width [m], (n_axial,)."""
         return ((np.arange(self.mesh.across) + 0.5) / self.mesh.across - 0.5) * self.bearing.length
 
     @property
-    def pressure(self) -> Array:
+    def pressure(self) -> FloatArray:
         """Pressure against ambient [Pa], (n_theta, n_axial)."""
         half = self.state.pressure * self.bearing.pressure_scale(self.speed)
         return np.concatenate([half[:, ::-1], half], axis=1)
 
     @property
-    def film_thickness(self) -> Array:
+    def film_thickness(self) -> FloatArray:
         """Thickness of the film [m], (n_theta,)."""
         return self.bearing.film(self.speed, self.mesh).thickness(self.state.displacement)[0] * self.bearing.clearance
 
@@ -164,7 +162,9 @@ def journal_equilibrium(
     return JournalEquilibrium(bearing, speed, (float(load[0]), float(load[1])), mesh, state)
 
 
-def film_force(bearing: JournalBearing, position: Array, velocity: Array, speed: float, mesh: FilmMesh = DEFAULT_MESH) -> Array:
+def film_force(
+    bearing: JournalBearing, position: FloatArray, velocity: FloatArray, speed: float, mesh: FilmMesh = DEFAULT_MESH
+) -> FloatArray:
     """Force of the film on the journal (2,) [N] at a *position* (2,) [m] and *velocity* (2,) [m/s]; nothing is linearised."""
     displacement = np.asarray(position) / bearing.clearance
     state = film_at(bearing.film(speed, mesh), displacement, np.asarray(velocity) / (bearing.clearance * speed))

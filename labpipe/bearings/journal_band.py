@@ -10,24 +10,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.bearings.journal_film import FilmEquations
 from labpipe.errors import FitError
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class FactoredFilm:
     """Columns of cells that are solved, in their order, the factors of their equations, and the diagonal of all cells."""
 
-    columns: NDArray[np.intp]
-    factors: Array
-    diagonal: Array
+    columns: IntArray
+    factors: FloatArray
+    diagonal: FloatArray
 
-    def solve(self, sides: Array) -> Array:
+    def solve(self, sides: FloatArray) -> FloatArray:
         """(A + diagonal)^-1 for right-hand sides (n_side, n_theta, n_half); in columns left out the diagonal is all there is."""
         solved, _ = lapack.dpbtrs(self.factors, sides[:, self.columns].reshape(sides.shape[0], -1).T, lower=1)
         full = sides / self.diagonal
@@ -35,9 +33,9 @@ class FactoredFilm:
         return full
 
 
-def factored(equations: FilmEquations, curvature: Array) -> FactoredFilm:
+def factored(equations: FilmEquations, curvature: FloatArray) -> FactoredFilm:
     """Factor A + diagonal; *curvature* (n_half, n_half) of the grid. FitError when the film is not positive definite."""
-    cavitated: NDArray[np.bool_] = np.all(equations.cavitated, axis=1)
+    cavitated: BoolArray = np.all(equations.cavitated, axis=1)
     columns = _open_ring(cavitated)
     columns, band = _folded_band(equations) if columns is None else (columns, _open_band(equations, columns))
     diagonal = _diagonal(equations, curvature)
@@ -49,12 +47,12 @@ def factored(equations: FilmEquations, curvature: Array) -> FactoredFilm:
     return FactoredFilm(columns, factors, diagonal)
 
 
-def _diagonal(equations: FilmEquations, curvature: Array) -> Array:
+def _diagonal(equations: FilmEquations, curvature: FloatArray) -> FloatArray:
     around = equations.around + np.roll(equations.around, 1)
     return around[:, None] + equations.across[:, None] * np.diagonal(curvature) + equations.diagonal
 
 
-def _open_ring(cavitated: NDArray[np.bool_]) -> NDArray[np.intp] | None:
+def _open_ring(cavitated: BoolArray) -> IntArray | None:
     """Columns from the end of the longest cavitated arc to its start; None when no column is wholly cavitated."""
     film = np.flatnonzero(~cavitated)
     if film.size in (0, cavitated.size):
@@ -65,7 +63,7 @@ def _open_ring(cavitated: NDArray[np.bool_]) -> NDArray[np.intp] | None:
     return (first + np.arange(cavitated.size + 1 - arcs[longest])) % cavitated.size
 
 
-def _open_band(equations: FilmEquations, columns: NDArray[np.intp]) -> Array:
+def _open_band(equations: FilmEquations, columns: IntArray) -> FloatArray:
     """(n_column, n_half, n_half + 1), the lower band of every cell."""
     n_half = equations.diagonal.shape[1]
     band = np.zeros((columns.size, n_half, n_half + 1))
@@ -73,7 +71,7 @@ def _open_band(equations: FilmEquations, columns: NDArray[np.intp]) -> Array:
     return band
 
 
-def _folded_band(equations: FilmEquations) -> tuple[NDArray[np.intp], Array]:
+def _folded_band(equations: FilmEquations) -> tuple[IntArray, FloatArray]:
     n, n_half = equations.diagonal.shape
     columns = np.empty(n, np.intp)
     columns[0::2], columns[1::2] = np.arange(n // 2), np.arange(n - 1, n // 2 - 1, -1)

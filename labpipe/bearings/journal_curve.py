@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.journal import JournalBearing, JournalEquilibrium, journal_equilibrium
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.errors import FitError
@@ -25,17 +25,15 @@ NODES = 96
 # x = -z (the load of the tabulated bearing acts downwards), y = y.
 TO_LOAD_FRAME = np.array([[0.0, -1.0], [1.0, 0.0]])
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class ScaledCoefficients:
     """stiffness K c / W and damping C c Omega / W, (..., 2, 2) in the order xx xy; yx yy, and their slopes by ln S."""
 
-    stiffness: Array
-    damping: Array
-    stiffness_slope: Array
-    damping_slope: Array
+    stiffness: FloatArray
+    damping: FloatArray
+    stiffness_slope: FloatArray
+    damping_slope: FloatArray
 
 
 @dataclass(frozen=True)
@@ -50,18 +48,18 @@ class JournalCurve:
     spline: BSpline
     slope: BSpline
 
-    def coefficients(self, sommerfeld: Array) -> ScaledCoefficients:
+    def coefficients(self, sommerfeld: FloatArray) -> ScaledCoefficients:
         """At Sommerfeld numbers (...); FitError outside the table."""
         place = self._place(sommerfeld)
         values, slopes = (found(place)[..., :8].reshape(*place.shape, 2, 2, 2) for found in (self.spline, self.slope))
         return ScaledCoefficients(values[..., 0, :, :], values[..., 1, :, :], slopes[..., 0, :, :], slopes[..., 1, :, :])
 
-    def rest(self, sommerfeld: Array) -> tuple[Array, Array]:
+    def rest(self, sommerfeld: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Eccentricity ratio [-] and attitude [rad] from the load with the spin, (...) each."""
         values = self.spline(self._place(sommerfeld))
         return values[..., 8], values[..., 9]
 
-    def _place(self, sommerfeld: Array) -> Array:
+    def _place(self, sommerfeld: FloatArray) -> FloatArray:
         number = np.asarray(sommerfeld, np.float64)
         if not np.all((number >= LOWEST_SOMMERFELD) & (number <= HIGHEST_SOMMERFELD)):
             raise FitError(
@@ -71,7 +69,7 @@ class JournalCurve:
         return np.log(number)
 
 
-def sommerfeld_number(bearing: JournalBearing, load: Array, speed: Array) -> Array:
+def sommerfeld_number(bearing: JournalBearing, load: FloatArray, speed: FloatArray) -> FloatArray:
     """S = mu N L D / W (R / c)^2 [-] at loads [N] and speeds [rad/s], N in revolutions per second."""
     scale = bearing.viscosity * bearing.length * bearing.diameter * (bearing.diameter / (2 * bearing.clearance)) ** 2 / (2 * np.pi)
     return np.asarray(scale * np.asarray(speed) / np.asarray(load))
@@ -92,7 +90,7 @@ def journal_curve(length_over_diameter: float, groove_width: float = 0.0, mesh: 
     return JournalCurve(length_over_diameter, groove_width, spline, spline.derivative())
 
 
-def _row(found: JournalEquilibrium, weight: float) -> Array:
+def _row(found: JournalEquilibrium, weight: float) -> FloatArray:
     """What the curve holds of one equilibrium at a speed of 1 rad/s."""
     scale = found.bearing.clearance / weight
     turned = (TO_LOAD_FRAME @ matrix @ TO_LOAD_FRAME.T * scale for matrix in (found.stiffness, found.damping))

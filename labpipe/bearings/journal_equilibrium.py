@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.journal_band import FactoredFilm, factored
 from labpipe.bearings.journal_film import Film, film_equations
 from labpipe.bearings.journal_mesh import interpolation
@@ -26,8 +26,6 @@ FIRST_ECCENTRICITY = 0.3
 NO_EQUILIBRIUM = "no equilibrium of the journal in its oil film was found"
 CHECK_LOAD = "the load may be too high for the film; check load, viscosity, speed and clearance"
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class FilmState:
@@ -36,15 +34,15 @@ class FilmState:
     stiffness = -dF/de and damping = -dF/d(e'/Omega), (2, 2), from the factors of the last step.
     """
 
-    displacement: Array
-    pressure: Array
-    force: Array
-    stiffness: Array
-    damping: Array
+    displacement: FloatArray
+    pressure: FloatArray
+    force: FloatArray
+    stiffness: FloatArray
+    damping: FloatArray
     steps: int
 
 
-def film_equilibrium(film: Film, load: Array, near: FilmState | None = None) -> FilmState:
+def film_equilibrium(film: Film, load: FloatArray, near: FilmState | None = None) -> FilmState:
     """Where the film's force balances *load* (2,), over 6 mu Omega (R/c)^2 R L; *near*: the state of a similar film on the same mesh.
 
     Without one, or where it proves too far, coarser meshes find the neighbourhood. FitError when no equilibrium is found.
@@ -57,7 +55,7 @@ def film_equilibrium(film: Film, load: Array, near: FilmState | None = None) -> 
     return _balanced(film, load, *_first_guess(film, load), TOLERANCE)
 
 
-def _first_guess(film: Film, load: Array) -> tuple[Array, Array]:
+def _first_guess(film: Film, load: FloatArray) -> tuple[FloatArray, FloatArray]:
     coarse = film.coarser()
     if coarse is None:
         return FIRST_ECCENTRICITY * load / np.hypot(*load), _ambient(film)
@@ -66,7 +64,7 @@ def _first_guess(film: Film, load: Array) -> tuple[Array, Array]:
     return state.displacement, around @ state.pressure @ across
 
 
-def _rough_state(film: Film, load: Array, halvings: int) -> FilmState:
+def _rough_state(film: Film, load: FloatArray, halvings: int) -> FilmState:
     """The state on a coarse mesh; where Newton's method fails from afar, from the state under half the load."""
     try:
         return _balanced(film, load, *_first_guess(film, load), ROUGH_TOLERANCE)
@@ -77,11 +75,11 @@ def _rough_state(film: Film, load: Array, halvings: int) -> FilmState:
     return _balanced(film, load, lighter.displacement, lighter.pressure, ROUGH_TOLERANCE)
 
 
-def _ambient(film: Film) -> Array:
+def _ambient(film: Film) -> FloatArray:
     return np.zeros((film.mesh.around, film.mesh.across // 2))
 
 
-def _balanced(film: Film, load: Array, displacement: Array, pressure: Array, tolerance: float) -> FilmState:
+def _balanced(film: Film, load: FloatArray, displacement: FloatArray, pressure: FloatArray, tolerance: float) -> FilmState:
     still = np.zeros(2)
     for step in range(1, MOST_STEPS + 1):
         equations = film_equations(film, displacement, still, pressure)
@@ -98,7 +96,7 @@ def _balanced(film: Film, load: Array, displacement: Array, pressure: Array, tol
     raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)
 
 
-def film_at(film: Film, displacement: Array, velocity: Array, near: FilmState | None = None) -> FilmState:
+def film_at(film: Film, displacement: FloatArray, velocity: FloatArray, near: FilmState | None = None) -> FilmState:
     """The film of a journal held at *displacement* (2,) and moving with *velocity* (2,) over c Omega."""
     pressure = _ambient(film) if near is None else near.pressure
     for step in range(1, MOST_STEPS + 1):
@@ -112,13 +110,13 @@ def film_at(film: Film, displacement: Array, velocity: Array, near: FilmState | 
     raise FitError("the pressure in the oil film was not found", hint="check displacement and wear")
 
 
-def _damping(film: Film, factors: FactoredFilm) -> Array:
+def _damping(film: Film, factors: FactoredFilm) -> FloatArray:
     """-dF/d(e'/Omega): the squeeze term 2 dh/d(Omega t) through the same factors; symmetric, because they are."""
     squeeze = np.broadcast_to(2 * film.grid.at_centre[:, :, None], (2, film.mesh.around, film.mesh.across // 2))
     return film.force_weights @ factors.solve(squeeze).sum(axis=2).T
 
 
-def _allowed_part(film: Film, displacement: Array, change: Array) -> float:
+def _allowed_part(film: Film, displacement: FloatArray, change: FloatArray) -> float:
     _, face = film.thickness(displacement)
     if np.min(face) < THINNEST:
         raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)

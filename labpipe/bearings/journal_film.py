@@ -18,8 +18,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.bearings.journal_mesh import FilmGrid, FilmMesh, film_grid
 from labpipe.bearings.journal_wear import mean_worn_depth
 
@@ -35,8 +35,6 @@ LEAST_SLOPE = 1e-9
 GROOVE_DIAGONAL = 1e12
 # Shortest distance from a cell's centre to the edge of a groove, in cells: keeps the flow into the groove finite.
 LEAST_DISTANCE = 0.05
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -54,11 +52,11 @@ class Film:
     depth: float
     angle: float
     cavitation: float
-    worn_centre: Array
-    worn_face: Array
+    worn_centre: FloatArray
+    worn_face: FloatArray
     groove: float
-    grooved: NDArray[np.bool_]
-    opening: Array
+    grooved: BoolArray
+    opening: FloatArray
 
     @classmethod
     def of(
@@ -75,12 +73,12 @@ class Film:
         mesh = self.mesh.halved()
         return None if mesh is None else Film.of(mesh, self.slenderness, self.depth, self.angle, self.cavitation, self.groove)
 
-    def thickness(self, displacement: Array) -> tuple[Array, Array]:
+    def thickness(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
         """h at cell centres and at faces, (n_theta,); *displacement* (2,) of the journal in y and z."""
         return 1 + self.worn_centre + displacement @ self.grid.at_centre, 1 + self.worn_face + displacement @ self.grid.at_face
 
     @property
-    def force_weights(self) -> Array:
+    def force_weights(self) -> FloatArray:
         """Force on the journal = weights @ pressures summed across, (2, n_theta), over 6 mu Omega (R/c)^2 R L."""
         return self.grid.at_centre * (self.mesh.arc * self.mesh.strip)
 
@@ -93,15 +91,15 @@ class FilmEquations:
     by_displacement (2, n_theta, n_half); cavitated (n_theta, n_half): cells at the cavitation pressure.
     """
 
-    around: Array
-    across: Array
-    diagonal: Array
-    residual: Array
-    by_displacement: Array
-    cavitated: NDArray[np.bool_]
+    around: FloatArray
+    across: FloatArray
+    diagonal: FloatArray
+    residual: FloatArray
+    by_displacement: FloatArray
+    cavitated: BoolArray
 
 
-def film_equations(film: Film, displacement: Array, velocity: Array, pressure: Array) -> FilmEquations:
+def film_equations(film: Film, displacement: FloatArray, velocity: FloatArray, pressure: FloatArray) -> FilmEquations:
     """The equations linearised at a pressure field (n_theta, n_half), a displacement (2,) and a velocity (2,) over c Omega."""
     grid, arc = film.grid, film.mesh.arc
     centre, face = film.thickness(displacement)
@@ -133,7 +131,7 @@ def film_equations(film: Film, displacement: Array, velocity: Array, pressure: A
 
 
 def _hold_ambient(
-    grooved: NDArray[np.bool_], pressure: Array, diagonal: Array, residual: Array, by_displacement: Array, cavitated: NDArray[np.bool_]
+    grooved: BoolArray, pressure: FloatArray, diagonal: FloatArray, residual: FloatArray, by_displacement: FloatArray, cavitated: BoolArray
 ) -> None:
     """Turn the equations of the cells in grooves into p = 0, whatever the journal does; in place."""
     diagonal[grooved] = GROOVE_DIAGONAL
@@ -142,10 +140,10 @@ def _hold_ambient(
     cavitated[grooved] = True
 
 
-def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[NDArray[np.bool_], Array]:
+def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[BoolArray, FloatArray]:
     """Cells in the grooves at theta = 0 and 180 deg, and conductances of the faces: one over the distance to the edge, in cells."""
     from_split = np.abs(np.mod(grid.centre + np.pi / 2, np.pi) - np.pi / 2)
-    grooved: NDArray[np.bool_] = from_split < groove / 2
+    grooved: BoolArray = from_split < groove / 2
     distance = np.maximum((from_split - groove / 2) / arc, LEAST_DISTANCE)
     after = np.roll(grooved, -1)
     opening = np.ones_like(grid.centre)
@@ -154,7 +152,7 @@ def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[NDArray[np.bool
     return grooved, opening
 
 
-def rounded_maximum(x: Array, width: Array) -> tuple[Array, Array, Array]:
+def rounded_maximum(x: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """max(0, x), exact outside +-*width* and twice continuously differentiable; its slopes by x (at least LEAST_SLOPE) and by width.
 
     With t = (x + width) / (2 width): 2 width (t^3 - t^4 / 2), slope t^2 (3 - 2 t).
@@ -165,7 +163,7 @@ def rounded_maximum(x: Array, width: Array) -> tuple[Array, Array, Array]:
     return largest, np.maximum(slope, LEAST_SLOPE), 2 * area + slope * (1 - 2 * t)
 
 
-def _out(flow: Array) -> Array:
+def _out(flow: FloatArray) -> FloatArray:
     """Net outflow of every cell from the flows over the faces after them, axis 0 around."""
     out = np.empty_like(flow)
     np.subtract(flow[1:], flow[:-1], out=out[1:])

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 
 FEWEST_AROUND = 24
@@ -53,12 +53,12 @@ class FilmGrid:
     curvature (n_half, n_half): minus the second difference across the width, symmetric at mid width, zero pressure at the edge.
     """
 
-    centre: NDArray[np.floating]
-    face: NDArray[np.floating]
-    at_centre: NDArray[np.floating]
-    at_face: NDArray[np.floating]
-    wedge: NDArray[np.floating]
-    curvature: NDArray[np.floating]
+    centre: FloatArray
+    face: FloatArray
+    at_centre: FloatArray
+    at_face: FloatArray
+    wedge: FloatArray
+    curvature: FloatArray
 
 
 @lru_cache(maxsize=16)
@@ -75,7 +75,7 @@ def film_grid(mesh: FilmMesh) -> FilmGrid:
     return grid
 
 
-def _curvature(mesh: FilmMesh) -> NDArray[np.floating]:
+def _curvature(mesh: FilmMesh) -> FloatArray:
     n_half = mesh.across // 2
     curvature = 2 * np.eye(n_half) - np.eye(n_half, k=1) - np.eye(n_half, k=-1)
     curvature[0, 0], curvature[-1, -1] = 1, 3
@@ -83,7 +83,7 @@ def _curvature(mesh: FilmMesh) -> NDArray[np.floating]:
 
 
 @lru_cache(maxsize=16)
-def interpolation(coarse: FilmMesh, fine: FilmMesh) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def interpolation(coarse: FilmMesh, fine: FilmMesh) -> tuple[FloatArray, FloatArray]:
     """Matrices (a, b) with pressures on the fine mesh = a @ pressures @ b; linear, closed around the journal."""
     at = (np.arange(fine.around) + 0.5) * coarse.around / fine.around - 0.5
     before = np.floor(at).astype(int)
@@ -95,5 +95,5 @@ def interpolation(coarse: FilmMesh, fine: FilmMesh) -> tuple[NDArray[np.floating
     return around, across
 
 
-def _strips(mesh: FilmMesh) -> NDArray[np.floating]:
+def _strips(mesh: FilmMesh) -> FloatArray:
     return (np.arange(mesh.across // 2) + 0.5) * mesh.strip

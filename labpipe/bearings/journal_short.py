@@ -6,13 +6,11 @@ The circumferential pressure gradient is left out; the film carries where it con
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.journal import JournalBearing
 from labpipe.errors import ConfigError
-
-Array = NDArray[np.floating]
 
 
 def short_bearing_load(bearing: JournalBearing, eccentricity_ratio: float, speed: float) -> float:
@@ -33,7 +31,7 @@ def short_bearing_equilibrium(bearing: JournalBearing, load: float, speed: float
     return e, float(np.arctan2(np.pi * np.sqrt(1 - e**2), 4 * e))
 
 
-def short_bearing_coefficients(bearing: JournalBearing, load: float, speed: float) -> tuple[Array, Array]:
+def short_bearing_coefficients(bearing: JournalBearing, load: float, speed: float) -> tuple[FloatArray, FloatArray]:
     """Stiffness [N/m] and damping [N s/m], (2, 2) in the order yy yz; zy zz, under a *load* [N] along -z.
 
     Friswell et al., Dynamics of Rotating Machines (2010), chapter 5.

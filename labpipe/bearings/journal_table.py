@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import NdBSpline, make_interp_spline
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.journal import DEFAULT_MESH, JournalBearing, JournalEquilibrium, journal_equilibrium
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.errors import ConfigError, FitError
@@ -26,8 +26,6 @@ AXES = ("wear depth", "wear angle", "Sommerfeld number", "cavitation pressure")
 PARAMETERS = ("wear_depth", "wear_angle", "viscosity", "clearance", "cavitation_pressure")
 # Root of depth over clearance below which the limit of the derivative at zero depth is taken.
 LEAST_ROOT = 1e-4
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -66,10 +64,10 @@ class TableRange:
 class TableCoefficients:
     """stiffness [N/m], damping [N s/m], (2, 2); their derivatives by PARAMETERS in SI units, (5, 2, 2) each."""
 
-    stiffness: Array
-    damping: Array
-    stiffness_slopes: Array
-    damping_slopes: Array
+    stiffness: FloatArray
+    damping: FloatArray
+    stiffness_slopes: FloatArray
+    damping_slopes: FloatArray
 
 
 @dataclass(frozen=True)
@@ -82,8 +80,8 @@ class JournalTable:
     bearing: JournalBearing
     load: tuple[float, float]
     active: tuple[int, ...]
-    low: Array
-    high: Array
+    low: FloatArray
+    high: FloatArray
     spline: NdBSpline
 
     def coefficients(self, bearing: JournalBearing, speed: float, size: float | None = None) -> TableCoefficients:
@@ -104,14 +102,14 @@ class JournalTable:
         split = (values * scale).reshape(2, 2, 2), by_parameter.reshape(-1, 2, 2, 2)
         return TableCoefficients(split[0][0], split[0][1], split[1][:, 0], split[1][:, 1])
 
-    def _inside(self, point: Array) -> Array:
+    def _inside(self, point: FloatArray) -> FloatArray:
         slack = 1e-9 * (1 + np.abs(self.high))
         for axis in np.flatnonzero((point < self.low - slack) | (point > self.high + slack)):
             raise FitError(f"the {AXES[axis]} lies outside the table of bearing coefficients", hint="make the table wider")
         return np.clip(point, self.low, self.high)[None, list(self.active)]
 
 
-def _place(bearing: JournalBearing, weight: float, speed: float) -> tuple[Array, Array]:
+def _place(bearing: JournalBearing, weight: float, speed: float) -> tuple[FloatArray, FloatArray]:
     """Coordinates (4,) in the table and their derivatives by PARAMETERS, (5, 4)."""
     c, mu = bearing.clearance, bearing.viscosity
     root = float(np.sqrt(bearing.wear_depth / c))
@@ -150,7 +148,9 @@ def journal_table(
     return _fitted(bearing, load, nodes, np.moveaxis(values, 3, 1))
 
 
-def _nodes(bearing: JournalBearing, weight: float, speed: float, ranges: TableRange) -> tuple[Array, Array, Array, Array]:
+def _nodes(
+    bearing: JournalBearing, weight: float, speed: float, ranges: TableRange
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     mean_pressure = weight / (bearing.length * bearing.diameter)
     own = np.log(bearing.force_scale(speed) / (6 * np.pi * weight))
     half = np.log(ranges.sommerfeld_factor)
@@ -163,7 +163,7 @@ def _nodes(bearing: JournalBearing, weight: float, speed: float, ranges: TableRa
     )
 
 
-def _line(line: tuple[JournalBearing, tuple[float, float], float, FilmMesh, float, Array, float, float]) -> Array:
+def _line(line: tuple[JournalBearing, tuple[float, float], float, FilmMesh, float, FloatArray, float, float]) -> FloatArray:
     """Scaled coefficients (n_angle, 8) along the angle of wear, each equilibrium started from the one before."""
     bearing, load, speed, mesh, root, angles, log_sommerfeld, cavitation = line
     weight = float(np.hypot(*load))
@@ -185,7 +185,7 @@ def _line(line: tuple[JournalBearing, tuple[float, float], float, FilmMesh, floa
     return np.broadcast_to(rows, (angles.size, 8)) if root == 0 else np.array(rows)
 
 
-def _fitted(bearing: JournalBearing, load: tuple[float, float], nodes: tuple[Array, ...], values: Array) -> JournalTable:
+def _fitted(bearing: JournalBearing, load: tuple[float, float], nodes: tuple[FloatArray, ...], values: FloatArray) -> JournalTable:
     """Splines through *values* (n_depth, n_angle, n_sommerfeld, n_cavitation, 8), reflected at zero depth."""
     active = tuple(axis for axis in range(len(AXES)) if nodes[axis].size > 1)
     values = values.reshape(*(nodes[axis].size for axis in active), 8)

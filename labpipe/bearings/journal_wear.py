@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from labpipe.arrays import FloatArray
 
 
 def wear_edges(depth: float, angle: float) -> tuple[float, float]:
@@ -17,13 +18,13 @@ def wear_edges(depth: float, angle: float) -> tuple[float, float]:
     return start, start + 2 * half
 
 
-def worn_depth(theta: NDArray[np.floating], depth: float, angle: float) -> NDArray[np.floating]:
+def worn_depth(theta: FloatArray, depth: float, angle: float) -> FloatArray:
     """Added film thickness max(0, depth - 1 - cos(theta - pi/2 - angle)) over radial clearance [-], like *theta* [rad]."""
-    added: NDArray[np.floating] = np.maximum(0.0, depth - 1 - np.cos(theta - np.pi / 2 - angle))
+    added: FloatArray = np.maximum(0.0, depth - 1 - np.cos(theta - np.pi / 2 - angle))
     return added
 
 
-def mean_worn_depth(theta: NDArray[np.floating], depth: float, angle: float, width: float) -> NDArray[np.floating]:
+def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float) -> FloatArray:
     """`worn_depth` averaged over an arc of *width* [rad] about every *theta*, exactly.
 
     On a mesh the bare profile, with its kink at both edges, makes results jump as an edge moves from cell to cell; the mean over
@@ -35,5 +36,5 @@ def mean_worn_depth(theta: NDArray[np.floating], depth: float, angle: float, wid
     half = np.arccos(1 - depth)
     first = np.clip(from_deepest - width / 2, -half, half)
     last = np.clip(from_deepest + width / 2, -half, half)
-    mean: NDArray[np.floating] = ((depth - 1) * (last - first) + np.sin(last) - np.sin(first)) / width
+    mean: FloatArray = ((depth - 1) * (last - first) + np.sin(last) - np.sin(first)) / width
     return np.maximum(mean, 0.0)

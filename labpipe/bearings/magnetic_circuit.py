@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.records.settings import setting
 
@@ -70,7 +70,7 @@ class MagnetFactors:
     bias_flux_density: float
 
 
-def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> NDArray[np.floating]:
+def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> FloatArray:
     """Flux of the four poles of one ring with the rotor at *displacement* [m] in x and the control *current* [A], (4,) [Wb].
 
     Both rings are alike, so each has half of the permanent magnet: phi_j = P_j (U + N i_j), P_j = mu_0 A / (g_j + l_iron), and
@@ -80,7 +80,7 @@ def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> NDArray[
     coils = magnet.turns * (magnet.bias_current + ALONG_X * current)
     source = magnet.coercivity * magnet.magnet_length
     potential = (source - magnet.magnet_reluctance * (permeance @ coils)) / (RINGS + magnet.magnet_reluctance * permeance.sum())
-    fluxes: NDArray[np.floating] = permeance * (potential + coils)
+    fluxes: FloatArray = permeance * (potential + coils)
     return fluxes
 
 

@@ -8,9 +8,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from labpipe.arrays import ComplexArray
 from labpipe.bearings.coefficients import Amount, BearingCoefficients, BearingKind
 from labpipe.bearings.magnetic_circuit import ASSUMPTIONS, Magnet, magnet_factors
-from labpipe.bearings.magnetic_loop import Complex, ControlLoop, dynamic_stiffness, inferred_negative_stiffness, stiffness_shares
+from labpipe.bearings.magnetic_loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness, stiffness_shares
 from labpipe.bearings.magnetic_stability import PADE_ORDER, Levitated, SensitivityPeak, closed_loop_poles, sensitivity_peak, unstable_poles
 from labpipe.errors import ConfigError
 from labpipe.records.finding import Finding
@@ -95,7 +96,7 @@ class MagneticFile:
 class Verdict:
     """Stability of one setting: poles [rad/s], how many are unstable with the exact delay, and the sensitivity's peak."""
 
-    poles: Complex
+    poles: ComplexArray
     unstable: int
     peak: SensitivityPeak
 

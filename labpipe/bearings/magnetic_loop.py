@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.records.settings import setting
-
-Complex = NDArray[np.complexfloating]
 
 
 @dataclass(frozen=True)
@@ -55,9 +53,9 @@ class ControlLoop:
         return tuple(1 / (2 * np.pi * limit) for limit in limits)
 
 
-def controller_terms(loop: ControlLoop, omega: NDArray[np.floating]) -> dict[str, Complex]:
+def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
     """The three terms of the PID by name at *omega* [rad/s], each (n_line,) [1]."""
-    s: Complex = 1j * omega
+    s: ComplexArray = 1j * omega
     return {
         "proportional": np.full(omega.shape, loop.proportional, np.complex128),
         "derivative": loop.derivative * s / (1 + s * loop.derivative_time),
@@ -65,18 +63,18 @@ def controller_terms(loop: ControlLoop, omega: NDArray[np.floating]) -> dict[str
     }
 
 
-def chain_factors(loop: ControlLoop, omega: NDArray[np.floating]) -> dict[str, Complex]:
+def chain_factors(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
     """What the signal passes besides the PID, by name: delay, amplifier and probe, each (n_line,) [1]."""
-    s: Complex = 1j * omega
+    s: ComplexArray = 1j * omega
     factors = {"delay": np.exp(-s * loop.delay)}
     for name, corner in zip(("amplifier", "sensor"), loop.corners, strict=False):
         factors[name] = 1 / (1 + s * corner)
     return factors
 
 
-def controller(loop: ControlLoop, omega: NDArray[np.floating]) -> Complex:
+def controller(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
     """G(jw) of PID, delay, amplifier and probe, (n_line,) [1]; see ControlLoop."""
-    total: Complex = np.sum(list(controller_terms(loop, omega).values()), axis=0)
+    total: ComplexArray = np.sum(list(controller_terms(loop, omega).values()), axis=0)
     for factor in chain_factors(loop, omega).values():
         total = total * factor
     return total
@@ -92,19 +90,19 @@ def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
     return loop_stiffness(loop) * loop.at_rest - static
 
 
-def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: NDArray[np.floating]) -> Complex:
+def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
     """K_eq(w) + j w C_eq(w) = K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m]."""
     return loop_stiffness(loop) * controller(loop, omega) - negative_stiffness
 
 
-def stiffness_shares(loop: ControlLoop, negative_stiffness: float, omega: NDArray[np.floating]) -> dict[str, Complex]:
+def stiffness_shares(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> dict[str, ComplexArray]:
     """What each element adds to K_eq + j w C_eq, by name, each (n_line,) [N/m]; their sum is dynamic_stiffness.
 
     The terms of the PID as if the chain were ideal; then what each element of the chain, in the order delay, amplifier, probe, changes
     of what comes in; the bias field's pull, -k_n.
     """
     shares = {name: loop_stiffness(loop) * term for name, term in controller_terms(loop, omega).items()}
-    total: Complex = np.sum(list(shares.values()), axis=0)
+    total: ComplexArray = np.sum(list(shares.values()), axis=0)
     for name, factor in chain_factors(loop, omega).items():
         shares[name] = total * (factor - 1)
         total = total * factor

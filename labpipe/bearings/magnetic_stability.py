@@ -7,9 +7,9 @@ from math import factorial
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 
-from labpipe.bearings.magnetic_loop import Complex, ControlLoop, controller, dynamic_stiffness, loop_stiffness
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.bearings.magnetic_loop import ControlLoop, controller, dynamic_stiffness, loop_stiffness
 
 PADE_ORDER = 4
 # Upper ends of the zones A, B, C of ISO 14839-3, peak of |S|; D lies above. 3 is 9.5 dB.
@@ -59,11 +59,11 @@ def characteristic_polynomial(plant: Levitated, time: float, order: int = PADE_O
     return rotor * denominator + loop_stiffness(loop) * pid * ahead
 
 
-def closed_loop_poles(plant: Levitated, order: int = PADE_ORDER) -> Complex:
+def closed_loop_poles(plant: Levitated, order: int = PADE_ORDER) -> ComplexArray:
     """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation of *order*."""
     time = 1e-3
     poles = np.asarray(characteristic_polynomial(plant, time, order).roots(), np.complex128) / time
-    ordered: Complex = poles[np.lexsort((np.abs(poles.imag), -poles.real))]
+    ordered: ComplexArray = poles[np.lexsort((np.abs(poles.imag), -poles.real))]
     return ordered
 
 
@@ -81,10 +81,10 @@ def unstable_poles(plant: Levitated) -> int:
     return round(1 - float(end - angle[0] + first - start) / np.pi)
 
 
-def sensitivity(plant: Levitated, omega: NDArray[np.floating]) -> Complex:
+def sensitivity(plant: Levitated, omega: FloatArray) -> ComplexArray:
     """S(jw) = 1 / (1 + L) with the loop L = K G / (-m w^2 - k_n), (n_line,) [1]; ISO 14839-3."""
-    rotor: Complex = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
-    ratio: Complex = rotor / (rotor + loop_stiffness(plant.loop) * controller(plant.loop, omega))
+    rotor: ComplexArray = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
+    ratio: ComplexArray = rotor / (rotor + loop_stiffness(plant.loop) * controller(plant.loop, omega))
     return ratio
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from labpipe.bearings.rolling import DOFS, Matrix, RollingBearing
+from labpipe.arrays import FloatArray
+from labpipe.bearings.rolling import DOFS, RollingBearing
 from labpipe.bearings.rolling_equilibrium import equilibrium
 
 POSITIONS = 24
@@ -21,26 +22,26 @@ class Passage:
     cage_angle (n_position,) [rad]: equal steps over 2 pi / z, the end left out, so that the mean over positions is the mean over time.
     """
 
-    cage_angle: Matrix
-    stiffness: Matrix
-    displacement: Matrix
+    cage_angle: FloatArray
+    stiffness: FloatArray
+    displacement: FloatArray
 
     @property
-    def mean(self) -> Matrix:
+    def mean(self) -> FloatArray:
         """Mean stiffness, (n_case, 5, 5)."""
-        mean: Matrix = self.stiffness.mean(axis=0)
+        mean: FloatArray = self.stiffness.mean(axis=0)
         return mean
 
     @property
-    def lowest(self) -> Matrix:
+    def lowest(self) -> FloatArray:
         """The smallest value of each coefficient, (n_case, 5, 5)."""
-        lowest: Matrix = self.stiffness.min(axis=0)
+        lowest: FloatArray = self.stiffness.min(axis=0)
         return lowest
 
     @property
-    def highest(self) -> Matrix:
+    def highest(self) -> FloatArray:
         """The largest value of each coefficient, (n_case, 5, 5)."""
-        highest: Matrix = self.stiffness.max(axis=0)
+        highest: FloatArray = self.stiffness.max(axis=0)
         return highest
 
 

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import ConfigError
-
-Matrix = NDArray[np.floating]
 
 DOFS = ("x", "y", "z", "bx", "by")
 BALL_EXPONENT, ROLLER_EXPONENT = 3 / 2, 10 / 9
@@ -67,7 +66,7 @@ class RollingBearing:
         rollers. Hertz's contact must stay small against the element."""
         return self.groove_distance or ROLLER_REACH * self.pitch_radius
 
-    def angles(self, cage_angle: ArrayLike = 0.0) -> Matrix:
+    def angles(self, cage_angle: ArrayLike = 0.0) -> FloatArray:
         """psi_j = cage angle + 2 pi j / z [rad], (z,), or (n_case, z) for cage angles (n_case,)."""
         steps = 2 * np.pi * np.arange(self.elements) / self.elements
         return np.asarray(cage_angle, np.float64)[..., None] + steps
@@ -80,42 +79,42 @@ class ElementFrame:
     radial, axial: (z, 5) for all load cases alike, or (n_case, z, 5). l is the pitch radius, or 1 where tilts are counted in metres at it.
     """
 
-    radial: Matrix
-    axial: Matrix
+    radial: FloatArray
+    axial: FloatArray
 
     @classmethod
-    def at(cls, angles: Matrix, lever: float) -> ElementFrame:
+    def at(cls, angles: FloatArray, lever: float) -> ElementFrame:
         """The frame of elements at *angles* (z,) or (n_case, z) [rad]; *lever* l [m]."""
         cos, sin, zero = np.cos(angles), np.sin(angles), np.zeros_like(angles)
         axial = np.stack([zero, zero, zero + 1, lever * sin, -lever * cos], -1)
         return cls(np.stack([cos, sin, zero, zero, zero], -1), axial)
 
     @cached_property
-    def squares(self) -> Matrix:
+    def squares(self) -> FloatArray:
         """e_r e_r^T, e_r e_z^T + e_z e_r^T and e_z e_z^T of every element, flattened: (3 z, 25); where all load cases are placed alike."""
         r, a = self.radial, self.axial
         mixed = r[:, :, None] * a[:, None, :]
         pairs = (r[:, :, None] * r[:, None, :], mixed + np.swapaxes(mixed, 1, 2), a[:, :, None] * a[:, None, :])
         return np.concatenate(pairs).reshape(-1, 25)
 
-    def of_cases(self, cases: NDArray[np.bool_] | slice) -> ElementFrame:
+    def of_cases(self, cases: BoolArray | slice) -> ElementFrame:
         """The frame of some load cases only."""
         return self if self.radial.ndim == 2 else ElementFrame(self.radial[cases], self.axial[cases])
 
 
-def weighted_sum(weights: Matrix, vectors: Matrix) -> Matrix:
+def weighted_sum(weights: FloatArray, vectors: FloatArray) -> FloatArray:
     """sum_j w_j v_j: *weights* (n_case, m), *vectors* (m, k) or (n_case, m, k) -> (n_case, k)."""
     if vectors.ndim == 2:
         return weights @ vectors
-    summed: Matrix = (weights[:, None, :] @ vectors)[:, 0]
+    summed: FloatArray = (weights[:, None, :] @ vectors)[:, 0]
     return summed
 
 
-def _along(vectors: Matrix, q: Matrix) -> Matrix:
+def _along(vectors: FloatArray, q: FloatArray) -> FloatArray:
     """v_j . q: (n_case, z)."""
     if vectors.ndim == 2:
         return q @ vectors.T
-    along: Matrix = (vectors @ q[:, :, None])[:, :, 0]
+    along: FloatArray = (vectors @ q[:, :, None])[:, :, 0]
     return along
 
 
@@ -124,15 +123,15 @@ class Contacts:
     """The elements in displaced rings, all (n_case, z): deflection delta [m] (zero where loose), load Q [N], direction of the load
     cos, sin of the contact angle, and slope dQ/ddelta [N/m], turning Q/A [N/m]: the geometric stiffness across the load (balls)."""
 
-    deflection: Matrix
-    load: Matrix
-    cos: Matrix
-    sin: Matrix
-    slope: Matrix
-    turning: Matrix
+    deflection: FloatArray
+    load: FloatArray
+    cos: FloatArray
+    sin: FloatArray
+    slope: FloatArray
+    turning: FloatArray
 
 
-def contacts(bearing: RollingBearing, q: Matrix, frame: ElementFrame) -> Contacts:
+def contacts(bearing: RollingBearing, q: FloatArray, frame: ElementFrame) -> Contacts:
     """Deflections and loads of the elements at displacements *q* (n_case, 5) in the units of *frame*.
 
     Balls: delta = A - A0 with A^2 = (A0 sin a0 + dz)^2 + (A0 cos a0 + dr)^2, written without the difference of nearly equal lengths:
@@ -155,19 +154,19 @@ def contacts(bearing: RollingBearing, q: Matrix, frame: ElementFrame) -> Contact
     return Contacts(delta, load, radial / length, axial / length, slope, load / length)
 
 
-def _hertz(delta: Matrix, bearing: RollingBearing) -> tuple[Matrix, Matrix]:
+def _hertz(delta: FloatArray, bearing: RollingBearing) -> tuple[FloatArray, FloatArray]:
     """Q = K_n delta^n and dQ/ddelta = n K_n delta^(n-1)."""
     root = np.sqrt(delta) if bearing.is_ball else delta ** (bearing.exponent - 1)
     stiff = bearing.stiffness_constant * root
     return stiff * delta, bearing.exponent * stiff
 
 
-def load_sum(at: Contacts, frame: ElementFrame) -> Matrix:
+def load_sum(at: Contacts, frame: ElementFrame) -> FloatArray:
     """f = sum_j Q_j (cos a_j e_r + sin a_j e_z), (n_case, 5)."""
     return weighted_sum(at.load * at.cos, frame.radial) + weighted_sum(at.load * at.sin, frame.axial)
 
 
-def stiffness_sum(at: Contacts, frame: ElementFrame) -> Matrix:
+def stiffness_sum(at: Contacts, frame: ElementFrame) -> FloatArray:
     """K = df/dq = sum_j dQ/ddelta n n^T + Q/A t t^T, n = cos a e_r + sin a e_z, t = cos a e_z - sin a e_r; (n_case, 5, 5)."""
     if frame.radial.ndim == 3:
         along = at.cos[..., None] * frame.radial + at.sin[..., None] * frame.axial
@@ -182,20 +181,20 @@ def stiffness_sum(at: Contacts, frame: ElementFrame) -> Matrix:
     return (np.concatenate(weights, axis=1) @ frame.squares).reshape(-1, 5, 5)
 
 
-def _squared(vectors: Matrix, weights: Matrix) -> Matrix:
+def _squared(vectors: FloatArray, weights: FloatArray) -> FloatArray:
     """sum_j w_j v_j v_j^T: *vectors* (n_case, z, 5), *weights* (n_case, z) -> (n_case, 5, 5)."""
-    squared: Matrix = np.swapaxes(vectors * weights[..., None], 1, 2) @ vectors
+    squared: FloatArray = np.swapaxes(vectors * weights[..., None], 1, 2) @ vectors
     return squared
 
 
-def bearing_loads(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike = 0.0) -> Matrix:
+def bearing_loads(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike = 0.0) -> FloatArray:
     """Loads (Fx, Fy, Fz [N], Mx, My [N m]) on the inner ring that hold the displacements *q* (n_case, 5) [m, rad]."""
     displacement = np.atleast_2d(np.asarray(q, np.float64))
     frame = ElementFrame.at(bearing.angles(cage_angle), bearing.pitch_radius)
     return load_sum(contacts(bearing, displacement, frame), frame)
 
 
-def bearing_stiffness(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike = 0.0) -> Matrix:
+def bearing_stiffness(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike = 0.0) -> FloatArray:
     """K = d(loads)/dq at the displacements *q* (n_case, 5) [m, rad]: (n_case, 5, 5) [N/m, N/rad, N m/rad], symmetric."""
     displacement = np.atleast_2d(np.asarray(q, np.float64))
     frame = ElementFrame.at(bearing.angles(cage_angle), bearing.pitch_radius)

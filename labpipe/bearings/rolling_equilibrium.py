@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from labpipe.bearings.rolling import DOFS, Contacts, ElementFrame, Matrix, RollingBearing, contacts, load_sum, stiffness_sum
+from labpipe.arrays import BoolArray, FloatArray
+from labpipe.bearings.rolling import DOFS, Contacts, ElementFrame, RollingBearing, contacts, load_sum, stiffness_sum
 from labpipe.bearings.rolling_limits import check_carried, check_request, explain_failure
 from labpipe.bearings.rolling_newton import Problem, solve
 from labpipe.errors import ConfigError
@@ -31,21 +32,21 @@ class Equilibrium:
     """
 
     bearing: RollingBearing
-    displacement: Matrix
-    load: Matrix
-    stiffness: Matrix
+    displacement: FloatArray
+    load: FloatArray
+    stiffness: FloatArray
     contacts: Contacts
-    angles: Matrix
+    angles: FloatArray
     free: tuple[str, ...]
 
     @property
-    def contact_angle(self) -> Matrix:
+    def contact_angle(self) -> FloatArray:
         """Loaded contact angles a_j (n_case, z) [rad]."""
-        angles: Matrix = np.arctan2(self.contacts.sin, self.contacts.cos)
+        angles: FloatArray = np.arctan2(self.contacts.sin, self.contacts.cos)
         return angles
 
     @property
-    def mirrored(self) -> NDArray[np.bool_]:
+    def mirrored(self) -> BoolArray:
         """Load cases (n_case,) in which an element of an angular-contact bearing carries at the opposite contact angle.
 
         The equations allow it; a bearing with one shoulder does not.
@@ -54,14 +55,14 @@ class Equilibrium:
         return np.any(opposite & (self.contacts.load > 1e-9 * self.contacts.load.max(axis=1, keepdims=True)), axis=1)
 
     @property
-    def determinate(self) -> NDArray[np.bool_]:
+    def determinate(self) -> BoolArray:
         """Load cases (n_case,) whose position is unique: the stiffness of the free dofs is not singular."""
         index = [DOFS.index(name) for name in self.free]
         if not index:
             return np.ones(len(self.load), dtype=bool)
         scale = np.array([1, 1, 1, 1 / self.bearing.pitch_radius, 1 / self.bearing.pitch_radius])
         eigenvalues = np.linalg.eigvalsh((self.stiffness * np.outer(scale, scale))[:, index][:, :, index])
-        unique: NDArray[np.bool_] = eigenvalues[:, 0] > 1e-10 * eigenvalues[:, -1]
+        unique: BoolArray = eigenvalues[:, 0] > 1e-10 * eigenvalues[:, -1]
         return unique
 
 
@@ -93,7 +94,7 @@ def equilibrium(
     return _joined(parts)
 
 
-def _solve_part(bearing: RollingBearing, f: Matrix, q: Matrix, held: Sequence[str], cage: Matrix, part: slice) -> Matrix:
+def _solve_part(bearing: RollingBearing, f: FloatArray, q: FloatArray, held: Sequence[str], cage: FloatArray, part: slice) -> FloatArray:
     """Displacements of a part of the load cases; tilts are counted in metres at the pitch radius meanwhile."""
     scale = np.array([1, 1, 1, bearing.pitch_radius, bearing.pitch_radius])
     frame = ElementFrame.at(bearing.angles(cage), 1.0)
@@ -105,7 +106,7 @@ def _solve_part(bearing: RollingBearing, f: Matrix, q: Matrix, held: Sequence[st
     return u / scale
 
 
-def _state(bearing: RollingBearing, displacement: Matrix, held: Sequence[str], cage: Matrix) -> Equilibrium:
+def _state(bearing: RollingBearing, displacement: FloatArray, held: Sequence[str], cage: FloatArray) -> Equilibrium:
     angles = bearing.angles(cage)
     frame = ElementFrame.at(angles, bearing.pitch_radius)
     at = contacts(bearing, displacement, frame)
@@ -122,7 +123,7 @@ def _joined(parts: Sequence[Equilibrium]) -> Equilibrium:
     return Equilibrium(parts[0].bearing, contacts=at, free=parts[0].free, **joined)
 
 
-def load_vector(**loads: float) -> Matrix:
+def load_vector(**loads: float) -> FloatArray:
     """(Fx, Fy, Fz, Mx, My) from named loads: load_vector(y=-24, z=427); names x y z mx my."""
     names = ("x", "y", "z", "mx", "my")
     unknown = [name for name in loads if name not in names]

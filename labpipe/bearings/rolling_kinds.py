@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.bearings.coefficients import Amount, BearingCoefficients, BearingKind
 from labpipe.bearings.passage import ball_passage
-from labpipe.bearings.rolling import DOFS, Matrix
+from labpipe.bearings.rolling import DOFS
 from labpipe.bearings.rolling_equilibrium import Equilibrium, equilibrium
 from labpipe.bearings.rolling_settings import LOAD_OF_DOF, BallBearingSettings, RollerBearingSettings, RollingSettings
 from labpipe.bearings.rolling_shaft import modes, sdof_stiffness, theoretical_response
@@ -37,11 +37,11 @@ class _Solved:
     """The load cases of one bearing, with what is derived for all of them at once."""
 
     state: Equilibrium
-    contact_angle: Matrix
-    mirrored: NDArray[np.bool_]
-    determinate: NDArray[np.bool_]
-    lowest: Matrix
-    highest: Matrix
+    contact_angle: FloatArray
+    mirrored: BoolArray
+    determinate: BoolArray
+    lowest: FloatArray
+    highest: FloatArray
 
 
 def _group(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
@@ -93,7 +93,7 @@ def _notes(settings: RollingSettings) -> tuple[Amount, ...]:
     return (used,) if hertz is None else (used, Amount("stiffness_constant_hertz", hertz, unit))
 
 
-def _shaft(settings: RollingSettings, stiffness: Matrix) -> tuple[Amount, ...]:
+def _shaft(settings: RollingSettings, stiffness: FloatArray) -> tuple[Amount, ...]:
     """Natural frequencies and damping ratios of the shaft, and what one-dof fits of its direct transfer functions find beside K_ii."""
     if settings.shaft is None:
         return ()

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.bearings.rolling import DOFS, Contacts, Matrix, RollingBearing
+from labpipe.arrays import FloatArray
+from labpipe.bearings.rolling import DOFS, Contacts, RollingBearing
 from labpipe.errors import ConfigError, FitError
 from labpipe.registry import nearest
 
@@ -14,7 +15,9 @@ LOADS = ("x", "y", "z", "mx", "my")
 UNITS = ("N", "N", "N", "N m", "N m")
 
 
-def check_request(bearing: RollingBearing, loads: Matrix, displacements: Matrix, held: Sequence[str], cage_angle: Matrix) -> None:
+def check_request(
+    bearing: RollingBearing, loads: FloatArray, displacements: FloatArray, held: Sequence[str], cage_angle: FloatArray
+) -> None:
     """ConfigError where the question itself is wrong: shapes, numbers that are none, dofs that rollers leave without support."""
     for name in held:
         if name not in DOFS:
@@ -32,7 +35,7 @@ def check_request(bearing: RollingBearing, loads: Matrix, displacements: Matrix,
         _check_rollers(bearing, loads, held)
 
 
-def _check_rollers(bearing: RollingBearing, loads: Matrix, held: Sequence[str]) -> None:
+def _check_rollers(bearing: RollingBearing, loads: FloatArray, held: Sequence[str]) -> None:
     """Rollers at a fixed contact angle resist three motions (two at 0 deg): the others must be held."""
     loose = [name for name in ("bx", "by") if name not in held]
     if loose:
@@ -63,7 +66,7 @@ def check_carried(bearing: RollingBearing, at: Contacts) -> None:
         )
 
 
-def explain_failure(bearing: RollingBearing, loads: Matrix, case: int) -> None:
+def explain_failure(bearing: RollingBearing, loads: FloatArray, case: int) -> None:
     """Raise the FitError of a load case without a rest position."""
     acting = ", ".join(f"{name} {amount:.4g} {unit}" for name, amount, unit in zip(LOADS, loads[case], UNITS, strict=True) if amount)
     hint = "the load does not press the elements onto their tracks" if not bearing.is_ball else "check the size of the loads"

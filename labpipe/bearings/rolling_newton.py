@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labpipe.bearings.rolling import Contacts, ElementFrame, Matrix, RollingBearing, contacts, load_sum, stiffness_sum
-
-Cases = NDArray[np.bool_]
+from labpipe.arrays import BoolArray, FloatArray, IntArray
+from labpipe.bearings.rolling import Contacts, ElementFrame, RollingBearing, contacts, load_sum, stiffness_sum
 
 TOLERANCE = 1e-12  # of the residual against the loads
 ACCEPTABLE = 1e-9  # where steps are down to the rounding of positions
@@ -30,13 +28,13 @@ class Problem:
 
     bearing: RollingBearing
     frame: ElementFrame
-    load: Matrix
-    free: NDArray[np.intp]
+    load: FloatArray
+    free: IntArray
 
-    def of_cases(self, cases: Cases) -> Problem:
+    def of_cases(self, cases: BoolArray) -> Problem:
         return Problem(self.bearing, self.frame.of_cases(cases), self.load[cases], self.free)
 
-    def at(self, u: Matrix) -> Trial:
+    def at(self, u: FloatArray) -> Trial:
         """The state at displacements u (n_case, 5) [m]."""
         state = contacts(self.bearing, u, self.frame)
         residual = (self.load - load_sum(state, self.frame))[:, self.free]
@@ -44,11 +42,11 @@ class Problem:
         work = np.einsum("nf,nf->n", self.load[:, self.free], u[:, self.free])
         return Trial(u, state, residual, strain - work)
 
-    def misfit(self, trial: Trial) -> Matrix:
+    def misfit(self, trial: Trial) -> FloatArray:
         """|f - F| relative to the loads that act, prescribed or between the rings: (n_case,)."""
         least = self.bearing.stiffness_constant * (NEGLIGIBLE * self.bearing.reach) ** self.bearing.exponent
         acting = np.linalg.norm(self.load, axis=1) + trial.state.load.sum(axis=1) + least
-        misfit: Matrix = np.linalg.norm(trial.residual, axis=1) / acting
+        misfit: FloatArray = np.linalg.norm(trial.residual, axis=1) / acting
         return misfit
 
 
@@ -56,17 +54,17 @@ class Problem:
 class Trial:
     """A position u (n_case, 5) [m], the contacts there, the residual f - F of the free dofs [N], and the potential [J]."""
 
-    u: Matrix
+    u: FloatArray
     state: Contacts
-    residual: Matrix
-    potential: Matrix
+    residual: FloatArray
+    potential: FloatArray
 
-    def of_cases(self, cases: Cases) -> Trial:
+    def of_cases(self, cases: BoolArray) -> Trial:
         state = Contacts(*(getattr(self.state, field.name)[cases] for field in fields(Contacts)))
         return Trial(self.u[cases], state, self.residual[cases], self.potential[cases])
 
 
-def solve(problem: Problem, held: Matrix) -> tuple[Matrix, Cases]:
+def solve(problem: Problem, held: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Positions u (n_case, 5) [m] and whether each is a rest position; *held* (n_case, 5): displacements, zero where free."""
     u = starting_point(problem, held)
     unsolved = np.arange(len(u))
@@ -87,7 +85,7 @@ def solve(problem: Problem, held: Matrix) -> tuple[Matrix, Cases]:
     return u, solved
 
 
-def newton_step(problem: Problem, trial: Trial) -> Matrix:
+def newton_step(problem: Problem, trial: Trial) -> FloatArray:
     """(K + |f - F| / R) p = f - F, (n_case, 5): no longer than the bearing's reach R where nothing resists, quadratic at the end."""
     k = stiffness_sum(trial.state, problem.frame)[:, problem.free[:, None], problem.free]
     floor = 1e-15 * np.trace(k, axis1=1, axis2=2) + np.finfo(np.float64).tiny
@@ -98,7 +96,7 @@ def newton_step(problem: Problem, trial: Trial) -> Matrix:
     return step
 
 
-def line_search(problem: Problem, trial: Trial, step: Matrix) -> Matrix:
+def line_search(problem: Problem, trial: Trial, step: FloatArray) -> FloatArray:
     """u + t p with t = 1, cut back while the potential does not fall and its slope along p has turned to rise.
 
     A convex potential falls as long as its slope at the end of the step is not positive; that test still works where differences of
@@ -118,17 +116,17 @@ def line_search(problem: Problem, trial: Trial, step: Matrix) -> Matrix:
             break
         length[open_cases[short]] = (t * np.clip(fall / np.maximum(fall + rise, fall), 0.1, 0.7))[short]
         open_cases = open_cases[short]
-    landed: Matrix = trial.u + length[:, None] * step
+    landed: FloatArray = trial.u + length[:, None] * step
     return landed
 
 
-def _mask(indices: NDArray[np.intp], size: int) -> Cases:
+def _mask(indices: IntArray, size: int) -> BoolArray:
     mask = np.zeros(size, dtype=bool)
     mask[indices] = True
     return mask
 
 
-def starting_point(problem: Problem, held: Matrix) -> Matrix:
+def starting_point(problem: Problem, held: FloatArray) -> FloatArray:
     """A position in which all elements carry: the axial rest position under the sum of the loads; rollers at 0 deg: the radial one.
 
     At q = 0 a bearing with contact angle 0 has no stiffness at all.
@@ -148,7 +146,7 @@ def starting_point(problem: Problem, held: Matrix) -> Matrix:
     return u
 
 
-def _axial_approach(bearing: RollingBearing, size: Matrix, side: Matrix) -> Matrix:
+def _axial_approach(bearing: RollingBearing, size: FloatArray, side: FloatArray) -> FloatArray:
     """dz [m] at which *size* [N] presses all elements alike towards *side* (+1, -1); a few fixed-point steps on the contact angle."""
     sin0, cos0 = np.sin(bearing.contact_angle), np.cos(bearing.contact_angle)
     per_element = size / bearing.elements / bearing.stiffness_constant

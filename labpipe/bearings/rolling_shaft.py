@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labpipe.bearings.rolling import DOFS, Matrix
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.bearings.rolling import DOFS
 from labpipe.errors import ConfigError, FitError
 from labpipe.records.response import FrequencyResponse, Port
 
@@ -29,7 +29,7 @@ class RigidShaft:
                 raise ConfigError(f"the shaft's {name} must be above zero")
 
     @property
-    def inertias(self) -> Matrix:
+    def inertias(self) -> FloatArray:
         """Diagonal of M = diag(m, m, m, Jx, Jy), (5,) [kg, kg m^2]."""
         return np.array([self.mass, self.mass, self.mass, self.inertia_x, self.inertia_y])
 
@@ -41,11 +41,11 @@ class Modes:
     share (5, 5): part of dof i's (row) inertia that moves in mode r (column), M_ii phi_ir^2; rows and columns sum to one.
     """
 
-    frequency: Matrix
-    shape: Matrix
-    share: Matrix
+    frequency: FloatArray
+    shape: FloatArray
+    share: FloatArray
 
-    def damping_ratio(self, beta: float) -> Matrix:
+    def damping_ratio(self, beta: float) -> FloatArray:
         """zeta_r = beta w_r / 2 of Rayleigh damping C = beta K, beta [s]; (5,)."""
         return np.pi * beta * self.frequency
 
@@ -54,7 +54,7 @@ class Modes:
         return int(np.argmax(self.share[DOFS.index(dof)]))
 
 
-def modes(shaft: RigidShaft, stiffness: Matrix) -> Modes:
+def modes(shaft: RigidShaft, stiffness: FloatArray) -> Modes:
     """Eigenvalues of K phi = w^2 M phi; *stiffness* (5, 5) [N/m, N/rad, N m/rad], a free dof gives 0 Hz.
 
     Raises FitError for a stiffness that is not positive semidefinite (beyond rounding): such a rest position does not last.
@@ -67,27 +67,29 @@ def modes(shaft: RigidShaft, stiffness: Matrix) -> Modes:
     return Modes(frequency, scale[:, None] * vectors, vectors**2)
 
 
-def transfer_matrix(shaft: RigidShaft, stiffness: Matrix, frequency: Matrix, beta: float) -> NDArray[np.complexfloating]:
+def transfer_matrix(shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float) -> ComplexArray:
     """Receptance H(w) = (-w^2 M + j w beta K + K)^-1, (n_frequency, 5, 5) [m/N, rad/N, rad/(N m)]; *frequency* [Hz], *beta* [s].
 
     FitError where the dynamic stiffness is singular: at 0 Hz with a free dof, or on an undamped resonance.
     """
     w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
-    dynamic: NDArray[np.complexfloating] = -(w**2) * np.diag(shaft.inertias) + (1 + 1j * w * beta) * stiffness
+    dynamic: ComplexArray = -(w**2) * np.diag(shaft.inertias) + (1 + 1j * w * beta) * stiffness
     try:
-        receptance: NDArray[np.complexfloating] = np.linalg.inv(dynamic)
+        receptance: ComplexArray = np.linalg.inv(dynamic)
     except np.linalg.LinAlgError:
         raise FitError("the dynamic stiffness is singular at a line", hint="give a damping factor, or leave out 0 Hz") from None
     return receptance
 
 
-def theoretical_response(shaft: RigidShaft, stiffness: Matrix, frequency: Matrix, beta: float, name: str = "theory") -> FrequencyResponse:
+def theoretical_response(
+    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float, name: str = "theory"
+) -> FrequencyResponse:
     """The transfer matrix as a frequency response, to lie beside a measured one or to be fitted as one."""
     ports = tuple(Port(dof, dof, dof) for dof in DOFS)
     return FrequencyResponse(frequency, transfer_matrix(shaft, stiffness, frequency, beta), ports, ports, "receptance", name=name)
 
 
-def sdof_stiffness(shaft: RigidShaft, stiffness: Matrix, known_inertia: bool = False) -> Matrix:
+def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray, known_inertia: bool = False) -> FloatArray:
     """What a one-dof fit finds at each dof's main peak of the lightly damped theory: k_i = w_r^2 / phi_ir^2, (5,) [N/m, N m/rad].
 
     With *known_inertia* the fit's mass is M_ii instead of the modal 1/phi_ir^2: k_i = M_ii w_r^2. Neither is K_ii: at the peak the
@@ -97,5 +99,5 @@ def sdof_stiffness(shaft: RigidShaft, stiffness: Matrix, known_inertia: bool = F
     found = modes(shaft, stiffness)
     main = [found.main_mode(dof) for dof in DOFS]
     squares = (2 * np.pi * found.frequency[main]) ** 2
-    apparent: Matrix = squares * shaft.inertias
+    apparent: FloatArray = squares * shaft.inertias
     return apparent if known_inertia else apparent / found.share[range(len(DOFS)), main]

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.campaign.amounts import chance
 from labpipe.campaign.settings import CompareSettings
 from labpipe.distributions import student_quantile, student_tail
@@ -32,7 +32,7 @@ class TwoTests:
     settings: FitSettings
 
 
-def holm(p_values: NDArray[np.floating]) -> NDArray[np.floating]:
+def holm(p_values: FloatArray) -> FloatArray:
     """Corrected p-values (n,): the i-th smallest times n - i + 1, not below those before it; valid whatever depends on what."""
     order = np.argsort(p_values)
     steps = np.maximum.accumulate(p_values[order] * np.arange(p_values.size, 0, -1))

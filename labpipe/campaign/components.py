@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.campaign.amounts import chance, with_error
 from labpipe.campaign.observations import Campaign
 from labpipe.distributions import chi2_quantile, chi2_tail, f_quantile, f_tail, student_quantile
@@ -36,7 +37,7 @@ class Components:
     repeats: int
 
 
-def components(values: NDArray[np.floating], groups: NDArray[np.str_]) -> Components:
+def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
     """Variance components of values (n,) that belong to groups (n,), by the analysis of variance.
 
     within^2 = MSW; between^2 = (MSB - MSW) / n_0, n_0 = (N - sum n_i^2 / N) / (a - 1). Interval of within^2 by chi-square, of

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.campaign.weighted import WeightedFit, weighted_fit, weighted_mean
 from labpipe.distributions import normal_tail
 from labpipe.errors import FitError
@@ -33,7 +33,7 @@ class ControlLimits:
         return "individuals (Shewhart) chart: mean ∓ 3 × mean moving range / 1.128"
 
 
-def control_limits(values: NDArray[np.floating]) -> ControlLimits:
+def control_limits(values: FloatArray) -> ControlLimits:
     """Limits of values (n,) in the order in which they came, from the ranges of neighbours only: a shift does not widen them.
 
     sigma = mean |y_i - y_(i-1)| / d_2, d_2 = 2 / sqrt(pi). Montgomery, Introduction to Statistical Quality Control, sec. 6.4.
@@ -48,14 +48,14 @@ def control_limits(values: NDArray[np.floating]) -> ControlLimits:
     return ControlLimits(centre, sigma, low, high, outside)
 
 
-def straight_trend(condition: NDArray[np.floating], values: NDArray[np.floating], errors: NDArray[np.floating]) -> WeightedFit:
+def straight_trend(condition: FloatArray, values: FloatArray, errors: FloatArray) -> WeightedFit:
     """value = level + slope (x - mean x), weighted by the standard errors (n,); parameters (level, slope). FitError for < 3 values."""
     if values.size < 3:
         raise FitError(f"{values.size} value(s) show no trend", hint="at least three are needed")
     return weighted_fit(np.column_stack([np.ones_like(condition), condition - np.mean(condition)]), values, errors)
 
 
-def from_the_rest(values: NDArray[np.floating], errors: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(difference, p-value) (n,) of every value against the weighted mean of all others, by the stated errors alone.
 
     z_i = (y_i - m_i) / sqrt(s_i^2 + s_m^2); where the others scatter more than their errors say, theirs are enlarged (Birge).

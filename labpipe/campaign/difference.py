@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.campaign.amounts import chance, relative_change
 from labpipe.campaign.observations import Campaign
 from labpipe.campaign.trend import power_fit
@@ -45,7 +45,7 @@ def difference(campaign: Campaign) -> Comparison:
     )
 
 
-def _paired(campaign: Campaign, first: str, second: str) -> tuple[NDArray[np.floating], NDArray[np.floating], int]:
+def _paired(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, FloatArray, int]:
     """ln(second / first) and its error at every shared condition."""
     logs, errors = np.log(campaign.value), _errors(campaign)
     groups = np.array([each.group for each in campaign.observations])
@@ -63,7 +63,7 @@ def _paired(campaign: Campaign, first: str, second: str) -> tuple[NDArray[np.flo
     return np.array([f[0] for f in found]), np.array([f[1] for f in found]), len(found)
 
 
-def _strata(campaign: Campaign) -> list[NDArray[np.bool_]]:
+def _strata(campaign: Campaign) -> list[BoolArray]:
     """Tests at the same condition; all of them where no condition pairs them."""
     if not campaign.settings.over:
         return [np.ones(len(campaign.observations), bool)]
@@ -71,7 +71,7 @@ def _strata(campaign: Campaign) -> list[NDArray[np.bool_]]:
     return [np.abs(x - value) <= SAME * np.abs(value) for value in np.unique(x)]
 
 
-def _errors(campaign: Campaign) -> NDArray[np.floating]:
+def _errors(campaign: Campaign) -> FloatArray:
     """Relative errors of the values, with that of setting the condition."""
     relative, setting = campaign.relative, campaign.settings.setting_error
     if not setting:

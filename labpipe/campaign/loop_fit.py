@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.magnetic_kind import MagneticFile
-from labpipe.bearings.magnetic_loop import Complex
 from labpipe.campaign.amounts import chance, with_error
 from labpipe.campaign.loop_file import Unknown, unknown, with_unknowns
 from labpipe.errors import ConfigError, FitError
@@ -29,7 +28,7 @@ UNDETERMINED = 1e6
 
 
 # The response that a file predicts on the measured lines, with the (stiffness, damping) of the support.
-Predict = Callable[[MagneticFile, tuple[float, float]], Complex]
+Predict = Callable[[MagneticFile, tuple[float, float]], ComplexArray]
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ class _Problem:
     support: tuple[tuple[int, float], ...]  # (0 for stiffness or 1 for damping, standard error)
 
     @cached_property
-    def weights(self) -> list[NDArray[np.complexfloating]]:
+    def weights(self) -> list[ComplexArray]:
         return [whitener(each.measured) for each in self.held]
 
     @property
@@ -89,10 +88,10 @@ class _Problem:
         pairs = zip(self.held, self.weights, strict=True)
         return float(np.linalg.norm(np.concatenate([whitened(weight, each.measured.matrix) for each, weight in pairs])))
 
-    def file_values(self, u: NDArray[np.floating]) -> dict[str, float]:
+    def file_values(self, u: FloatArray) -> dict[str, float]:
         return {each.name: each.value * (1 + float(share)) for each, share in zip(self.unknowns, u, strict=False)}
 
-    def residual(self, u: NDArray[np.floating]) -> NDArray[np.floating]:
+    def residual(self, u: FloatArray) -> FloatArray:
         """(n_equation,): measured less predicted, then how far the support is from what was stated."""
         away = u[len(self.unknowns) :]
         found = []
@@ -105,11 +104,11 @@ class _Problem:
             found.append(whitened(weight, each.measured.matrix - predicted))
         return np.concatenate([*found, away])
 
-    def jacobian(self, u: NDArray[np.floating]) -> NDArray[np.floating]:
+    def jacobian(self, u: FloatArray) -> FloatArray:
         """(n_equation, n_parameter) by centred differences."""
         return np.column_stack([(self.residual(u + STEP * each) - self.residual(u - STEP * each)) / (2 * STEP) for each in np.eye(u.size)])
 
-    def chi2(self, u: NDArray[np.floating]) -> float:
+    def chi2(self, u: FloatArray) -> float:
         """Infinite for values that no bearing can have."""
         try:
             residual = self.residual(u)
@@ -137,7 +136,7 @@ def loop_fit(held: Sequence[Held], names: Sequence[str]) -> LoopFit:
     return _judged(problem, Minimum(start, True, 0) if idle else minimise(problem, start))
 
 
-def _silent(problem: _Problem, jacobian: NDArray[np.floating]) -> tuple[str, ...]:
+def _silent(problem: _Problem, jacobian: FloatArray) -> tuple[str, ...]:
     """The unknowns that change nothing."""
     lengths = np.linalg.norm(jacobian, axis=0)
     return tuple(each.name for each, length in zip(problem.unknowns, lengths, strict=False) if not length > 0)

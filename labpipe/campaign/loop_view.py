@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.magnetic_kind import MagneticFile
-from labpipe.bearings.magnetic_loop import Complex, dynamic_stiffness
+from labpipe.bearings.magnetic_loop import dynamic_stiffness
 from labpipe.campaign.loop_fit import Held
 from labpipe.errors import ConfigError
 from labpipe.identify.fitting import identify
@@ -66,7 +66,7 @@ def checked_view(view: View) -> View:
     return view
 
 
-def _directions(view: View) -> NDArray[np.floating]:
+def _directions(view: View) -> FloatArray:
     """cos of the angle between response and force, (n_output, n_input): all directions are alike and free of coupling."""
     rows, columns = view.ports
     outputs, inputs = [view.response.outputs[row] for row in rows], [view.response.inputs[column] for column in columns]
@@ -82,14 +82,14 @@ def _cosine(output: Port, force: Port) -> float:
     return float(np.cos(output.angle - force.angle))
 
 
-def receptance(view: View, file: MagneticFile, omega: NDArray[np.floating], support: tuple[float, float] | None = None) -> Complex:
+def receptance(view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float] | None = None) -> ComplexArray:
     """cos / (k_s + j w c_s + n (K G(jw) - k_n) - m w^2), (n_line, n_output, n_input) [m/N]; *support* (k_s, c_s), default: as stated."""
     stiffness, damping = support or (view.support.stiffness.value, view.support.damping.value)
     plant = file.levitated()
-    bearings: Complex = view.settings.share * dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
+    bearings: ComplexArray = view.settings.share * dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
     assert isinstance(view.settings.mass, float)
-    total: Complex = stiffness + 1j * omega * damping + bearings - view.settings.mass * omega**2
-    found: Complex = _directions(view) / total[:, None, None]
+    total: ComplexArray = stiffness + 1j * omega * damping + bearings - view.settings.mass * omega**2
+    found: ComplexArray = _directions(view) / total[:, None, None]
     return found
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.campaign.settings import CompareSettings
 from labpipe.errors import ConfigError, FitError
 from labpipe.quantities import UnitError, si_amount
@@ -62,19 +62,19 @@ class Campaign:
         return self.observations[0].parameter.unit
 
     @property
-    def condition(self) -> NDArray[np.floating]:
+    def condition(self) -> FloatArray:
         return np.array([each.condition for each in self.observations])
 
     @property
-    def value(self) -> NDArray[np.floating]:
+    def value(self) -> FloatArray:
         return np.array([each.value for each in self.observations])
 
     @property
-    def std_error(self) -> NDArray[np.floating]:
+    def std_error(self) -> FloatArray:
         return np.array([each.std_error for each in self.observations])
 
     @property
-    def relative(self) -> NDArray[np.floating]:
+    def relative(self) -> FloatArray:
         return np.array([each.relative for each in self.observations])
 
     @property

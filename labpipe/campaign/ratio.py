@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.campaign.amounts import chance, from_log, with_error
 from labpipe.campaign.observations import Campaign
 from labpipe.campaign.theory import Matched, log_covariance
@@ -46,7 +46,7 @@ def stiffness_ratio(campaign: Campaign, matched: Sequence[Matched], overlays: tu
     )
 
 
-def joint_covariance(matched: Sequence[Matched], number: int, setting_error: float, bending_error: float) -> NDArray[np.floating]:
+def joint_covariance(matched: Sequence[Matched], number: int, setting_error: float, bending_error: float) -> FloatArray:
     """Covariance (n, n) of the tests' ln ratio (*number* 0) or ln beta (1).
 
     V = diag(s_fit^2 + (d ln / d ln x  s_x)^2) + b b^T, b = d ln / d ln k_s  s_ks: noise and the setting of the condition are each
@@ -71,7 +71,7 @@ def _ratio_statement(campaign: Campaign, ratio: float, interval: tuple[float, fl
     return said if found.p_value is None else f"{said} One factor holds for all tests (p = {found.p_value:.2g})."
 
 
-def _points(campaign: Campaign, matched: Sequence[Matched], errors: NDArray[np.floating]) -> tuple[ComparedPoint, ...]:
+def _points(campaign: Campaign, matched: Sequence[Matched], errors: FloatArray) -> tuple[ComparedPoint, ...]:
     points = []
     for point, each, error in zip(campaign.points(), matched, errors, strict=True):
         ratio = from_log("ratio", "1", float(each.log[0]), float(error), NORMAL_95)
@@ -115,7 +115,7 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
     )
 
 
-def _log_betas(fits: Sequence[Fit]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
     """ln(c / k) and its covariance (n, n), from that of c and k in each fit."""
     covariances = [log_covariance(fit) for fit in fits]
     logs = np.array([np.log(fit.parameter("c").value / fit.parameter("k").value) for fit in fits])

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.magnetic_kind import MagneticFile, stability_findings, verdict
 from labpipe.bearings.magnetic_stability import ZONES, sensitivity, zone_of
 from labpipe.campaign.amounts import with_error
@@ -27,8 +27,6 @@ CREST = 0.93
 FEWEST = 5
 COMPLEX_PARTS = 2
 
-Values = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class MeasuredSensitivity:
@@ -37,14 +35,14 @@ class MeasuredSensitivity:
     *response*: what it was made of.
     """
 
-    frequency: Values
-    values: NDArray[np.complexfloating]
-    error: Values
+    frequency: FloatArray
+    values: ComplexArray
+    error: FloatArray
     quantile: float
     response: FrequencyResponse
 
     @property
-    def size(self) -> Values:
+    def size(self) -> FloatArray:
         return np.abs(self.values)
 
     def held(self, file: MagneticFile) -> Held:
@@ -155,12 +153,12 @@ class _Theory:
     file: MagneticFile
     fitted: LoopFit
 
-    def size(self, file: MagneticFile, frequency: Values) -> Values:
+    def size(self, file: MagneticFile, frequency: FloatArray) -> FloatArray:
         """|S| of a file."""
         return np.abs(sensitivity(file.levitated(), 2 * np.pi * frequency))
 
 
-def _curve(measured: MeasuredSensitivity, predicted: Values | None, theory: _Theory | None) -> Curve:
+def _curve(measured: MeasuredSensitivity, predicted: FloatArray | None, theory: _Theory | None) -> Curve:
     reach = measured.quantile * measured.error
     matched: tuple[float, ...] = ()
     if theory is not None and theory.fitted.known:
@@ -178,7 +176,7 @@ def _curve(measured: MeasuredSensitivity, predicted: Values | None, theory: _The
     )
 
 
-def _foretold(measured: MeasuredSensitivity, predicted: Values, peak: Peak) -> tuple[Parameter, ...]:
+def _foretold(measured: MeasuredSensitivity, predicted: FloatArray, peak: Peak) -> tuple[Parameter, ...]:
     """The predicted peak within the measured band, measured / predicted, and the share of lines whose interval holds the prediction."""
     highest = float(np.max(predicted))
     holds = np.abs(measured.size - predicted) <= measured.quantile * measured.error
@@ -189,7 +187,7 @@ def _foretold(measured: MeasuredSensitivity, predicted: Values, peak: Peak) -> t
     )
 
 
-def _statement(peak: Peak, top: Parameter, zone: str, predicted: Values | None, theory: _Theory | None) -> str:
+def _statement(peak: Peak, top: Parameter, zone: str, predicted: FloatArray | None, theory: _Theory | None) -> str:
     assert top.ci95 is not None
     low, high = top.ci95
     said = f"|S| reaches {peak.value:.3f} (95 %: {low:.3f} to {high:.3f}) at {peak.frequency:.4g} Hz: zone {zone} of ISO 14839-3"

@@ -11,10 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.bending_curve import bent_transfer_matrix
-from labpipe.bearings.rolling import DOFS, Matrix
+from labpipe.bearings.rolling import DOFS
 from labpipe.bearings.rolling_shaft import RigidShaft
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.fitting import identify
@@ -39,8 +39,8 @@ LARGEST_MOVE = 1.0
 class TheoryAt:
     """The theory at one condition: K (5, 5) [N/m, N/rad, N m/rad], K at a condition larger by the share *step*, the shaft on it."""
 
-    stiffness: Matrix
-    near: Matrix
+    stiffness: FloatArray
+    near: FloatArray
     step: float
     shaft: RigidShaft
 
@@ -61,11 +61,11 @@ class Matched:
     the fit of the theory's own curve, with the measured damping.
     """
 
-    log: NDArray[np.floating]
-    covariance: NDArray[np.floating]
-    to_bending: NDArray[np.floating]
-    to_condition: NDArray[np.floating]
-    theory: NDArray[np.floating]
+    log: FloatArray
+    covariance: FloatArray
+    to_bending: FloatArray
+    to_condition: FloatArray
+    theory: FloatArray
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def match(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: 
     curve = _curve(fit, response, settings, rig)
     bending = rig.bending.value
 
-    def fitted(log: NDArray[np.floating], stiffness: Matrix, shaft_stiffness: float) -> NDArray[np.floating]:
+    def fitted(log: FloatArray, stiffness: FloatArray, shaft_stiffness: float) -> FloatArray:
         beta = float(np.exp(log[1]))
         return _log_fit(curve, theory.shaft, float(np.exp(log[0])) * stiffness, beta, shaft_stiffness)
 
@@ -102,9 +102,7 @@ def match(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: 
     return Matched(log, covariance, -inverse @ to_bending, -inverse @ to_condition, own)
 
 
-def _solved(
-    function: Callable[[NDArray[np.floating]], NDArray[np.floating]], wanted: NDArray[np.floating], start: NDArray[np.floating]
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _solved(function: Callable[[FloatArray], FloatArray], wanted: FloatArray, start: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The root of function(u) = wanted and the slopes (2, 2) next to it; FitError where there is none in reach."""
     at, slopes, size = start, np.eye(2), np.inf
     for _ in range(LOOPS):
@@ -127,7 +125,7 @@ def _positive(fit: Fit, name: str) -> float:
     return value
 
 
-def log_covariance(fit: Fit) -> NDArray[np.floating]:
+def log_covariance(fit: Fit) -> FloatArray:
     """Covariance of ln k and ln c, from the fit's standard errors and correlation."""
     names = [parameter.name for parameter in fit.parameters if not parameter.derived]
     places = [names.index("k"), names.index("c")]
@@ -150,14 +148,14 @@ def overlay(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory
     return Overlay(fit.test, response.form, tuple(curve.response.frequency.tolist()), *sizes)
 
 
-def _theory_curve(curve: _Curve, shaft: RigidShaft, stiffness: Matrix, beta: float, bending: float) -> NDArray[np.complexfloating]:
+def _theory_curve(curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: float, bending: float) -> ComplexArray:
     """The term of the theory's transfer matrix as it is measured, (n_frequency,)."""
     frequency = curve.response.frequency
     receptance = bent_transfer_matrix(shaft, stiffness, frequency, beta, bending)[:, *curve.place] * curve.arms
     return receptance * receptance_factor(curve.response.form, frequency)
 
 
-def _log_fit(curve: _Curve, shaft: RigidShaft, stiffness: Matrix, beta: float, bending: float) -> NDArray[np.floating]:
+def _log_fit(curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: float, bending: float) -> FloatArray:
     """ln(k, c) of the fit on the theory's curve."""
     matrix = _theory_curve(curve, shaft, stiffness, beta, bending)[:, None, None]
     (fit,) = identify(replace(curve.response, matrix=matrix), curve.settings)

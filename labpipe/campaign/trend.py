@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.campaign.amounts import chance, from_log, with_error
 from labpipe.campaign.observations import Campaign
 from labpipe.campaign.weighted import WeightedFit, weighted_fit
@@ -65,11 +65,11 @@ def _line(campaign: Campaign) -> Comparison:
     return _told(campaign, found, (slope, level), law, np.column_stack([drawn, level.value + slope.value * (drawn - centre)]))
 
 
-def _drawn(x: NDArray[np.floating]) -> NDArray[np.floating]:
+def _drawn(x: FloatArray) -> FloatArray:
     return np.linspace(float(np.min(x)), float(np.max(x)), DRAWN)
 
 
-def _told(campaign: Campaign, found: WeightedFit, amounts: tuple[Parameter, ...], law: str, line: NDArray[np.floating]) -> Comparison:
+def _told(campaign: Campaign, found: WeightedFit, amounts: tuple[Parameter, ...], law: str, line: FloatArray) -> Comparison:
     p_value = found.p_of(1)
     sure = p_value < campaign.settings.level
     verdict = "no trend" if not sure else "rising" if found.values[1] > 0 else "falling"

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_tail, normal_quantile, normal_tail, student_quantile, student_tail
 from labpipe.errors import FitError
 
@@ -23,8 +23,8 @@ class WeightedFit:
     sqrt(chi2 / dof), and intervals use Student's t instead of the normal distribution.
     """
 
-    values: NDArray[np.floating]
-    covariance: NDArray[np.floating]
+    values: FloatArray
+    covariance: FloatArray
     chi2: float
     dof: int
     p_value: float | None
@@ -44,7 +44,7 @@ class WeightedFit:
         return 2 * (student_tail(ratio, self.dof) if self.inflated else normal_tail(ratio))
 
 
-def weighted_fit(columns: NDArray[np.floating], values: NDArray[np.floating], errors: NDArray[np.floating]) -> WeightedFit:
+def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) -> WeightedFit:
     """values (n,) = columns (n, n_parameter) p; *errors*: standard errors (n,), or the covariance (n, n) where values share some.
 
     Generalised least squares. FitError where p is not determined.
@@ -65,14 +65,14 @@ def weighted_fit(columns: NDArray[np.floating], values: NDArray[np.floating], er
     return WeightedFit(solved, covariance * chi2 / dof if inflated else covariance, chi2, dof, p_value, inflated)
 
 
-def _whitened(columns: NDArray[np.floating], errors: NDArray[np.floating]) -> NDArray[np.floating]:
+def _whitened(columns: FloatArray, errors: FloatArray) -> FloatArray:
     """Columns (n, m) divided by the standard errors, or by the Cholesky factor of the covariance."""
     if errors.ndim == 1:
         return columns / errors[:, None]
-    whitened: NDArray[np.floating] = linalg.solve_triangular(np.linalg.cholesky(errors), columns, lower=True)
+    whitened: FloatArray = linalg.solve_triangular(np.linalg.cholesky(errors), columns, lower=True)
     return whitened
 
 
-def weighted_mean(values: NDArray[np.floating], errors: NDArray[np.floating]) -> WeightedFit:
+def weighted_mean(values: FloatArray, errors: FloatArray) -> WeightedFit:
     """The mean of values (n,) with standard errors (n,) or covariance (n, n)."""
     return weighted_fit(np.ones((values.size, 1)), values, errors)

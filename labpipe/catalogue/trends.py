@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.campaign.control import ControlLimits, control_limits, straight_trend
 from labpipe.campaign.weighted import WeightedFit
 from labpipe.catalogue.index import DATE
@@ -27,7 +27,7 @@ class Series:
     parameter: str
     over: str
     condition_unit: str
-    condition: NDArray[np.float64]
+    condition: FloatArray
     rows: tuple[ValueRow, ...]
 
     @property
@@ -35,11 +35,11 @@ class Series:
         return self.rows[0].unit
 
     @property
-    def values(self) -> NDArray[np.float64]:
+    def values(self) -> FloatArray:
         return np.array([row.value for row in self.rows])
 
     @property
-    def errors(self) -> NDArray[np.float64]:
+    def errors(self) -> FloatArray:
         return np.array([np.nan if row.std_error is None else row.std_error for row in self.rows])
 
     @property

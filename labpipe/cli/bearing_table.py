@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import click
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.coefficients import Amount, BearingCoefficients
 from labpipe.quantities import display_unit, to_display
 from labpipe.report.wording import unit_text
@@ -47,7 +47,7 @@ def echo_bearing(name: str, kind: str, found: BearingCoefficients) -> None:
         click.echo(f"warning {finding.code}: {finding.message}")
 
 
-def _echo_matrix(title: str, found: BearingCoefficients, matrix: NDArray[np.floating], relative: NDArray[np.floating] | None) -> None:
+def _echo_matrix(title: str, found: BearingCoefficients, matrix: FloatArray, relative: FloatArray | None) -> None:
     second = "" if title == "stiffness" else " s"
     tilts = "" if len(set(found.dofs) & {"bx", "by"}) == 0 else f", N{second}/rad, N m{second}/rad"
     click.echo(f"{title} [N{second}/m{tilts}]: load of the row per displacement of the column")

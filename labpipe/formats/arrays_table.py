@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 
 CHUNK_ROWS = 1 << 17
@@ -30,7 +30,7 @@ class Column:
     def n_value(self) -> int:
         return int(self.array.shape[self.axis])
 
-    def part(self, start: int, stop: int) -> NDArray[np.float64]:
+    def part(self, start: int, stop: int) -> FloatArray:
         """Values *start* to *stop*."""
         where: list[int | slice] = [0 if self.index is None else self.index] * len(self.array.shape)
         where[self.axis] = slice(start, stop)
@@ -88,7 +88,7 @@ class ArraysTable:
         self.units = {name: unit for name, unit in units.items() if name in self._columns and unit}
         self.sample_rate = sample_rate
 
-    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, len(columns))."""
         length = self._columns[self.columns[0]].n_value
         for start in range(0, length, CHUNK_ROWS):

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pc
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.csv_layout import MISSING, find_layout, is_number_or_missing
 from labpipe.formats.packed import PACKED, damaged, open_unpacked
@@ -28,7 +28,7 @@ class CsvTable:
         self.units = self.layout.units
         self.sample_rate: float | None = None
 
-    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, len(columns)); DataError names the line and column of the first row that is not numbers."""
         fields = [str(self.layout.names.index(name)) for name in columns]
         try:

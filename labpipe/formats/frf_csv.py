@@ -7,8 +7,8 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.csv_table import CsvTable
 from labpipe.formats.packed import open_unpacked
@@ -68,13 +68,11 @@ def _form(path: Path) -> str:
     return "receptance"
 
 
-def _cube(columns: dict[str, NDArray[np.float64]], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str) -> NDArray[np.float64]:
+def _cube(columns: dict[str, FloatArray], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str) -> FloatArray:
     return np.stack([np.stack([columns[f"{o}/{i}:{part}"] for i in inputs], -1) for o in outputs], 1)
 
 
-def _optional_cube(
-    columns: dict[str, NDArray[np.float64]], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str
-) -> NDArray[np.float64] | None:
+def _optional_cube(columns: dict[str, FloatArray], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str) -> FloatArray | None:
     """The cube where every element has the column, else None."""
     known = all(f"{o}/{i}:{part}" in columns for o in outputs for i in inputs)
     return _cube(columns, outputs, inputs, part) if known else None

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.artefacts.parquet import batches, open_parquet
 from labpipe.errors import DataError
 from labpipe.formats.csv_layout import bracketed_unit
@@ -28,7 +28,7 @@ class ParquetTable:
         if open_parquet(path).metadata.num_rows == 0:
             raise DataError("has no rows", where=str(path))
 
-    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, len(columns)); DataError when a column does not hold numbers."""
         for name in columns:
             kind = self._schema.field(name).type

@@ -21,8 +21,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.csv_table import CsvTable
 from labpipe.formats.packed import open_unpacked
@@ -40,8 +40,6 @@ _LINE = re.compile(r"^#\s*(?P<key>[^:]+?)\s*:\s*(?P<text>.*?)\s*$")
 _UNBALANCE = re.compile(r"^(?P<size>.+?)\s+at\s+(?P<angle>.+)$")
 _SHAKER = re.compile(r"^(?P<x>.+?)\s+in\s+x\s*,\s*(?P<y>.+?)\s+in\s+y\s+at\s+(?P<plane>.+)$")
 UNITS = {"amplitude": "m", "amplitude error": "m", "phase": "rad", "phase error": "rad"}
-
-Array = NDArray[np.float64]
 
 
 def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex] | None = None) -> RunUp:
@@ -119,7 +117,7 @@ def _speed_column(table: CsvTable) -> str:
     raise DataError("no column 'speed'", where=str(table.path), hint="for example 'speed [rpm]'")
 
 
-def _in_si(table: CsvTable, column: str, si_unit: str) -> Array:
+def _in_si(table: CsvTable, column: str, si_unit: str) -> FloatArray:
     """A column in its SI unit; DataError where it has no unit, another dimension, or a missing number."""
     check_columns(table, [column])
     unit = table.units.get(column)
@@ -138,7 +136,7 @@ def _in_si(table: CsvTable, column: str, si_unit: str) -> Array:
     return np.asarray(values * factor, np.float64)
 
 
-def _stack(table: CsvTable, columns: dict[tuple[str, str, str], str], planes: tuple[str, ...], what: str) -> Array:
+def _stack(table: CsvTable, columns: dict[tuple[str, str, str], str], planes: tuple[str, ...], what: str) -> FloatArray:
     """(n_speed, n_plane, 2) of one thing."""
     for plane in planes:
         for direction in DIRECTIONS:
@@ -156,8 +154,8 @@ def _errors(
     planes: tuple[str, ...],
     head: dict[str, tuple[str, str]],
     what: str,
-    amplitude: Array,
-) -> Array:
+    amplitude: FloatArray,
+) -> FloatArray:
     """Standard errors from their columns, or from the one value above the table (of the amplitude a part of it)."""
     if any(known == what for _, _, known in columns):
         return _stack(table, columns, planes, what)

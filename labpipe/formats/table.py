@@ -6,9 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.packed import plain_suffix
 from labpipe.registry import Registry, nearest
@@ -36,7 +34,7 @@ class Table(Protocol):
     units: dict[str, str]
     sample_rate: float | None
 
-    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, len(columns)) of the named columns."""
         ...
 

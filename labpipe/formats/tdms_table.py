@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from nptdms import TdmsFile
 from nptdms.log import log_manager
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.names import unique
 
@@ -51,7 +51,7 @@ class TdmsTable:
         self.units = {name: unit for name, channel in zip(self.columns, kept, strict=True) if (unit := _unit(channel))}
         self.sample_rate = _rate(kept, self.path)
 
-    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, len(columns)), scaled; DataError when the file is damaged."""
         try:
             with self.path.open("rb") as stream, TdmsFile.open(stream) as file:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.uff import COHERENCE, FRF, UffPoint, UffRecord, open_uff, read_uff
 from labpipe.formats.uff_numbers import read_numbers
@@ -92,7 +93,7 @@ def _cube(outputs: Sequence[Key], inputs: Sequence[Key], values: Callable[[Key, 
     return np.stack([np.stack([values(o, i) for i in inputs], -1) for o in outputs], 1)
 
 
-def _frequency(buffer: mmap.mmap, record: UffRecord) -> NDArray[np.float64]:
+def _frequency(buffer: mmap.mmap, record: UffRecord) -> FloatArray:
     """The frequencies [Hz] of a record."""
     try:
         abscissa = read_numbers(buffer, record.layout)[0]
@@ -101,7 +102,7 @@ def _frequency(buffer: mmap.mmap, record: UffRecord) -> NDArray[np.float64]:
     return record.start + record.step * np.arange(record.n_value) if abscissa is None else abscissa
 
 
-def _numbers(buffer: mmap.mmap, record: UffRecord, frequency: NDArray[np.float64]) -> NDArray[np.generic]:
+def _numbers(buffer: mmap.mmap, record: UffRecord, frequency: FloatArray) -> NDArray[np.generic]:
     """The numbers of a record; DataError unless its frequencies are those given."""
     if record.n_value != frequency.size:
         raise DataError(f"{record.where} has {record.n_value} frequencies, the first FRF record {frequency.size}")
@@ -111,7 +112,7 @@ def _numbers(buffer: mmap.mmap, record: UffRecord, frequency: NDArray[np.float64
     return read_numbers(buffer, record.layout)[1]
 
 
-def _values(buffer: mmap.mmap, record: UffRecord, frequency: NDArray[np.float64]) -> NDArray[np.generic]:
+def _values(buffer: mmap.mmap, record: UffRecord, frequency: FloatArray) -> NDArray[np.generic]:
     if record.layout.parts != 2:
         raise DataError(f"{record.where}: an FRF of real numbers, complex ones are needed")
     sign = -1.0 if (record.response.direction < 0) != (record.reference.direction < 0) else 1.0

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
+
 # Ordinate data types of record 7: width of a text field, bytes of a binary number, numbers per value.
 _TEXT_WIDTH = {2: 13, 4: 20, 5: 13, 6: 20}
 _BYTES = {2: 4, 4: 8, 5: 4, 6: 8}
@@ -62,7 +64,7 @@ def _check(ordinate_type: int) -> None:
         raise ValueError(f"unknown ordinate data type {ordinate_type}")
 
 
-def read_numbers(buffer: mmap.mmap, layout: NumberLayout) -> tuple[NDArray[np.float64] | None, NDArray[np.generic]]:
+def read_numbers(buffer: mmap.mmap, layout: NumberLayout) -> tuple[FloatArray | None, NDArray[np.generic]]:
     """(abscissa or None, ordinates): (n_value,) real or complex; ValueError when there are more or fewer than stated."""
     if layout.dtype is None:
         abscissa, ordinate = _text_numbers(buffer[layout.begin : layout.end], layout)
@@ -72,7 +74,7 @@ def read_numbers(buffer: mmap.mmap, layout: NumberLayout) -> tuple[NDArray[np.fl
     return abscissa, ordinate[:, 0] if layout.parts == 1 else ordinate[:, 0] + 1j * ordinate[:, 1]
 
 
-def _text_numbers(text: bytes, layout: NumberLayout) -> tuple[NDArray[np.float64] | None, NDArray[np.float64]]:
+def _text_numbers(text: bytes, layout: NumberLayout) -> tuple[FloatArray | None, FloatArray]:
     columns = layout.parts + (not layout.even)
     numbers = _split(text.upper().replace(b"D", b"E"), layout)
     if numbers.size != columns * layout.n_value:
@@ -81,7 +83,7 @@ def _text_numbers(text: bytes, layout: NumberLayout) -> tuple[NDArray[np.float64
     return (None, table) if layout.even else (table[:, 0], table[:, 1:])
 
 
-def _split(text: bytes, layout: NumberLayout) -> NDArray[np.float64]:
+def _split(text: bytes, layout: NumberLayout) -> FloatArray:
     """Numbers between blanks, or, where a long exponent lets fields touch, by their widths."""
     try:
         return np.array(text.split(), dtype=np.float64)

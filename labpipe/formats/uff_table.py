@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.names import unique
 from labpipe.formats.uff import TIME, UffRecord, open_uff, read_uff
@@ -34,7 +34,7 @@ class UffTable:
         self.units = {name: unit for name, record in self._records.items() if (unit := time_unit(record)[0])}
         self.sample_rate: float | None = whole_rate(1 / records[0].step)
 
-    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, len(columns)); DataError when a record is cut off."""
         with open_uff(self.path) as buffer:
             try:

@@ -10,6 +10,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.uff import COHERENCE, FRF, TIME, UffAxis, UffPoint
 from labpipe.formats.uff_frf import AXES
@@ -84,7 +85,7 @@ def _write(
     title: str,
     function: int,
     ends: tuple[UffPoint, UffPoint],
-    abscissa: NDArray[np.floating],
+    abscissa: FloatArray,
     values: NDArray[np.generic],
     axes: tuple[UffAxis, UffAxis],
     binary: bool,
@@ -109,7 +110,7 @@ def _write(
     stream.write(numbers + (b"\n" if binary else b"") + b"    -1\n")
 
 
-def _printed_step(abscissa: NDArray[np.floating]) -> float | None:
+def _printed_step(abscissa: FloatArray) -> float | None:
     """The step as it is printed, or None where the axis it gives is not the abscissa."""
     if abscissa.size < 2:
         return None
@@ -132,7 +133,7 @@ def _short(value: float) -> str:
     return f"{next(text for text in texts if len(text) <= 12):>13}"
 
 
-def _binary(table: NDArray[np.float64], abscissa: NDArray[np.floating], step: float | None) -> bytes:
+def _binary(table: FloatArray, abscissa: FloatArray, step: float | None) -> bytes:
     if step is not None:
         return np.ascontiguousarray(table, "<f8").tobytes()
     pairs = np.empty(len(table), np.dtype([("x", "<f4"), ("y", "<f8", (table.shape[1],))]))
@@ -140,7 +141,7 @@ def _binary(table: NDArray[np.float64], abscissa: NDArray[np.floating], step: fl
     return pairs.tobytes()
 
 
-def _text(table: NDArray[np.float64], abscissa: NDArray[np.floating], step: float | None) -> bytes:
+def _text(table: FloatArray, abscissa: FloatArray, step: float | None) -> bytes:
     if step is None:
         rows = zip(abscissa, table, strict=True)
         return "".join(_short(x) + "".join(f"{y:20.12E}" for y in row) + "\n" for x, row in rows).encode()

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import wavfile
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 
 CHUNK_ROWS = 1 << 17
@@ -28,7 +29,7 @@ class WavTable:
         self.units = dict.fromkeys(self.columns, "1")
         self.sample_rate: float | None = float(rate)
 
-    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, len(columns))."""
         indices = [self.columns.index(name) for name in columns]
         for start in range(0, self._samples.shape[0], CHUNK_ROWS):
@@ -56,7 +57,7 @@ def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
     return rate, samples.reshape(samples.shape[0], -1)
 
 
-def _share(samples: NDArray[np.generic]) -> NDArray[np.float64]:
+def _share(samples: NDArray[np.generic]) -> FloatArray:
     """Samples by full scale: integers by 2^(bits - 1), bytes around 128; scipy gives 24 bit as the upper part of 32."""
     if samples.dtype.kind == "f":
         return samples.astype(np.float64)

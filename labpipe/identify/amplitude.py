@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
@@ -26,27 +26,27 @@ class _Amplitudes:
 
     measured: Measured
     model: DynamicModel
-    amplitude: NDArray[np.floating]
-    std: NDArray[np.floating] | None
+    amplitude: FloatArray
+    std: FloatArray | None
 
     @property
     def size(self) -> float:
         return float(np.linalg.norm(self.scaled(self.amplitude)))
 
-    def residual(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
+    def residual(self, parameters: FloatArray) -> FloatArray:
         fitted = np.abs(self.model.receptance(parameters, self.measured.omega)).reshape(-1)
         return self.scaled(self.amplitude - fitted)
 
-    def jacobian(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
         """d|H| = Re(H^* dH) / |H|."""
         h = self.model.receptance(parameters, self.measured.omega).reshape(-1)
         slopes = self.model.jacobian(parameters, self.measured.omega).reshape(len(self.model.terms), -1)
         return -self.scaled((h.conj() * slopes).real / np.abs(h)).T
 
-    def chi2(self, parameters: NDArray[np.floating]) -> float:
+    def chi2(self, parameters: FloatArray) -> float:
         return sum_of_squares(self.residual, parameters)
 
-    def scaled(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
+    def scaled(self, values: FloatArray) -> FloatArray:
         return values / (self.std if self.std is not None else float(np.max(self.amplitude)))
 
 
@@ -77,7 +77,7 @@ def amplitude_fit(measured: Measured, model: DynamicModel, weight: str = "none")
     return Estimate(values, measured.shared_noise * covariance, design, gof, dof, converged, steps, (NOTE,))
 
 
-def _amplitude_noise(measured: Measured) -> NDArray[np.floating] | None:
+def _amplitude_noise(measured: Measured) -> FloatArray | None:
     """Standard deviation of |H|: the half of the variance that lies along H."""
     if measured.covariance is None or not has_noise(measured):
         return None
@@ -85,7 +85,7 @@ def _amplitude_noise(measured: Measured) -> NDArray[np.floating] | None:
     return np.sqrt(variance / 2) if np.all(variance > 0) else None
 
 
-def _linear(problem: _Amplitudes) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _linear(problem: _Amplitudes) -> tuple[FloatArray, FloatArray]:
     """(k, c[, m]) and their covariance from A^3 x_1 + A^3 w^2 x_2 - A x_3 = -A^3 w^4; x_3 = 1 / m^2 is given with the mass."""
     a, w = problem.amplitude, problem.measured.omega
     # Amplitude and frequency near 1: fourth powers span too many digits otherwise.
@@ -110,7 +110,7 @@ def _linear(problem: _Amplitudes) -> tuple[NDArray[np.floating], NDArray[np.floa
     return values * units, (slopes @ covariance @ slopes.T) * np.outer(units, units)
 
 
-def _physical(x: NDArray[np.floating], n: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _physical(x: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
     """k = sqrt(x_1 / x_3), c = sqrt((x_2 + 2 sqrt(x_1)) / x_3), m = 1 / sqrt(x_3), and their slopes by x, (n, n)."""
     if x[0] <= 0 or x[2] <= 0:
         raise FitError("the amplitudes fit no real stiffness and mass", hint="widen the band to both sides of the resonance")
@@ -128,7 +128,7 @@ def _physical(x: NDArray[np.floating], n: int) -> tuple[NDArray[np.floating], ND
     return np.array([k, c, m])[:n], slopes[:n, :n]
 
 
-def _goodness(problem: _Amplitudes, values: NDArray[np.floating], dof: int) -> Goodness:
+def _goodness(problem: _Amplitudes, values: FloatArray, dof: int) -> Goodness:
     """R^2 of the amplitudes, and chi-square of their residual where the noise is known."""
     residual, amplitude = problem.residual(values), problem.amplitude
     scaled = problem.scaled(amplitude)

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.weights import has_noise
@@ -22,7 +22,7 @@ Refit = Callable[[Measured], tuple[Parameter, ...]]
 
 
 def bootstrapped(
-    parameters: tuple[Parameter, ...], measured: Measured, fitted: NDArray[np.complexfloating], refit: Refit, repeats: int, name: str
+    parameters: tuple[Parameter, ...], measured: Measured, fitted: ComplexArray, refit: Refit, repeats: int, name: str
 ) -> tuple[tuple[Parameter, ...], str]:
     """Parameters with the scatter of *repeats* refits as standard error and its 2.5-97.5 % range as interval, and a note.
 
@@ -42,7 +42,7 @@ def bootstrapped(
     return tuple(scattered), note
 
 
-def _redrawn(measured: Measured, fitted: NDArray[np.complexfloating], rng: np.random.Generator) -> Measured:
+def _redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) -> Measured:
     """The fitted FRF with circular noise of the measured covariance."""
     assert measured.covariance is not None
     n = measured.covariance.shape[1]

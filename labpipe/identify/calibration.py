@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.distributions import student_tail
 from labpipe.errors import FitError
 from labpipe.identify.regression import solve_scaled
@@ -21,9 +21,9 @@ CURVATURE_P = 0.01
 class Line:
     """y = slope x + intercept: values and covariance in this order (slope alone through the origin), residuals (n_point,)."""
 
-    values: NDArray[np.floating]
-    covariance: NDArray[np.floating]
-    residual: NDArray[np.floating]
+    values: FloatArray
+    covariance: FloatArray
+    residual: FloatArray
     r2: float
     dof: int
     condition_number: float
@@ -33,7 +33,7 @@ class Line:
         return float(self.values[0])
 
 
-def fit_line(x: NDArray[np.floating], y: NDArray[np.floating], *, through_origin: bool = False) -> Line:
+def fit_line(x: FloatArray, y: FloatArray, *, through_origin: bool = False) -> Line:
     """Least-squares line with standard errors from the residual; R^2 about the mean, or about zero through the origin.
 
     Raises FitError with fewer points than parameters + 1, or when x does not vary.
@@ -53,7 +53,7 @@ def fit_line(x: NDArray[np.floating], y: NDArray[np.floating], *, through_origin
     return Line(values, inverse * float(residual @ residual) / dof, residual, r2, dof, condition_number(scaled))
 
 
-def curvature_p(x: NDArray[np.floating], y: NDArray[np.floating]) -> float | None:
+def curvature_p(x: FloatArray, y: FloatArray) -> float | None:
     """p-value of a quadratic term beside the line (t-test); None with too few points."""
     if x.size < 5:
         return None
@@ -67,7 +67,7 @@ def curvature_p(x: NDArray[np.floating], y: NDArray[np.floating]) -> float | Non
     return 2 * student_tail(abs(values[0]) / np.sqrt(variance * inverse[0, 0]), x.size - 3)
 
 
-def linear_range(positions: NDArray[np.floating], slopes: NDArray[np.floating], tolerance: float) -> float:
+def linear_range(positions: FloatArray, slopes: FloatArray, tolerance: float) -> float:
     """Largest position up to which every slope stays within *tolerance* of the one at the first position (sorted by size)."""
     order = np.argsort(np.abs(positions))
     within = np.abs(slopes[order] / slopes[order[0]] - 1) <= tolerance
@@ -75,7 +75,7 @@ def linear_range(positions: NDArray[np.floating], slopes: NDArray[np.floating], 
     return float(np.abs(positions[order[last]]))
 
 
-def linear_range_of_curve(x: NDArray[np.floating], y: NDArray[np.floating], tolerance: float) -> float:
+def linear_range_of_curve(x: FloatArray, y: FloatArray, tolerance: float) -> float:
     """Largest range of x, from the smallest up, whose line has a slope within *tolerance* of the line through the first third."""
     order = np.argsort(x)
     x, y = x[order], y[order]
@@ -95,8 +95,8 @@ def line_fit(
     test: str,
     line: Line,
     units: tuple[str, str],
-    x: NDArray[np.floating],
-    y: NDArray[np.floating],
+    x: FloatArray,
+    y: FloatArray,
     extra: tuple[Parameter, ...] = (),
 ) -> Fit:
     """A line as a Fit: parameters slope and intercept [units], a finding when the points bend."""
@@ -125,7 +125,7 @@ def line_fit(
     )
 
 
-def _bent(p_value: float | None, line: Line, y: NDArray[np.floating]) -> tuple[Finding, ...]:
+def _bent(p_value: float | None, line: Line, y: FloatArray) -> tuple[Finding, ...]:
     if p_value is None or p_value >= CURVATURE_P:
         return ()
     share = 100 * np.max(np.abs(line.residual)) / np.ptp(y)

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.identify.settings import FitSettings, Support
 from labpipe.records.settings import Uncertain
-
-Vector = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -20,8 +18,8 @@ class Estimated:
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    values: Vector
-    covariance: NDArray[np.floating]
+    values: FloatArray
+    covariance: FloatArray
 
     def index(self, name: str) -> int:
         return self.names.index(name)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.identify.corrections import Estimated, is_corrected
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.modes import Quantities, modal_quantities
@@ -42,7 +42,7 @@ def derived_parameters(total: Estimated, model: DynamicModel | ProportionalModel
     return found
 
 
-def _damping_coefficients(model: ProportionalModel, values: NDArray[np.floating]) -> Quantities:
+def _damping_coefficients(model: ProportionalModel, values: FloatArray) -> Quantities:
     """c_i_j = alpha m_i_j + beta k_i_j of every stiffness coefficient; *values* (n_case, n_parameter)."""
     damping = model.whole(values).damping
     found: Quantities = {}
@@ -53,7 +53,7 @@ def _damping_coefficients(model: ProportionalModel, values: NDArray[np.floating]
     return found
 
 
-def _propagated_all(total: Estimated, quantities: Callable[[NDArray[np.floating]], Quantities], dof: int) -> list[Parameter]:
+def _propagated_all(total: Estimated, quantities: Callable[[FloatArray], Quantities], dof: int) -> list[Parameter]:
     """Functions of the estimates with their standard errors to first order, slopes by centred differences.
 
     Values without standard errors where the functions do not exist on both sides of the estimate.

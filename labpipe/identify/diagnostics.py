@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.identify.corrections import is_direct
 from labpipe.identify.statistics import Estimate, condition_number
 from labpipe.records.finding import Finding
@@ -84,7 +84,7 @@ def _remedy(group: Sequence[str]) -> str:
     return "widen the band, measure a second, independent force direction, or fit a model with fewer parameters"
 
 
-def collinear_groups(scaled_design: NDArray[np.floating], names: Sequence[str]) -> list[list[str]]:
+def collinear_groups(scaled_design: FloatArray, names: Sequence[str]) -> list[list[str]]:
     """Parameters with most of their variance in weak directions; directions that share a parameter form one group.
 
     Variance proportion of direction j in parameter i: (v_ij^2 / s_j^2) / sum_j (v_ij^2 / s_j^2).
@@ -140,7 +140,7 @@ def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:
     return over
 
 
-def quality_findings(response: FrequencyResponse, rows: list[int], columns: list[int], lines: NDArray[np.bool_]) -> list[Finding]:
+def quality_findings(response: FrequencyResponse, rows: list[int], columns: list[int], lines: BoolArray) -> list[Finding]:
     """Poor coherence or signal-to-noise ratio on the lines of this fit."""
     if response.multiple_coherence is not None:
         share = float(np.mean(np.min(response.multiple_coherence[lines][:, rows], axis=1) < LOW_COHERENCE))

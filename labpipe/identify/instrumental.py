@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
@@ -46,14 +47,12 @@ def instrumental_variables(measured: Measured, model: DynamicModel, weight: str 
     return Estimate(values, scaled, design, gof, dof, converged, iterations, notes, amplification=amplification)
 
 
-def _iterate(
-    measured: Measured, model: DynamicModel, equation: Regression, values: NDArray[np.floating]
-) -> tuple[NDArray[np.floating], bool, int]:
+def _iterate(measured: Measured, model: DynamicModel, equation: Regression, values: FloatArray) -> tuple[FloatArray, bool, int]:
     """(estimate, settled, iterations)."""
     columns, side = stacked_terms(equation.terms), stacked(equation.known.reshape(-1))
     # In units of the regressors' lengths parameters of different dimension compare.
     size = np.sqrt(np.einsum("pe,pe->p", columns, columns))
-    last: NDArray[np.complexfloating] | None = None
+    last: ComplexArray | None = None
     for iteration in range(1, MAX_ITERATIONS + 1):
         response = model.receptance(values, measured.omega)
         instruments = _weighted_columns(model.equation_terms(response, measured.omega), equation)
@@ -65,13 +64,11 @@ def _iterate(
     return values, False, MAX_ITERATIONS
 
 
-def _solve(
-    instruments: NDArray[np.floating], columns: NDArray[np.floating], side: NDArray[np.floating], size: NDArray[np.floating]
-) -> NDArray[np.floating]:
+def _solve(instruments: FloatArray, columns: FloatArray, side: FloatArray, size: FloatArray) -> FloatArray:
     """(V^T A)^-1 V^T b, both sides scaled by the *size* of the regressors in between."""
     product = (instruments @ columns.T) / np.outer(size, size)
     try:
-        values: NDArray[np.floating] = np.linalg.solve(product, (instruments @ side) / size) / size
+        values: FloatArray = np.linalg.solve(product, (instruments @ side) / size) / size
     except np.linalg.LinAlgError:
         raise FitError("the instruments of iv are linearly dependent", hint="excite a second force direction, or use ml") from None
     if not np.all(np.isfinite(values)):
@@ -79,7 +76,7 @@ def _solve(
     return values
 
 
-def weakest_correlation(instruments: NDArray[np.floating], columns: NDArray[np.floating]) -> float:
+def weakest_correlation(instruments: FloatArray, columns: FloatArray) -> float:
     """Smallest canonical correlation between the spaces of instruments and of regressors, both (n_parameter, n_equation).
 
     With V = Q_v R_v and A = Q_a R_a it is the smallest singular value of Q_v^T Q_a = R_v^-T V^T A R_a^-1.
@@ -90,20 +87,16 @@ def weakest_correlation(instruments: NDArray[np.floating], columns: NDArray[np.f
     return float(np.linalg.svd(between, compute_uv=False)[-1])
 
 
-def _sandwich(
-    measured: Measured, model: DynamicModel, equation: Regression, instruments: NDArray[np.floating], values: NDArray[np.floating]
-) -> NDArray[np.floating]:
+def _sandwich(measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray) -> FloatArray:
     """Covariance of the estimate from the noise of the FRF, or, where it is not known, from the residual line by line (White)."""
     scores = _known_scores if has_noise(measured) else _residual_scores
     middle = scores(measured, model, equation, instruments, values)
     bread = np.linalg.pinv(instruments @ stacked_terms(equation.terms).T)
-    covariance: NDArray[np.floating] = bread @ middle @ bread.T
+    covariance: FloatArray = bread @ middle @ bread.T
     return covariance
 
 
-def _known_scores(
-    measured: Measured, model: DynamicModel, equation: Regression, instruments: NDArray[np.floating], values: NDArray[np.floating]
-) -> NDArray[np.floating]:
+def _known_scores(measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray) -> FloatArray:
     """V^T Omega V with Omega of the equation's error Z dH, cov(Z dH) = (Z x I) cov(dH) (Z x I)^H, half of it in the real part."""
     assert measured.covariance is not None
     n_line, n_output, n_input = measured.matrix.shape
@@ -112,7 +105,7 @@ def _known_scores(
     omega = turned @ measured.covariance @ turned.conj().swapaxes(1, 2)
     half = instruments.shape[1] // 2
     rows = (instruments[:, :half] + 1j * instruments[:, half:]).reshape(-1, n_line, n_output * n_input).transpose(1, 0, 2)
-    middle: NDArray[np.floating] = 0.5 * np.sum(rows.conj() @ omega @ rows.swapaxes(1, 2), axis=0).real
+    middle: FloatArray = 0.5 * np.sum(rows.conj() @ omega @ rows.swapaxes(1, 2), axis=0).real
     return middle
 
 
@@ -120,17 +113,17 @@ def _residual_scores(
     measured: Measured,
     model: DynamicModel,  # noqa: ARG001 (one signature for both)
     equation: Regression,
-    instruments: NDArray[np.floating],
-    values: NDArray[np.floating],
-) -> NDArray[np.floating]:
+    instruments: FloatArray,
+    values: FloatArray,
+) -> FloatArray:
     """sum over lines of g g^T, g = V^T e of one line, enlarged by n / (n - k)."""
     products = instruments * stacked(equation.residual(values).reshape(-1))
     by_line = products.reshape(values.size, 2, measured.omega.size, -1).sum(axis=(1, 3))
-    middle: NDArray[np.floating] = by_line @ by_line.T * (measured.n_equation / (measured.n_equation - values.size))
+    middle: FloatArray = by_line @ by_line.T * (measured.n_equation / (measured.n_equation - values.size))
     return middle
 
 
-def _weighted_columns(terms: NDArray[np.complexfloating], equation: Regression) -> NDArray[np.floating]:
+def _weighted_columns(terms: ComplexArray, equation: Regression) -> FloatArray:
     weights = equation.line_weights
     return stacked_terms(terms if np.all(weights == 1) else terms * weights[:, None, None])
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.identify.model import DynamicModel, Term
 from labpipe.identify.settings import ESTIMATE, Mass
@@ -55,12 +55,12 @@ def _mass_entries(setup: Setup, dofs: list[str]) -> list[Term]:
     return [term for term in entries if np.count_nonzero(np.diag(term.matrices.mass))]
 
 
-def _mass_factor(setup: Setup, mass: NDArray[np.floating]) -> Term:
+def _mass_factor(setup: Setup, mass: FloatArray) -> Term:
     term = entry_term(MASS_SCALE, "mass", [], setup.shape, droppable=False)
     return dataclasses.replace(term, unit="1", matrices=dataclasses.replace(term.matrices, mass=mass))
 
 
-def _known_mass(mass: Mass, n_dof: int) -> NDArray[np.floating] | None:
+def _known_mass(mass: Mass, n_dof: int) -> FloatArray | None:
     """The mass matrix [kg], (n_dof, n_dof); None when it is to be estimated."""
     if mass == ESTIMATE:
         return None
@@ -85,12 +85,12 @@ def _rectangular(mass: Mass) -> bool:
     return len({len(row) for row in rows}) == 1 and all(isinstance(entry, (int, float)) for row in rows for entry in row)
 
 
-def _forces(setup: Setup, dofs: list[str]) -> NDArray[np.floating]:
+def _forces(setup: Setup, dofs: list[str]) -> FloatArray:
     """Where every force acts, (n_dof, n_input): on the response of its dof, or by its angle on x and y."""
     return np.column_stack([_direction(port, dofs, setup) for port in setup.inputs])
 
 
-def _direction(port: Port, dofs: list[str], setup: Setup) -> NDArray[np.floating]:
+def _direction(port: Port, dofs: list[str], setup: Setup) -> FloatArray:
     if port.dof in dofs:
         return np.eye(len(dofs))[dofs.index(port.dof)]
     angle = angle_of(port)

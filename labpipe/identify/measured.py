@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.registry import nearest
@@ -23,9 +23,9 @@ class Measured:
     of their noise (a window spreads it over neighbours): a sum over lines has so many times the variance of independent ones.
     """
 
-    omega: NDArray[np.floating]
-    matrix: NDArray[np.complexfloating]
-    covariance: NDArray[np.complexfloating] | None
+    omega: FloatArray
+    matrix: ComplexArray
+    covariance: ComplexArray | None
     noise_dof: float
     noise_lines: float
     outputs: tuple[Port, ...]
@@ -58,7 +58,7 @@ def _chosen(ports: tuple[Port, ...], names: tuple[str, ...], what: str) -> list[
     return chosen
 
 
-def measured_part(response: FrequencyResponse, rows: list[int], columns: list[int], lines: NDArray[np.bool_]) -> Measured:
+def measured_part(response: FrequencyResponse, rows: list[int], columns: list[int], lines: BoolArray) -> Measured:
     """The chosen part as receptance; FitError when it is empty or its covariance cannot serve as a weight."""
     frequency = response.frequency[lines]
     if not frequency.size:
@@ -81,7 +81,7 @@ def measured_part(response: FrequencyResponse, rows: list[int], columns: list[in
     return Measured(2 * np.pi * frequency, matrix, covariance, dof, noise_lines, outputs, inputs, *shared)
 
 
-def _shared(response: FrequencyResponse, lines: NDArray[np.bool_], power: int) -> float:
+def _shared(response: FrequencyResponse, lines: BoolArray, power: int) -> float:
     """1 + sum of c_d^power over the pairs of chosen lines, per line; lines chosen far apart share nothing."""
     if response.n_frequency < 2:
         return 1.0
@@ -90,7 +90,7 @@ def _shared(response: FrequencyResponse, lines: NDArray[np.bool_], power: int) -
     return 1.0 + 2 * float(np.dot(pairs, np.power(response.line_correlation, power))) / numbers.size
 
 
-def _check_moving(matrix: NDArray[np.complexfloating], labels: list[str]) -> None:
+def _check_moving(matrix: ComplexArray, labels: list[str]) -> None:
     """FitError for a response that is zero at every line: it says nothing of any stiffness."""
     still = [label for row, label in enumerate(labels) if not np.any(matrix[:, row])]
     if still:

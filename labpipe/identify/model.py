@@ -10,9 +10,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
-
-Parameters = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -22,10 +21,10 @@ class Matrices:
     stiffness K [N/m], damping C [N.s/m], mass M [kg], each (n_dof, n_dof); force B (n_dof, n_input) [1].
     """
 
-    stiffness: NDArray[np.floating]
-    damping: NDArray[np.floating]
-    mass: NDArray[np.floating]
-    force: NDArray[np.floating]
+    stiffness: FloatArray
+    damping: FloatArray
+    mass: FloatArray
+    force: FloatArray
 
     def plus(self, other: Matrices, factor: float = 1.0) -> Matrices:
         """The sum with *factor* times another one."""
@@ -69,12 +68,12 @@ class ResponseModel(Protocol):
         """The model linear in its parameters that holds this one as a special case."""
         ...
 
-    def from_linear(self, values: Parameters) -> Parameters:
+    def from_linear(self, values: FloatArray) -> FloatArray:
         """Parameters near to those of `linear`, to start from."""
         ...
 
-    def receptance(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]: ...
-    def jacobian(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]: ...
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray: ...
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray: ...
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ class DynamicModel:
     def linear(self) -> DynamicModel:
         return self
 
-    def from_linear(self, values: Parameters) -> Parameters:
+    def from_linear(self, values: FloatArray) -> FloatArray:
         """The parameters as they are."""
         return values
 
@@ -120,7 +119,7 @@ class DynamicModel:
         one = replace(joined[0], matrices=matrices, aliases=tuple(term.name for term in joined[1:]))
         return replace(self, terms=tuple(one if term is joined[0] else term for term in self.terms if term not in joined[1:]))
 
-    def whole(self, parameters: Parameters) -> Matrices:
+    def whole(self, parameters: FloatArray) -> Matrices:
         """K, C, M and B of these parameters; of several cases in leading dimensions."""
         n_dof, n_input = self.given.force.shape
         joined = parameters @ self._joined[:-1] + self._joined[-1]
@@ -128,29 +127,27 @@ class DynamicModel:
         force = joined[..., 3 * n_dof**2 :].reshape(*joined.shape[:-1], n_dof, n_input)
         return Matrices(square[..., 0, :, :], square[..., 1, :, :], square[..., 2, :, :], force)
 
-    def dynamic_stiffness(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    def dynamic_stiffness(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s]."""
         return _dynamic_stiffness(self.whole(parameters), omega)
 
-    def receptance(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """H(w) = Z^-1 B [m/N], (n_line, n_dof, n_input); FitError where Z is singular."""
         whole = self.whole(parameters)
         return _solved(_dynamic_stiffness(whole, omega), whole.force.astype(np.complex128))
 
-    def jacobian(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input)."""
         return self.filtered(parameters, -self.equation_terms(self.receptance(parameters, omega), omega), omega)
 
-    def filtered(
-        self, parameters: Parameters, sides: NDArray[np.complexfloating], omega: NDArray[np.floating]
-    ) -> NDArray[np.complexfloating]:
+    def filtered(self, parameters: FloatArray, sides: ComplexArray, omega: FloatArray) -> ComplexArray:
         """Z^-1 times each of *sides* (n_side, n_line, n_dof, n_input): one factorisation per line for all of them."""
         n_side, n_line, n_dof, n_input = sides.shape
         joined = sides.transpose(1, 2, 0, 3).reshape(n_line, n_dof, n_side * n_input)
         solved = _solved(self.dynamic_stiffness(parameters, omega), joined)
         return solved.reshape(n_line, n_dof, n_side, n_input).transpose(2, 0, 1, 3)
 
-    def equation_terms(self, h: NDArray[np.complexfloating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    def equation_terms(self, h: ComplexArray, omega: FloatArray) -> ComplexArray:
         """Z_j H - B_j: the regressors of the equation of motion, (n_parameter, n_line, n_dof, n_input)."""
         n_line, n_dof, n_input = h.shape
         # Lines last but one: every product below is one contiguous matrix product.
@@ -168,18 +165,18 @@ class DynamicModel:
             terms -= force[:, :, None]
         return terms.transpose(0, 2, 1, 3)
 
-    def equation_known(self, h: NDArray[np.complexfloating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    def equation_known(self, h: ComplexArray, omega: FloatArray) -> ComplexArray:
         """B_0 - Z_0 H: the known side of the equation of motion, (n_line, n_dof, n_input)."""
         return np.asarray(self.given.force - _dynamic_stiffness(self.given, omega) @ h, dtype=np.complex128)
 
     @cached_property
-    def _joined(self) -> NDArray[np.floating]:
+    def _joined(self) -> FloatArray:
         """K, C, M and B of every term, and last of all that is given, as rows of numbers: one product makes the whole of them."""
         parts = [(m.stiffness, m.damping, m.mass, m.force) for m in (*(term.matrices for term in self.terms), self.given)]
         return np.array([np.concatenate([matrix.reshape(-1) for matrix in row]) for row in parts])
 
     @cached_property
-    def _stacks(self) -> dict[str, NDArray[np.floating]]:
+    def _stacks(self) -> dict[str, FloatArray]:
         """Each kind of matrix of all terms, (n_parameter, n_dof, n_dof or n_input)."""
         stacks = {}
         for kind in ("stiffness", "damping", "mass", "force"):
@@ -188,14 +185,14 @@ class DynamicModel:
         return stacks
 
 
-def _dynamic_stiffness(matrices: Matrices, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+def _dynamic_stiffness(matrices: Matrices, omega: FloatArray) -> ComplexArray:
     w = omega[:, None, None]
     return np.asarray(matrices.stiffness - w**2 * matrices.mass + 1j * w * matrices.damping, dtype=np.complex128)
 
 
-def _solved(z: NDArray[np.complexfloating], sides: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:
+def _solved(z: ComplexArray, sides: ComplexArray) -> ComplexArray:
     try:
-        solved: NDArray[np.complexfloating] = np.linalg.solve(z, np.broadcast_to(sides, (z.shape[0], *sides.shape[-2:])))
+        solved: ComplexArray = np.linalg.solve(z, np.broadcast_to(sides, (z.shape[0], *sides.shape[-2:])))
     except np.linalg.LinAlgError:
         raise FitError("the dynamic stiffness of the model is singular at a line", hint="check the band and the mass") from None
     return solved

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.identify.model import Matrices
 
 # A shape is scaled by its first entry of at least this share of its largest: which of two equal ones is larger is chance.
 LEADING = 0.8
 # Name -> (unit, value of every case).
-Quantities = dict[str, tuple[str, NDArray[np.floating]]]
+Quantities = dict[str, tuple[str, FloatArray]]
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,10 @@ class Modes:
     H = sum_r shape_r participation_r / (w_r^2 - w^2) without damping. Shapes and participation are those of the undamped system.
     """
 
-    frequency: NDArray[np.floating]
-    damping: NDArray[np.floating]
-    shapes: NDArray[np.floating]
-    participation: NDArray[np.floating]
+    frequency: FloatArray
+    damping: FloatArray
+    shapes: FloatArray
+    participation: FloatArray
 
 
 def modes(matrices: Matrices) -> Modes | None:

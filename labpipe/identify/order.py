@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.identify.measured import Measured
 from labpipe.identify.weights import has_noise, whitened
 from labpipe.optimise.levenberg import minimise, sum_of_squares
@@ -26,7 +26,7 @@ class RationalFit:
     """
 
     measured: Measured
-    whitener: NDArray[np.complexfloating]
+    whitener: ComplexArray
     modes: int
 
     @property
@@ -34,13 +34,13 @@ class RationalFit:
         return float(np.max(self.measured.omega))
 
     @cached_property
-    def elements(self) -> NDArray[np.complexfloating]:
+    def elements(self) -> ComplexArray:
         """(n_line, n_element), in units of the largest."""
         flat = self.measured.matrix.reshape(self.measured.omega.size, -1)
         return flat / float(np.max(np.abs(flat)))
 
     @cached_property
-    def powers(self) -> NDArray[np.complexfloating]:
+    def powers(self) -> ComplexArray:
         """s^0 ... s^2n, (n_line, 2 n + 1)."""
         return np.asarray(np.vander(1j * self.measured.omega / self.unit, 2 * self.modes + 1, increasing=True))
 
@@ -52,22 +52,23 @@ class RationalFit:
     def size(self) -> float:
         return float(np.linalg.norm(self._whitened(self.elements)))
 
-    def residual(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
+    def residual(self, parameters: FloatArray) -> FloatArray:
         denominator, numerators = self._polynomials(parameters)
         return self._whitened(self.elements - numerators / denominator[:, None])
 
-    def jacobian(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
         """d residual / d p = -(d B_e - H_e d A) / A, (n_equation, n_parameter)."""
         denominator, numerators = self._polynomials(parameters)
         return -self._equation(numerators / denominator[:, None], 1 / denominator)
 
-    def chi2(self, parameters: NDArray[np.floating]) -> float:
+    def chi2(self, parameters: FloatArray) -> float:
         return sum_of_squares(self.residual, parameters)
 
-    def start(self) -> NDArray[np.floating]:
+    def start(self) -> FloatArray:
         """Equation error weighted by 1 / A of the last pass (Sanathanan and Koerner 1963); the pass of the lowest chi-square."""
-        weight: NDArray[np.complexfloating] = np.ones(self.measured.omega.size, np.complex128)
-        best, lowest = np.zeros(self.n_parameter), float("inf")
+        weight: ComplexArray = np.ones(self.measured.omega.size, np.complex128)
+        best: FloatArray = np.zeros(self.n_parameter)
+        lowest = float("inf")
         for _ in range(PASSES):
             known = self._whitened(self.elements * (self.powers[:, -1] * weight)[:, None])
             columns = self._equation(self.elements, weight)
@@ -80,13 +81,13 @@ class RationalFit:
                 best, lowest = values, found
         return best
 
-    def _polynomials(self, parameters: NDArray[np.floating]) -> tuple[NDArray[np.complexfloating], NDArray[np.complexfloating]]:
+    def _polynomials(self, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """A (n_line,) and B (n_line, n_element)."""
         powers, n = self.powers, 2 * self.modes
         denominator = powers[:, :n] @ parameters[:n] + powers[:, n]
         return denominator, powers[:, : n - 1] @ parameters[n:].reshape(-1, n - 1).T
 
-    def _equation(self, elements: NDArray[np.complexfloating], weight: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+    def _equation(self, elements: ComplexArray, weight: ComplexArray) -> FloatArray:
         """Columns of B_e - H_e (a_0 + a_1 s + ...) = H_e s^2n times the weight, whitened, (n_equation, n_parameter)."""
         powers, n = (self.powers * weight[:, None]).T, 2 * self.modes
         n_element = elements.shape[1]
@@ -96,12 +97,12 @@ class RationalFit:
             columns[n + e * (n - 1) : n + (e + 1) * (n - 1), :, e] = powers[: n - 1]
         return self._whitened(columns).T
 
-    def _whitened(self, values: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+    def _whitened(self, values: ComplexArray) -> FloatArray:
         """(..., n_line, n_element) -> (..., n_equation), back in the unit of the FRF."""
         return whitened(self.whitener, float(np.max(np.abs(self.measured.matrix))) * values[..., None])
 
 
-def modal_chi2(measured: Measured, whitener: NDArray[np.complexfloating], modes: int) -> tuple[float, int] | None:
+def modal_chi2(measured: Measured, whitener: ComplexArray, modes: int) -> tuple[float, int] | None:
     """(chi-square, number of parameters) of the best rational fit with *modes* modes; None where it does not converge."""
     fit = RationalFit(measured, whitener, modes)
     if measured.n_equation <= fit.n_parameter:
@@ -110,7 +111,7 @@ def modal_chi2(measured: Measured, whitener: NDArray[np.complexfloating], modes:
     return (fit.chi2(minimum.values), fit.n_parameter) if minimum.converged else None
 
 
-def independent_motions(measured: Measured) -> tuple[NDArray[np.floating], int]:
+def independent_motions(measured: Measured) -> tuple[FloatArray, int]:
     """(singular values of the FRF in units of its noise, how many of them stand out of the noise), responses against lines and forces.
 
     Circular noise of variance 1 has singular values up to sqrt(n_row) + sqrt(n_column) (Geman 1980). Each response counts by its own

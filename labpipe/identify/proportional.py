@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
-from labpipe.identify.model import DynamicModel, Matrices, Parameters, Term, no_matrices
+from labpipe.identify.model import DynamicModel, Matrices, Term, no_matrices
 
 # alpha and beta stand for fewer coefficients than these: nothing is gained.
 FEWEST_DAMPING_TERMS = 3
@@ -45,12 +45,12 @@ class ProportionalModel:
         """The free terms; alpha and beta enter no single place."""
         return self.free.terms
 
-    def expanded_values(self, parameters: Parameters) -> Parameters:
+    def expanded_values(self, parameters: FloatArray) -> FloatArray:
         """(free, beta k_j, alpha m_j); further cases in leading dimensions."""
         free, alpha, beta = parameters[..., :-2], parameters[..., -2:-1], parameters[..., -1:]
         return np.concatenate([free, beta * _picked(free, self.by_stiffness), alpha * _picked(free, self.by_mass)], axis=-1)
 
-    def from_linear(self, values: Parameters) -> Parameters:
+    def from_linear(self, values: FloatArray) -> FloatArray:
         """The free parameters, with the alpha and beta by which alpha M + beta K is nearest to C."""
         by_name = dict(zip(self.linear.names, values, strict=True))
         whole = self.linear.whole(values)
@@ -59,7 +59,7 @@ class ProportionalModel:
         ratios = np.linalg.lstsq(columns / scale, whole.damping.reshape(-1), rcond=None)[0] / scale
         return np.array([*(by_name[name] for name in self.free.names), *ratios])
 
-    def slopes(self, parameters: Parameters) -> NDArray[np.floating]:
+    def slopes(self, parameters: FloatArray) -> FloatArray:
         """d (expanded values) / d (parameters), (n_expanded, n_parameter)."""
         free, alpha, beta = parameters[:-2], parameters[-2], parameters[-1]
         n_free, n_stiffness = free.size, len(self.by_stiffness)
@@ -75,17 +75,17 @@ class ProportionalModel:
                     slopes[row, number] = factor
         return slopes
 
-    def receptance(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """H(w) [m/N], (n_line, n_dof, n_input)."""
         return self.expanded.receptance(self.expanded_values(parameters), omega)
 
-    def jacobian(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp, (n_parameter, n_line, n_dof, n_input)."""
         expanded = self.expanded.jacobian(self.expanded_values(parameters), omega)
-        jacobian: NDArray[np.complexfloating] = np.tensordot(self.slopes(parameters).T, expanded, 1)
+        jacobian: ComplexArray = np.tensordot(self.slopes(parameters).T, expanded, 1)
         return jacobian
 
-    def whole(self, parameters: Parameters) -> Matrices:
+    def whole(self, parameters: FloatArray) -> Matrices:
         """K, C, M and B."""
         return self.expanded.whole(self.expanded_values(parameters))
 
@@ -110,10 +110,10 @@ def proportional(model: DynamicModel) -> ProportionalModel:
     return ProportionalModel(free, model, replace(free, terms=(*free.terms, *products)), by_stiffness, by_mass)
 
 
-def _acts(matrix: NDArray[np.floating]) -> bool:
+def _acts(matrix: FloatArray) -> bool:
     return bool(np.any(matrix != 0))
 
 
-def _picked(free: Parameters, own: tuple[int, ...]) -> Parameters:
+def _picked(free: FloatArray, own: tuple[int, ...]) -> FloatArray:
     given = np.ones((*free.shape[:-1], 1))
     return np.concatenate([free, given], axis=-1)[..., list(own)]

@@ -6,9 +6,9 @@ import contextlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
@@ -41,7 +41,7 @@ def least_squares(measured: Measured, model: DynamicModel, weight: str = "none")
     return Estimate(values, scaled, design, gof, dof, notes=notes, own_dof=own_dof, amplification=amplification)
 
 
-def equation_solution(equation: Regression, model: DynamicModel) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.int_]]:
+def equation_solution(equation: Regression, model: DynamicModel) -> tuple[FloatArray, FloatArray, IntArray]:
     """(estimate, its covariance, degrees of freedom of each parameter's own regression)."""
     n_parameter = len(model.terms)
     values, covariance = np.zeros(n_parameter), np.zeros((n_parameter, n_parameter))
@@ -57,13 +57,13 @@ def equation_solution(equation: Regression, model: DynamicModel) -> tuple[NDArra
 class Regression:
     """The equation of motion as a regression: *terms* (n_parameter, n_line, n_dof, n_input), *known* (n_line, n_dof, n_input)."""
 
-    terms: NDArray[np.complexfloating]
-    known: NDArray[np.complexfloating]
-    line_weights: NDArray[np.floating]
+    terms: ComplexArray
+    known: ComplexArray
+    line_weights: FloatArray
 
-    def residual(self, values: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    def residual(self, values: FloatArray) -> ComplexArray:
         """What the equation leaves, (n_line, n_dof, n_input)."""
-        residual: NDArray[np.complexfloating] = self.known - np.tensordot(values, self.terms, 1)
+        residual: ComplexArray = self.known - np.tensordot(values, self.terms, 1)
         return residual
 
 
@@ -79,7 +79,7 @@ def regression(measured: Measured, model: DynamicModel, weight: str) -> Regressi
     return Regression(terms, known, weights)
 
 
-def line_weights(measured: Measured, weight: str) -> NDArray[np.floating]:
+def line_weights(measured: Measured, weight: str) -> FloatArray:
     """none: 1. noise: |H| / s per line, for the noise s of H becomes s |Z| = s / |H| in the equation of motion; (n_line,)."""
     if weight == "none":
         return np.ones(measured.omega.size)
@@ -90,11 +90,11 @@ def line_weights(measured: Measured, weight: str) -> NDArray[np.floating]:
     noise = np.sqrt(np.einsum("lii->l", measured.covariance).real)
     if np.any(noise == 0):
         raise FitError("a line of the FRF has no noise, so lines cannot weigh by it", hint="leave `weight` out")
-    weights: NDArray[np.floating] = size / noise
+    weights: FloatArray = size / noise
     return weights / float(np.max(weights))
 
 
-def output_chi_square(measured: Measured, model: DynamicModel, values: NDArray[np.floating], dof: int) -> tuple[float | None, float | None]:
+def output_chi_square(measured: Measured, model: DynamicModel, values: FloatArray, dof: int) -> tuple[float | None, float | None]:
     """(chi-square per degree of freedom, its p-value) of measured - fitted FRF; None where the noise is not known well enough."""
     if not has_noise(measured):
         return None, None
@@ -107,9 +107,7 @@ def output_chi_square(measured: Measured, model: DynamicModel, values: NDArray[n
     return (reduced, doubt.p_value(reduced, dof)) if np.isfinite(reduced) else (None, None)
 
 
-def _plain_design(
-    measured: Measured, model: DynamicModel, values: NDArray[np.floating], noisy_terms: NDArray[np.complexfloating]
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _plain_design(measured: Measured, model: DynamicModel, values: FloatArray, noisy_terms: ComplexArray) -> tuple[FloatArray, FloatArray]:
     """The design by which collinearity is judged, and its amplification: the measured one, or the fitted model's where that is worse.
 
     Noise in the measured FRF makes collinear columns look different; the model's own FRF has none.
@@ -121,9 +119,7 @@ def _plain_design(
     return max(found, key=lambda design: condition_number(design[0]))
 
 
-def equation_design(
-    terms: NDArray[np.complexfloating], model: DynamicModel, values: NDArray[np.floating]
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def equation_design(terms: ComplexArray, model: DynamicModel, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(triangular factor of the regressors with columns of length 1, amplification of every parameter).
 
     An error dH puts Z dH into the equation of motion, as large as Z H = B for dH as large as H.
@@ -133,12 +129,12 @@ def equation_design(
     return triangle, forces * np.sqrt(inflation_factors(triangle)) / lengths
 
 
-def triangle_of(columns: NDArray[np.floating]) -> NDArray[np.floating]:
+def triangle_of(columns: FloatArray) -> FloatArray:
     """Triangular factor R of *columns* (n_equation, n_parameter) scaled to length 1."""
     return _factorised(columns)[1]
 
 
-def _factorised(columns: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating], bool]:
+def _factorised(columns: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
     """(lengths of the columns, R of the columns scaled by them, whether R came from their products).
 
     Products of columns (Cholesky) cost a fraction of Householder's QR and are as good while the condition number is far below
@@ -148,7 +144,7 @@ def _factorised(columns: NDArray[np.floating]) -> tuple[NDArray[np.floating], ND
     scale = np.sqrt(np.diag(products))
     scale = np.where(scale > 0, scale, 1.0)
     try:
-        triangle: NDArray[np.floating] = np.linalg.cholesky(products / np.outer(scale, scale)).T
+        triangle: FloatArray = np.linalg.cholesky(products / np.outer(scale, scale)).T
         if np.linalg.cond(triangle) < WELL_CONDITIONED:
             return scale, triangle, True
     except np.linalg.LinAlgError:
@@ -156,7 +152,7 @@ def _factorised(columns: NDArray[np.floating]) -> tuple[NDArray[np.floating], ND
     return scale, np.asarray(np.linalg.qr(columns / scale, mode="r")), False
 
 
-def solve_scaled(columns: NDArray[np.floating], known: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def solve_scaled(columns: FloatArray, known: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Least-squares solution and (W^T W)^-1, columns scaled to length 1 in between so that units do not matter."""
     n = columns.shape[1]
     scale, triangle, by_products = _factorised(columns)
@@ -176,7 +172,7 @@ def solve_scaled(columns: NDArray[np.floating], known: NDArray[np.floating]) -> 
     return right.T @ ((left.T @ side) / singular) / scale, inverse
 
 
-def _solve(terms: NDArray[np.complexfloating], known: NDArray[np.complexfloating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _solve(terms: ComplexArray, known: ComplexArray) -> tuple[FloatArray, FloatArray]:
     """One regression: estimates and their covariance from its own residual variance."""
     columns = stacked_terms(terms).T
     side = stacked(known.reshape(-1))

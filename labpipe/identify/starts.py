@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
 from labpipe.identify.output_error import OutputError
 from labpipe.identify.regression import least_squares, solve_scaled
@@ -21,7 +21,7 @@ class Start:
     """Parameters to start from, and how they were found."""
 
     name: str
-    values: NDArray[np.floating]
+    values: FloatArray
     chi2: float
 
 
@@ -49,11 +49,11 @@ def starts(problem: OutputError) -> list[Start]:
     return list(dict.fromkeys([best, found[-1], found[0], found[min(1, len(found) - 1)]]))
 
 
-def _start(problem: OutputError, name: str, values: NDArray[np.floating]) -> Start:
+def _start(problem: OutputError, name: str, values: FloatArray) -> Start:
     return Start(name, values, problem.chi2(values))
 
 
-def _reweighted(problem: OutputError, last: NDArray[np.floating]) -> NDArray[np.floating]:
+def _reweighted(problem: OutputError, last: FloatArray) -> FloatArray:
     """Least squares of Z_last^-1 times the equation error, whitened."""
     measured, linear = problem.measured, problem.model.linear
     terms = linear.filtered(last, linear.equation_terms(measured.matrix, measured.omega), measured.omega)

@@ -6,8 +6,8 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.distributions import student_quantile
 from labpipe.records.identification import Goodness, Parameter
 
@@ -23,24 +23,24 @@ class Estimate:
     it for an error of half the FRF's size in the worst possible direction. None where the estimator does not tell.
     """
 
-    values: NDArray[np.floating]
-    covariance: NDArray[np.floating]
-    scaled_design: NDArray[np.floating]
+    values: FloatArray
+    covariance: FloatArray
+    scaled_design: FloatArray
     gof: Goodness
     dof: int
     converged: bool = True
     iterations: int = 0
     notes: tuple[str, ...] = ()
-    own_dof: NDArray[np.int_] | None = None
-    amplification: NDArray[np.floating] | None = None
+    own_dof: IntArray | None = None
+    amplification: FloatArray | None = None
 
     @property
-    def student_dof(self) -> NDArray[np.int_]:
+    def student_dof(self) -> IntArray:
         """Degrees of freedom of every parameter's t-ratio, (n_parameter,)."""
         return np.full(self.values.size, self.dof) if self.own_dof is None else self.own_dof
 
 
-def determination(known: NDArray[np.complexfloating], residual: NDArray[np.complexfloating], n_parameter: int) -> tuple[float, float]:
+def determination(known: ComplexArray, residual: ComplexArray, n_parameter: int) -> tuple[float, float]:
     """R^2 = 1 - SS_residual / SS_total, and its adjusted form 1 - (1 - R^2)(n - 1)/(n - k), n real equations.
 
     SS_total is about the mean of the real and imaginary parts in one column, as the regression stacks them (Lim et al. 2009, eq. 23).
@@ -76,35 +76,35 @@ def derived(name: str, unit: str, value: float, std_error: float, dof: int) -> P
     return Parameter(name, value, unit, std_error, None, interval, derived=True)
 
 
-def inflation_factors(scaled_design: NDArray[np.floating]) -> NDArray[np.floating]:
+def inflation_factors(scaled_design: FloatArray) -> FloatArray:
     """Variance inflation of each parameter: diag((W^T W)^-1) of columns of length 1; 1 when no other column resembles it."""
     _, singular, vectors = np.linalg.svd(scaled_design, full_matrices=False)
     with np.errstate(divide="ignore"):
-        factors: NDArray[np.floating] = np.sum((vectors / singular[:, None]) ** 2, axis=0)
+        factors: FloatArray = np.sum((vectors / singular[:, None]) ** 2, axis=0)
     return factors
 
 
-def condition_number(scaled_design: NDArray[np.floating]) -> float:
+def condition_number(scaled_design: FloatArray) -> float:
     """Largest over smallest singular value of the design with columns of length 1 (Belsley, Kuh and Welsch 1980)."""
     singular = np.linalg.svd(scaled_design, compute_uv=False)
     return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
 
 
-def correlation(covariance: NDArray[np.floating]) -> NDArray[np.floating]:
+def correlation(covariance: FloatArray) -> FloatArray:
     """The correlation matrix of a covariance."""
     std = np.sqrt(np.diag(covariance))
     scale = np.where(std > 0, std, 1.0)
-    matrix: NDArray[np.floating] = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
+    matrix: FloatArray = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
     np.fill_diagonal(matrix, 1.0)
     return matrix
 
 
-def stacked(values: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+def stacked(values: ComplexArray) -> FloatArray:
     """Real and imaginary parts one below the other along the last axis."""
     return np.concatenate([values.real, values.imag], axis=-1)
 
 
-def stacked_terms(terms: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+def stacked_terms(terms: ComplexArray) -> FloatArray:
     """Regressors (n_parameter, n_line, n_dof, n_input) as rows of real numbers, (n_parameter, n_equation); one copy, no more."""
     rows = np.empty((terms.shape[0], 2, *terms.shape[1:]))
     rows[:, 0], rows[:, 1] = terms.real, terms.imag

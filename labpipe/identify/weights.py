@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail, f_tail
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
@@ -88,14 +88,14 @@ def has_noise(measured: Measured) -> bool:
     return bool(np.max(variance) > NOISE_FREE**2 * np.max(np.abs(measured.matrix) ** 2))
 
 
-def equal_weights(measured: Measured) -> NDArray[np.complexfloating]:
+def equal_weights(measured: Measured) -> ComplexArray:
     """The same weight for every FRF and line, (n_line, n, n) [N/m], scaled by the FRF's size so that units do not matter."""
     n = measured.matrix.shape[1] * measured.matrix.shape[2]
     size = np.sqrt(np.mean(np.abs(measured.matrix) ** 2))
     return np.broadcast_to(np.eye(n) / size, (measured.omega.size, n, n)).astype(np.complex128)
 
 
-def whitener(measured: Measured) -> NDArray[np.complexfloating]:
+def whitener(measured: Measured) -> ComplexArray:
     """L^-1 of C = L L^H per line, (n_line, n, n) [N/m]; FitError where a variance is zero or C has lost a rank."""
     assert measured.covariance is not None
     std = np.sqrt(np.einsum("lii->li", measured.covariance).real)
@@ -107,11 +107,11 @@ def whitener(measured: Measured) -> NDArray[np.complexfloating]:
     if np.any(singular):
         hint = "average more periods or blocks, or name fewer responses with `output`"
         raise FitError(f"the covariance of the {n} FRFs is singular at {_first(measured, singular[:, None])}", hint=hint)
-    weights: NDArray[np.complexfloating] = np.linalg.inv(np.linalg.cholesky(scaled)) / std[:, None, :]
+    weights: ComplexArray = np.linalg.inv(np.linalg.cholesky(scaled)) / std[:, None, :]
     return weights
 
 
-def whitened(whitener: NDArray[np.complexfloating], values: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+def whitened(whitener: ComplexArray, values: ComplexArray) -> FloatArray:
     """(..., n_line, n_output, n_input) -> (..., n_equation): uncorrelated, each real part of variance 1."""
     flat = values.reshape(*values.shape[:-2], -1)
     white = np.matmul(whitener, np.moveaxis(flat, -2, 0).reshape(flat.shape[-2], -1, flat.shape[-1]).swapaxes(1, 2))
@@ -119,7 +119,7 @@ def whitened(whitener: NDArray[np.complexfloating], values: NDArray[np.complexfl
     return np.sqrt(2.0) * stacked(lines)
 
 
-def _first(measured: Measured, at: NDArray[np.bool_]) -> str:
+def _first(measured: Measured, at: BoolArray) -> str:
     """The first line, in Hz, at which *at* (n_line, n) holds for any FRF."""
     line = int(np.argmax(np.any(at, axis=1)))
     return f"{measured.omega[line] / (2 * np.pi):g} Hz"

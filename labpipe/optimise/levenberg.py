@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
 
 MAX_ITERATIONS = 100
@@ -30,12 +30,12 @@ class SquareSum(Protocol):
         """Length of what is fitted, in the residual's units."""
         ...
 
-    def residual(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]: ...
-    def jacobian(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]: ...
-    def chi2(self, parameters: NDArray[np.floating]) -> float: ...
+    def residual(self, parameters: FloatArray) -> FloatArray: ...
+    def jacobian(self, parameters: FloatArray) -> FloatArray: ...
+    def chi2(self, parameters: FloatArray) -> float: ...
 
 
-def sum_of_squares(residual: Callable[[NDArray[np.floating]], NDArray[np.floating]], parameters: NDArray[np.floating]) -> float:
+def sum_of_squares(residual: Callable[[FloatArray], FloatArray], parameters: FloatArray) -> float:
     """The squared length of a residual; infinite where the model has no finite response."""
     try:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -49,12 +49,12 @@ def sum_of_squares(residual: Callable[[NDArray[np.floating]], NDArray[np.floatin
 class Minimum:
     """Where the descent ended, whether that is a minimum, and the steps taken."""
 
-    values: NDArray[np.floating]
+    values: FloatArray
     converged: bool
     steps: int
 
 
-def minimise(problem: SquareSum, start: NDArray[np.floating], near: float = 0.0) -> Minimum:
+def minimise(problem: SquareSum, start: FloatArray, near: float = 0.0) -> Minimum:
     """Levenberg-Marquardt from *start*; *near*: distance to the minimum in standard errors (residual per equation) that will do."""
     values, damping = start, 1e-3
     rounding = ROUNDING * problem.size
@@ -72,7 +72,7 @@ def minimise(problem: SquareSum, start: NDArray[np.floating], near: float = 0.0)
     return Minimum(values, False, MAX_ITERATIONS)
 
 
-def _explained(scaled: NDArray[np.floating], residual: NDArray[np.floating]) -> float:
+def _explained(scaled: FloatArray, residual: FloatArray) -> float:
     """Length of the part of the residual that a further full step would remove: its projection on the Jacobian's columns.
 
     Unlike the length of the last step it does not get small because the damping is large.
@@ -82,12 +82,12 @@ def _explained(scaled: NDArray[np.floating], residual: NDArray[np.floating]) -> 
 
 def _damped_step(
     problem: SquareSum,
-    values: NDArray[np.floating],
-    residual: NDArray[np.floating],
-    scaled: NDArray[np.floating],
-    scale: NDArray[np.floating],
+    values: FloatArray,
+    residual: FloatArray,
+    scaled: FloatArray,
+    scale: FloatArray,
     damping: float,
-) -> tuple[NDArray[np.floating] | None, float]:
+) -> tuple[FloatArray | None, float]:
     """A step that lowers chi-square and the damping for the next one; no step when none lowers it any more."""
     n = values.size
     before = float(residual @ residual)

@@ -13,15 +13,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
+from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.registry import nearest
 
-Array = NDArray[np.floating]
 # Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of the problems *chosen* (n_chosen,).
-Objective = Callable[[Array, NDArray[np.intp]], Array]
+Objective = Callable[[FloatArray, IntArray], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -48,9 +47,9 @@ class SearchHistory:
     A problem that has ended keeps its last row.
     """
 
-    evaluations: NDArray[np.intp]
-    objective: Array
-    mesh: Array
+    evaluations: IntArray
+    objective: FloatArray
+    mesh: FloatArray
 
     def of(self, problem: int) -> SearchHistory:
         """One problem's own rows (n_iteration, 1), without those after its end."""
@@ -66,15 +65,17 @@ class SearchResult:
     capped (n_problem,): ended by the cap on evaluations, neither by the mesh nor by an objective that is low enough.
     """
 
-    values: Array
-    objective: Array
-    mesh: Array
-    evaluations: NDArray[np.intp]
-    capped: NDArray[np.bool_]
+    values: FloatArray
+    objective: FloatArray
+    mesh: FloatArray
+    evaluations: IntArray
+    capped: BoolArray
     history: SearchHistory
 
 
-def compass_search(objective: Objective, start: Array, lower: Array, upper: Array, limits: SearchLimits | None = None) -> SearchResult:
+def compass_search(
+    objective: Objective, start: FloatArray, lower: FloatArray, upper: FloatArray, limits: SearchLimits | None = None
+) -> SearchResult:
     """Searches from *start* (n_problem, n_parameter) between *lower* and *upper*, of the same shape; deterministic.
 
     ConfigError where a start lies outside its box.
@@ -106,7 +107,9 @@ def compass_search(objective: Objective, start: Array, lower: Array, upper: Arra
     return SearchResult(values, lowest, mesh, evaluations, unfinished, history)
 
 
-def cobyqa_search(objective: Objective, start: Array, lower: Array, upper: Array, limits: SearchLimits | None = None) -> SearchResult:
+def cobyqa_search(
+    objective: Objective, start: FloatArray, lower: FloatArray, upper: FloatArray, limits: SearchLimits | None = None
+) -> SearchResult:
     """The same by COBYQA (Ragonneau 2022; scipy 1.14 or newer), one problem after the other; its trust region has no mesh (NaN).
 
     The objective is scaled by its value at the start, parameters by the box. ConfigError without COBYQA in the scipy at hand.
@@ -129,17 +132,17 @@ def cobyqa_search(objective: Objective, start: Array, lower: Array, upper: Array
 class _Trace:
     """Everything one COBYQA run asked for, in parts of its box."""
 
-    points: Array
-    objective: Array
+    points: FloatArray
+    objective: FloatArray
     capped: bool
 
 
-def _trace(objective: Objective, problem: int, start: Array, lower: Array, width: Array, limits: SearchLimits) -> _Trace:
-    points: list[Array] = []
+def _trace(objective: Objective, problem: int, start: FloatArray, lower: FloatArray, width: FloatArray, limits: SearchLimits) -> _Trace:
+    points: list[FloatArray] = []
     asked: list[float] = []
     number = np.array([problem])
 
-    def scaled(parts: NDArray[np.float64]) -> float:
+    def scaled(parts: FloatArray) -> float:
         inside = np.clip(parts, 0, 1)
         points.append(inside)
         asked.append(float(objective((lower + inside * width)[None, None], number)[0, 0]))
@@ -167,7 +170,7 @@ def search_named(name: str) -> Callable[..., SearchResult]:
     return SEARCHES[name]
 
 
-def _checked(start: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+def _checked(start: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
     """A copy of the starts and the widths of their boxes."""
     if not np.all((lower < upper) & (start >= lower) & (start <= upper)):
         raise ConfigError("a search starts within its bounds, the lower ones below the upper ones")

@@ -6,27 +6,25 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.rotors.elements import in_both_planes, inertia_matrices, plane_stiffness
 from labpipe.rotors.parts import Rotor, Support
 
 STANDARD_GRAVITY = 9.80665
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class RotorMatrices:
     """mass M, damping C, gyroscopic G and stiffness K, (n_dof, n_dof), four dofs per node: y, z, rotations about y and z."""
 
-    mass: Array
-    damping: Array
-    gyroscopic: Array
-    stiffness: Array
+    mass: FloatArray
+    damping: FloatArray
+    gyroscopic: FloatArray
+    stiffness: FloatArray
 
-    def at_speed(self, speed: float) -> Array:
+    def at_speed(self, speed: float) -> FloatArray:
         """C + Omega G; *speed* [rad/s]."""
         return self.damping + speed * self.gyroscopic
 
@@ -49,7 +47,7 @@ def free_rotor(rotor: Rotor) -> RotorMatrices:
     return RotorMatrices(mass, damping, gyroscopic, stiffness)
 
 
-def _add(number: int, wholes: tuple[Array, ...], parts: tuple[Array, ...]) -> None:
+def _add(number: int, wholes: tuple[FloatArray, ...], parts: tuple[FloatArray, ...]) -> None:
     dofs = slice(4 * number, 4 * number + 8)
     for whole, part in zip(wholes, parts, strict=True):
         whole[dofs, dofs] += part
@@ -68,7 +66,7 @@ def supported_rotor(rotor: Rotor, supports: Iterable[Support]) -> RotorMatrices:
 
 def bearing_loads(
     rotor: Rotor, nodes: Iterable[int], forces: Mapping[int, tuple[float, float]] | None = None, gravity: float = STANDARD_GRAVITY
-) -> Array:
+) -> FloatArray:
     """Static load of the rotor on rigid bearings at *nodes*, (n_bearing, 2) [N] in y and z: weight along -z and *forces* by node.
 
     More than two bearings share the load by the shaft's stiffness. ConfigError for fewer than two bearings.

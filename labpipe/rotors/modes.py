@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, optimize
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.rotors.assembly import RotorMatrices, supported_rotor
 from labpipe.rotors.parts import Rotor, Support
@@ -18,8 +18,6 @@ GROWTH_TOLERANCE = 1e-3
 # Eigenvalues with less imaginary part, against the modulus, do not oscillate: rounding splits double real roots by this much.
 LEAST_OSCILLATION = 1e-3
 
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
 # Bearings as a function of the spin speed [rad/s].
 SupportsAtSpeed = Callable[[float], Iterable[Support]]
 
@@ -36,22 +34,22 @@ class Modes:
     shapes: ComplexArray
 
     @property
-    def damped_frequency(self) -> Array:
+    def damped_frequency(self) -> FloatArray:
         """Im(lambda) / 2 pi [Hz]: the frequency at which the mode rings."""
         return self.eigenvalues.imag / (2 * np.pi)
 
     @property
-    def natural_frequency(self) -> Array:
+    def natural_frequency(self) -> FloatArray:
         """|lambda| / 2 pi [Hz]."""
         return np.abs(self.eigenvalues) / (2 * np.pi)
 
     @property
-    def damping_ratio(self) -> Array:
+    def damping_ratio(self) -> FloatArray:
         """zeta = -Re(lambda) / |lambda| [-]; negative for an unstable mode."""
         return -self.eigenvalues.real / np.abs(self.eigenvalues)
 
     @property
-    def whirl(self) -> Array:
+    def whirl(self) -> FloatArray:
         """From -1 (circular backward) over 0 (a straight line) to +1 (circular forward), (n_mode,), over all nodes."""
         forward, backward = (np.sum(np.abs(self.shapes @ [1, turn]) ** 2, axis=1) for turn in (1j, -1j))
         return (forward - backward) / (forward + backward)

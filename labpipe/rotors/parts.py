@@ -8,11 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
-
-Array = NDArray[np.floating]
 
 
 def _refuse_unless_positive(what: str, part: object, names: tuple[str, ...]) -> None:
@@ -120,8 +118,8 @@ class Support:
     """A bearing on a node: stiffness [N/m] and damping [N s/m], (2, 2) in y and z, `k_yz` = force in y per displacement in z."""
 
     node: int
-    stiffness: Array
-    damping: Array
+    stiffness: FloatArray
+    damping: FloatArray
 
     def __post_init__(self) -> None:
         for matrix in (self.stiffness, self.damping):

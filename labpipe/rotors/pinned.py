@@ -12,15 +12,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.rotors.assembly import RotorMatrices, free_rotor
 from labpipe.rotors.parts import Rotor
 from labpipe.rotors.response import dynamic_stiffness, solved
-
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
 
 
 @dataclass(frozen=True)
@@ -42,7 +39,7 @@ class PinnedRotor:
         first = 4 * self.stations.index(node)
         return [first, first + 1]
 
-    def with_bearing(self, node: int, stiffness: Array, damping: Array) -> RotorMatrices:
+    def with_bearing(self, node: int, stiffness: FloatArray, damping: FloatArray) -> RotorMatrices:
         """The matrices with a bearing's K [N/m] and C [N s/m], (2, 2), on a station."""
         place = np.ix_(self.dofs(node), self.dofs(node))
         k, c = self.matrices.stiffness.copy(), self.matrices.damping.copy()
@@ -81,27 +78,27 @@ class CondensedRotor:
     held [m]; carried (n_speed, n_output, 2): their motion per motion of the journal. Phasors, 0-to-peak.
     """
 
-    speed: Array
+    speed: FloatArray
     at_bearing: ComplexArray
     force: ComplexArray
     without: ComplexArray
     carried: ComplexArray
 
-    def at(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> CondensedRotor:
+    def at(self, chosen: IntArray | BoolArray) -> CondensedRotor:
         """Some of the speeds, by index or mask."""
         return CondensedRotor(*(getattr(self, name)[chosen] for name in ("speed", "at_bearing", "force", "without", "carried")))
 
-    def journal(self, stiffness: Array, damping: Array) -> tuple[ComplexArray, ComplexArray]:
+    def journal(self, stiffness: FloatArray, damping: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Motion of the journal x_b (..., n_speed, 2) [m] and the compliance (D + K + j Omega C)^-1 (..., n_speed, 2, 2) [m/N]."""
         compliance = inverse(self.at_bearing + stiffness + 1j * self.speed[:, None, None] * damping)
         return (compliance @ self.force[..., None])[..., 0], compliance
 
-    def response(self, stiffness: Array, damping: Array) -> ComplexArray:
+    def response(self, stiffness: FloatArray, damping: FloatArray) -> ComplexArray:
         """Phasors of the outputs (..., n_speed, n_output) [m] under K [N/m] and C [N s/m], (..., n_speed, 2, 2)."""
         motion, _ = self.journal(stiffness, damping)
         return self.without + (self.carried @ motion[..., None])[..., 0]
 
-    def response_and_slopes(self, stiffness: Array, damping: Array) -> tuple[ComplexArray, ComplexArray]:
+    def response_and_slopes(self, stiffness: FloatArray, damping: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """`response`, and its derivatives (n_speed, n_output, 8) by K_xx K_xy K_yx K_yy, C_xx C_xy C_yx C_yy.
 
         d x_b / d K_kl = -(compliance column k) x_b[l], and j Omega times that for C_kl.
@@ -121,7 +118,7 @@ def inverse(matrix: ComplexArray) -> ComplexArray:
     return inverted
 
 
-def unbalance_forces(rotor: PinnedRotor, unbalance: Mapping[int, complex], speed: Array) -> ComplexArray:
+def unbalance_forces(rotor: PinnedRotor, unbalance: Mapping[int, complex], speed: FloatArray) -> ComplexArray:
     """F_y = u Omega^2, F_z = -j u Omega^2, turning from y to z, (n_speed, n_dof) [N]; *unbalance* [kg m] by node."""
     forces = np.zeros((np.size(speed), rotor.n_dof), np.complex128)
     for node, amount in unbalance.items():
@@ -132,7 +129,7 @@ def unbalance_forces(rotor: PinnedRotor, unbalance: Mapping[int, complex], speed
 
 
 def condensed_rotor(
-    rotor: PinnedRotor, bearing: int, speed: Array, forces: ComplexArray, outputs: tuple[int, ...], spin: Array | None = None
+    rotor: PinnedRotor, bearing: int, speed: FloatArray, forces: ComplexArray, outputs: tuple[int, ...], spin: FloatArray | None = None
 ) -> CondensedRotor:
     """The rotor at frequencies *speed* (n_speed,) [rad/s] under *forces* (n_speed, n_dof) [N], seen from the node *bearing*.
 

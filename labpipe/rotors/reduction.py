@@ -10,15 +10,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.rotors.assembly import free_rotor
 from labpipe.rotors.parts import Rotor, Support
 from labpipe.rotors.response import dynamic_stiffness, solved
-
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
 
 
 @dataclass(frozen=True)
@@ -29,7 +26,7 @@ class ReducedRotor:
     """
 
     nodes: tuple[int, ...]
-    omega: Array
+    omega: FloatArray
     receptance: ComplexArray
 
     def dofs(self, node: int) -> list[int]:
@@ -57,13 +54,13 @@ class ReducedRotor:
         return ReducedRotor(self.nodes, self.omega, self.receptance - self.receptance[:, :, dofs] @ held)
 
 
-def support_stiffness(support: Support, omega: Array) -> ComplexArray:
+def support_stiffness(support: Support, omega: FloatArray) -> ComplexArray:
     """Z = K + j w C of a bearing, (n_line, 2, 2) [N/m]."""
     z: ComplexArray = support.stiffness + 1j * omega[:, None, None] * support.damping
     return z
 
 
-def reduced_rotor(rotor: Rotor, nodes: Iterable[int], frequency: Array, speed: float) -> ReducedRotor:
+def reduced_rotor(rotor: Rotor, nodes: Iterable[int], frequency: FloatArray, speed: float) -> ReducedRotor:
     """The free rotor between *nodes* at *frequency* (n_line,) [Hz], all above zero, and a spin *speed* [rad/s]."""
     nodes = tuple(dict.fromkeys(nodes))
     omega = 2 * np.pi * np.asarray(frequency, np.float64)

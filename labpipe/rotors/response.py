@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.rotors.assembly import RotorMatrices, supported_rotor
 from labpipe.rotors.parts import Rotor, Support
 from labpipe.spectra.directional import FROM_DIRECTIONAL
 
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
 
-
-def dynamic_stiffness(matrices: RotorMatrices, omega: Array, speed: float | Array) -> ComplexArray:
+def dynamic_stiffness(matrices: RotorMatrices, omega: FloatArray, speed: float | FloatArray) -> ComplexArray:
     """Z(w) = K - w^2 M + j w (C + Omega G), (n_line, n_dof, n_dof) [N/m]; *omega* (n_line,) and *speed* in [rad/s]."""
     w = np.asarray(omega, np.float64)[:, None, None]
     spin = np.broadcast_to(speed, np.shape(omega))[:, None, None]
@@ -25,7 +22,7 @@ def dynamic_stiffness(matrices: RotorMatrices, omega: Array, speed: float | Arra
     return z
 
 
-def solved(stiffness: ComplexArray, forces: ComplexArray | Array) -> ComplexArray:
+def solved(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> ComplexArray:
     """Displacements under *forces*; FitError at a resonance without damping."""
     try:
         displacements: ComplexArray = np.linalg.solve(stiffness, forces)
@@ -35,7 +32,7 @@ def solved(stiffness: ComplexArray, forces: ComplexArray | Array) -> ComplexArra
 
 
 def frequency_response(
-    rotor: Rotor, supports: Iterable[Support], frequency: Array, speed: float, outputs: list[int], inputs: list[int]
+    rotor: Rotor, supports: Iterable[Support], frequency: FloatArray, speed: float, outputs: list[int], inputs: list[int]
 ) -> ComplexArray:
     """Receptance H [m/N], (n_line, n_output, n_input), at *frequency* (n_line,) [Hz]; dof numbers as `Rotor.dofs` gives them."""
     matrices = supported_rotor(rotor, supports)
@@ -46,7 +43,7 @@ def frequency_response(
 
 
 def unbalance_response(
-    rotor: Rotor, supports: Iterable[Support], speed: Array, unbalance: Mapping[int, complex], outputs: list[int]
+    rotor: Rotor, supports: Iterable[Support], speed: FloatArray, unbalance: Mapping[int, complex], outputs: list[int]
 ) -> ComplexArray:
     """Displacements [m], 0-to-peak phasors, (n_speed, n_output), at spin *speed* (n_speed,) [rad/s].
 

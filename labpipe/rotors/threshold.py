@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, optimize
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.rotors.modes import GROWTH_TOLERANCE
 from labpipe.rotors.pinned import PinnedRotor
@@ -20,10 +20,8 @@ from labpipe.rotors.pinned import PinnedRotor
 # Part of a mode's squared deflections that the journal must have for its bearing to matter.
 LEAST_PARTICIPATION = 1e-8
 
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
 # K [N/m] and C [N s/m], (n_speed, 2, 2) each, at speeds (n_speed,) [rad/s].
-CoefficientsAtSpeed = Callable[[Array], tuple[Array, Array]]
+CoefficientsAtSpeed = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True)
@@ -31,8 +29,8 @@ class LeastStable:
     """The least stable mode that moves the journal: eigenvalue [1/s]; growth by K and by C (2, 2): d Re / d K_kl, d Re / d C_kl."""
 
     eigenvalue: complex
-    by_stiffness: Array
-    by_damping: Array
+    by_stiffness: FloatArray
+    by_damping: FloatArray
 
     @property
     def growth(self) -> float:
@@ -46,19 +44,19 @@ class Stability:
 
     rotor: PinnedRotor
     bearing: int
-    inverse_mass: Array
+    inverse_mass: FloatArray
 
     @classmethod
     def of(cls, rotor: PinnedRotor, bearing: int) -> Stability:
         return cls(rotor, bearing, np.linalg.inv(rotor.matrices.mass))
 
-    def system(self, speed: Array, stiffness: Array, damping: Array) -> Array:
+    def system(self, speed: FloatArray, stiffness: FloatArray, damping: FloatArray) -> FloatArray:
         """A of y' = A y, y = (q, q'), (n_speed, 2 n_dof, 2 n_dof), G with it."""
         n, place = self.rotor.n_dof, self.rotor.dofs(self.bearing)
         speed = np.atleast_1d(np.asarray(speed, np.float64))
         matrices = self.rotor.matrices
-        k: Array = np.repeat(matrices.stiffness[None], speed.size, axis=0)
-        c: Array = matrices.damping + speed[:, None, None] * matrices.gyroscopic
+        k: FloatArray = np.repeat(matrices.stiffness[None], speed.size, axis=0)
+        c: FloatArray = matrices.damping + speed[:, None, None] * matrices.gyroscopic
         rows = np.ix_(range(speed.size), place, place)
         k[rows] += stiffness
         c[rows] += damping
@@ -67,17 +65,17 @@ class Stability:
         system[:, n:, :n], system[:, n:, n:] = -self.inverse_mass @ k, -self.inverse_mass @ c
         return system
 
-    def growth(self, speed: Array, stiffness: Array, damping: Array) -> Array:
+    def growth(self, speed: FloatArray, stiffness: FloatArray, damping: FloatArray) -> FloatArray:
         """Largest growth rate [1/s] of modes that move the journal, (n_speed,)."""
         found = np.linalg.eig(self.system(speed, stiffness, damping))
         moving = self.moving(np.asarray(found.eigenvectors, np.complex128))
         return np.max(np.where(moving, found.eigenvalues.real, -np.inf), axis=-1)
 
-    def eigenvalues(self, speed: Array, stiffness: Array, damping: Array) -> ComplexArray:
+    def eigenvalues(self, speed: FloatArray, stiffness: FloatArray, damping: FloatArray) -> ComplexArray:
         """All eigenvalues [1/s], (n_speed, 2 n_dof)."""
         return np.asarray(np.linalg.eigvals(self.system(speed, stiffness, damping)), np.complex128)
 
-    def least_stable(self, speed: float, stiffness: Array, damping: Array) -> LeastStable:
+    def least_stable(self, speed: float, stiffness: FloatArray, damping: FloatArray) -> LeastStable:
         """The least stable mode at one *speed* [rad/s] with the slopes of its growth by the bearing's coefficients.
 
         d lambda = y^T (dA) x / (y^T x) with left and right eigenvectors y, x of A.
@@ -91,13 +89,13 @@ class Stability:
         slopes = -np.outer(pushed, x[place])
         return LeastStable(complex(roots[chosen]), slopes.real, (slopes * roots[chosen]).real)
 
-    def moving(self, vectors: ComplexArray) -> NDArray[np.bool_]:
+    def moving(self, vectors: ComplexArray) -> BoolArray:
         """Modes (..., n_mode) in which the journal takes part; *vectors* (..., 2 n_dof, n_mode)."""
         n = self.rotor.n_dof
         squares = np.abs(vectors[..., :n, :]) ** 2
         whole = squares[..., 0::4, :].sum(axis=-2) + squares[..., 1::4, :].sum(axis=-2)
         share = squares[..., self.rotor.dofs(self.bearing), :].sum(axis=-2) / np.maximum(whole, 1e-300)
-        moving: NDArray[np.bool_] = share > LEAST_PARTICIPATION
+        moving: BoolArray = share > LEAST_PARTICIPATION
         return moving
 
 
@@ -123,7 +121,7 @@ def threshold_speed(
     return float(optimize.brentq(excess, speed[first - 1], speed[first], xtol=tolerance))
 
 
-def refuse_unstable(stability: Stability, coefficients: CoefficientsAtSpeed, speed: Array) -> None:
+def refuse_unstable(stability: Stability, coefficients: CoefficientsAtSpeed, speed: FloatArray) -> None:
     """FitError naming the first of the speeds (n_speed,) [rad/s] at which there is no steady state, and so no amplitude."""
     speed = np.asarray(speed, np.float64)
     growth = stability.growth(speed, *coefficients(speed))
@@ -150,7 +148,7 @@ def resonance_speed(stability: Stability, coefficients: CoefficientsAtSpeed, spe
     return None
 
 
-def _ringing(stability: Stability, coefficients: CoefficientsAtSpeed, speed: float) -> Array:
+def _ringing(stability: Stability, coefficients: CoefficientsAtSpeed, speed: float) -> FloatArray:
     place = np.array([speed])
     roots, vectors = np.linalg.eig(stability.system(place, *coefficients(place))[0])
     kept = stability.moving(vectors) & (roots.imag > 0) & (-roots.real < 0.5 * np.abs(roots))

@@ -10,15 +10,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.rotors.parts import Support
 from labpipe.rotors.reduction import ReducedRotor
 from labpipe.spectra.directional import FROM_DIRECTIONAL
-
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
 
 
 @dataclass(frozen=True)
@@ -26,8 +23,8 @@ class VaryingSupport:
     """A bearing with the derivatives of its coefficients by *n* parameters: stiffness_slopes, damping_slopes (n, 2, 2)."""
 
     support: Support
-    stiffness_slopes: Array
-    damping_slopes: Array
+    stiffness_slopes: FloatArray
+    damping_slopes: FloatArray
 
     def __post_init__(self) -> None:
         if self.stiffness_slopes.shape != self.damping_slopes.shape or self.stiffness_slopes.shape[1:] != (2, 2):

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
+from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import ConfigError
 
 # Peaks between samples count: the crest factor is taken on a grid this many times finer than the highest line needs.
@@ -23,8 +23,8 @@ OPTIMISING_STEPS = 400
 class Multisine:
     """A designed test signal: *lines* [multiples of spacing], *phases* [rad] (n_line,), spacing [Hz], rms amplitude."""
 
-    lines: NDArray[np.int64]
-    phases: NDArray[np.floating]
+    lines: IntArray
+    phases: FloatArray
     spacing: float
     rms: float
 
@@ -33,7 +33,7 @@ class Multisine:
         """Peak over rms of one period on an oversampled grid."""
         return crest_factor(_period(self.lines, self.phases, OVERSAMPLING * int(self.lines[-1]) * 2))
 
-    def samples(self, sample_rate: float, periods: int) -> NDArray[np.floating]:
+    def samples(self, sample_rate: float, periods: int) -> FloatArray:
         """*periods* periods sampled at *sample_rate* [Hz]; ConfigError when a period holds no whole number of samples."""
         exact = sample_rate / self.spacing
         n_sample = round(exact)
@@ -80,29 +80,29 @@ def design_multisine(
     return Multisine(lines, PHASES[phases](lines, seed), spacing, rms)
 
 
-def _one_of_each(n_line: int, group: int, seed: int) -> NDArray[np.int64]:
+def _one_of_each(n_line: int, group: int, seed: int) -> IntArray:
     """The number of one line in every whole group of *group* lines; the first and the last line stay, so that the band is kept."""
     starts = np.arange(1, n_line - group, group)
     return np.asarray(starts + np.random.default_rng(seed).integers(0, group, starts.size))
 
 
-def crest_factor(signal: NDArray[np.floating]) -> float:
+def crest_factor(signal: FloatArray) -> float:
     """max |x| / rms of a signal (n_sample,)."""
     return float(np.max(np.abs(signal)) / np.sqrt(np.mean(signal**2)))
 
 
-def schroeder_phases(lines: NDArray[np.int64], seed: int = 0) -> NDArray[np.floating]:  # noqa: ARG001 (one signature for the table)
+def schroeder_phases(lines: IntArray, seed: int = 0) -> FloatArray:  # noqa: ARG001 (one signature for the table)
     """phi_n = -pi n (n - 1) / N for the n-th of N lines of a flat spectrum (Schroeder 1970)."""
     n = np.arange(1, lines.size + 1)
     return -np.pi * n * (n - 1) / lines.size
 
 
-def random_phases(lines: NDArray[np.int64], seed: int = 0) -> NDArray[np.floating]:
+def random_phases(lines: IntArray, seed: int = 0) -> FloatArray:
     """Phases drawn evenly from the circle."""
     return np.random.default_rng(seed).uniform(0, 2 * np.pi, lines.size)
 
 
-def optimised_phases(lines: NDArray[np.int64], seed: int = 0) -> NDArray[np.floating]:  # noqa: ARG001
+def optimised_phases(lines: IntArray, seed: int = 0) -> FloatArray:  # noqa: ARG001
     """Phases of low crest factor by clipping in turn in time and frequency (Van der Ouderaa, Schoukens and Renneboog 1988).
 
     From Schroeder's start each step cuts the peaks off, keeps the phases of what is left and restores the amplitudes; the cut is
@@ -121,14 +121,14 @@ def optimised_phases(lines: NDArray[np.int64], seed: int = 0) -> NDArray[np.floa
     return best
 
 
-PHASES: dict[str, Callable[[NDArray[np.int64], int], NDArray[np.floating]]] = {
+PHASES: dict[str, Callable[[IntArray, int], FloatArray]] = {
     "schroeder": schroeder_phases,
     "random": random_phases,
     "optimised": optimised_phases,
 }
 
 
-def _period(lines: NDArray[np.int64], phases: NDArray[np.floating], n_sample: int) -> NDArray[np.floating]:
+def _period(lines: IntArray, phases: FloatArray, n_sample: int) -> FloatArray:
     """One period of sum cos(2 pi k t + phi_k) on n_sample points."""
     spectrum = np.zeros(n_sample // 2 + 1, np.complex128)
     spectrum[lines] = np.exp(1j * phases) * (n_sample / 2)

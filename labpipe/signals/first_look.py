@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
+
+from labpipe.arrays import FloatArray, IntArray
 
 # Two periods of a periodic signal are alike to at least this (their correlation); noise stays far below.
 ALIKE = 0.9
@@ -28,7 +29,7 @@ class Excitation:
     repeats: int
 
 
-def look(force: NDArray[np.floating], sample_rate: float) -> Excitation:
+def look(force: FloatArray, sample_rate: float) -> Excitation:
     """The kind of a force (n_sample,) [any unit] sampled at *sample_rate* [Hz]."""
     force = force - np.median(force)
     hits = hit_starts(force)
@@ -44,7 +45,7 @@ def look(force: NDArray[np.floating], sample_rate: float) -> Excitation:
     return Excitation("random", length, _band(force, sample_rate), force.size // length)
 
 
-def find_period(signal: NDArray[np.floating]) -> int:
+def find_period(signal: FloatArray) -> int:
     """The shortest lag [samples] after which the signal (n_sample,) comes again, at least twice; 0 when there is none.
 
     A lag L counts when the correlation of x[n] and x[n + L] over all n exceeds ALIKE, and more than at its neighbours.
@@ -70,7 +71,7 @@ def find_period(signal: NDArray[np.floating]) -> int:
     return int(lost[0] + near[0])
 
 
-def hit_starts(force: NDArray[np.floating]) -> NDArray[np.intp]:
+def hit_starts(force: FloatArray) -> IntArray:
     """The samples at which hits of a hammer begin; none where the force (n_sample,) does not rest most of the time."""
     peak, rms = float(np.max(np.abs(force))), float(np.sqrt(np.mean(force**2)))
     if rms == 0 or peak < HIT_CREST * rms or np.mean(np.abs(force) < 0.01 * peak) < RESTING:
@@ -85,7 +86,7 @@ def round_down(samples: int) -> int:
     return max(step * decade for step in (1, 2, 5) if step * decade <= samples)
 
 
-def _line_band(force: NDArray[np.floating], period: int, sample_rate: float) -> tuple[float, float]:
+def _line_band(force: FloatArray, period: int, sample_rate: float) -> tuple[float, float]:
     """The first and the last line of a periodic force that holds power."""
     whole = force[: force.size // period * period].reshape(-1, period).mean(axis=0)
     power = np.abs(fft.rfft(whole)) ** 2
@@ -94,7 +95,7 @@ def _line_band(force: NDArray[np.floating], period: int, sample_rate: float) -> 
     return float(lines[0]), float(lines[-1])
 
 
-def _band(force: NDArray[np.floating], sample_rate: float) -> tuple[float, float]:
+def _band(force: FloatArray, sample_rate: float) -> tuple[float, float]:
     """Where a force that is not periodic has power, by the mean spectrum of its blocks."""
     length = max(force.size // BLOCKS, 8)
     blocks = force[: force.size // length * length].reshape(-1, length)

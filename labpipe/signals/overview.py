@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
+from labpipe.arrays import FloatArray
 from labpipe.records.overview import Envelope, Spectrum
 
 # Stretches of an envelope: between half of this and this, enough for the width of a page.
@@ -20,11 +20,11 @@ class EnvelopeTrack:
     def __init__(self, n_channel: int, stretches: int = STRETCHES) -> None:
         self._most = stretches + stretches % 2
         self._step = 1
-        self._low: NDArray[np.floating] = np.empty((0, n_channel))
-        self._high: NDArray[np.floating] = np.empty((0, n_channel))
-        self._rest: NDArray[np.floating] = np.empty((0, n_channel))
+        self._low: FloatArray = np.empty((0, n_channel))
+        self._high: FloatArray = np.empty((0, n_channel))
+        self._rest: FloatArray = np.empty((0, n_channel))
 
-    def add(self, block: NDArray[np.floating]) -> None:
+    def add(self, block: FloatArray) -> None:
         """Take the next block (n, n_channel)."""
         left = np.concatenate([self._rest, block])
         while True:
@@ -47,7 +47,7 @@ class EnvelopeTrack:
         return tuple(Envelope(self._step, low[:, n], high[:, n]) for n in range(low.shape[1]))
 
 
-def _extremes(rows: NDArray[np.floating], step: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _extremes(rows: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
     """(smallest, largest) of every *step* rows, missing numbers passed over."""
     stretches = rows.reshape(-1, step, rows.shape[1])
     low, high = np.fmin.reduce(stretches, axis=1), np.fmax.reduce(stretches, axis=1)
@@ -59,11 +59,11 @@ class SpectrumTrack:
 
     def __init__(self, n_channel: int, block: int = BLOCK) -> None:
         self._block = block
-        self._rest: NDArray[np.floating] = np.empty((0, n_channel))
+        self._rest: FloatArray = np.empty((0, n_channel))
         self._power = np.zeros((block // 2 + 1, n_channel))
         self._count = np.zeros(n_channel, int)
 
-    def add(self, block: NDArray[np.floating]) -> None:
+    def add(self, block: FloatArray) -> None:
         """Take the next block (n, n_channel)."""
         joined = np.concatenate([self._rest, block])
         whole = joined.shape[0] // self._block
@@ -71,7 +71,7 @@ class SpectrumTrack:
             self._take(joined[number * self._block : (number + 1) * self._block])
         self._rest = joined[whole * self._block :]
 
-    def _take(self, rows: NDArray[np.floating]) -> None:
+    def _take(self, rows: FloatArray) -> None:
         known = np.isfinite(rows).all(axis=0)
         self._power[:, known] += _density(rows[:, known])
         self._count += known
@@ -90,11 +90,11 @@ class SpectrumTrack:
         return tuple(Spectrum(frequency[1:], density[1:, n], int(count[n])) for n in range(density.shape[1]))
 
 
-def _density(rows: NDArray[np.floating]) -> NDArray[np.floating]:
+def _density(rows: FloatArray) -> FloatArray:
     """One-sided power density per cycle and sample of rows (n, n_channel): its sum over n lines / n is the mean square."""
     n = rows.shape[0]
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)
     power = np.abs(fft.rfft((rows - rows.mean(axis=0)) * window[:, None], axis=0)) ** 2 / np.sum(window**2)
     power[1 : (n + 1) // 2] *= 2
-    density: NDArray[np.floating] = power
+    density: FloatArray = power
     return density

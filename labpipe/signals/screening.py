@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 
@@ -35,7 +35,7 @@ class ChannelScreen:
         self._first_missing = np.full(n, -1)
         self._ends = [_both_ends(limit) for limit in limits or [None] * n]
 
-    def add(self, block: NDArray[np.floating]) -> None:
+    def add(self, block: FloatArray) -> None:
         """Take the next block."""
         if not block.shape[0]:
             return
@@ -49,7 +49,7 @@ class ChannelScreen:
                 end.add(column, self.n_sample)
         self.n_sample += block.shape[0]
 
-    def _add_levels(self, block: NDArray[np.floating], missing: NDArray[np.bool_]) -> None:
+    def _add_levels(self, block: FloatArray, missing: BoolArray) -> None:
         """Sums around each channel's first number: a small signal on a large offset keeps its variance."""
         fresh = np.isnan(self._origin) & ~missing.all(axis=0)
         self._origin[fresh] = block[np.argmin(missing, axis=0)[fresh], fresh]
@@ -57,18 +57,18 @@ class ChannelScreen:
         self._sum += beside.sum(axis=0)
         self._squares += (beside**2).sum(axis=0)
 
-    def _note_missing(self, missing: NDArray[np.bool_]) -> None:
+    def _note_missing(self, missing: BoolArray) -> None:
         self._n_missing += missing.sum(axis=0)
         fresh = (self._first_missing < 0) & missing.any(axis=0)
         self._first_missing[fresh] = self.n_sample + np.argmax(missing[:, fresh], axis=0)
 
     @property
-    def mean(self) -> NDArray[np.floating]:
+    def mean(self) -> FloatArray:
         """Mean per channel over the samples that are numbers."""
         return self._sum / np.maximum(self.n_sample - self._n_missing, 1) + np.nan_to_num(self._origin)
 
     @property
-    def rms(self) -> NDArray[np.floating]:
+    def rms(self) -> FloatArray:
         """Root mean square around the mean per channel."""
         n = np.maximum(self.n_sample - self._n_missing, 1)
         return np.sqrt(np.maximum(self._squares / n - (self._sum / n) ** 2, 0.0))
@@ -117,7 +117,7 @@ class _EndRuns:
         self._first = -1
         self._open = 0
 
-    def add(self, column: NDArray[np.floating], start: int) -> None:
+    def add(self, column: FloatArray, start: int) -> None:
         values = self._sign * column
         peak = np.max(values, initial=-np.inf, where=np.isfinite(values))
         if peak > self._extreme:
@@ -155,7 +155,7 @@ class _AtLimit:
         self._count = 0
         self._first = -1
 
-    def add(self, column: NDArray[np.floating], start: int) -> None:
+    def add(self, column: FloatArray, start: int) -> None:
         beyond = np.isfinite(column) & (self._sign * column >= self._limit)
         if self._first < 0 and beyond.any():
             self._first = start + int(np.argmax(beyond))
@@ -184,7 +184,7 @@ class TimeAxisScreen:
         self._resolution = np.inf
         self._typical = np.nan
 
-    def add(self, times: NDArray[np.floating]) -> None:
+    def add(self, times: FloatArray) -> None:
         """Take the next time stamps; DataError at a missing one or one that does not rise."""
         if not times.size:
             return
@@ -229,7 +229,7 @@ class TimeAxisScreen:
         return float(f"{1 / step:.12g}")
 
 
-def _printed_resolution(times: NDArray[np.floating]) -> float:
+def _printed_resolution(times: FloatArray) -> float:
     """The last digit to which times are printed: the largest power of ten, 1 at most, of which all are multiples.
 
     Never finer than the numbers themselves: a date in seconds is known to 2e-7 s only.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
+from labpipe.arrays import FloatArray
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.spectra.windows import hann
@@ -52,21 +52,21 @@ class Watched:
     def name(self) -> str:
         return self._source.name
 
-    def blocks(self, n_sample: int) -> Iterator[NDArray[np.floating]]:
+    def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """The recording's blocks as they are."""
         for block in self._source.blocks(n_sample):
             if block.shape[0] >= self._n >= SHORTEST:
                 self._look(block)
             yield block
 
-    def _look(self, block: NDArray[np.floating]) -> None:
+    def _look(self, block: FloatArray) -> None:
         strongest = int(np.argmax(np.max(np.abs(block[:, self._forces]), axis=1))) if self._forces else 0
         start = min(max(strongest - self._n // 2, 0), block.shape[0] - self._n)
         segment = block[start : start + self._n]
         self._n_segment += 1
         self._power += np.abs(fft.rfft((segment - segment.mean(axis=0)) * self._window, axis=0)) ** 2
 
-    def powers(self, band: tuple[float, float] | None) -> NDArray[np.floating]:
+    def powers(self, band: tuple[float, float] | None) -> FloatArray:
         """Power near half the sampling rate and in the band, per line, (2, n_channel) [unit^2]; 0 where nothing was seen to compare."""
         half = self.sample_rate / 2
         frequency = np.arange(self._power.shape[0]) * (self.sample_rate / self._n)
@@ -85,7 +85,7 @@ def aliasing_findings(sources: Sequence[Watched], band: tuple[float, float] | No
     What lies above half the sampling rate is folded back there first; a filter before sampling leaves little of either. All
     recordings count together: a direction that a force does not move shows noise only. Forces are often white by design.
     """
-    total: dict[str, NDArray[np.floating]] = {}
+    total: dict[str, FloatArray] = {}
     for source in sources:
         for channel, power in zip(source.channels, source.powers(band).T, strict=True):
             if channel.name in channels:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError
 
 # Lines are multiples of a spacing computed in floating point: one that lies on a band's edge belongs to the band.
@@ -12,10 +12,10 @@ EDGE = 1e-9
 
 
 def lines_in(
-    frequency: NDArray[np.floating],
+    frequency: FloatArray,
     band: tuple[float, float] | None,
     exclude: tuple[tuple[float, float], ...] = (),
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Which lines (n_frequency,) [Hz] lie in the band, its edges included, and outside every excluded band."""
     chosen = np.ones(frequency.shape, bool)
     if band is not None:
@@ -38,6 +38,6 @@ def line_range(n_sample: int, sample_rate: float, band: tuple[float, float] | No
     return slice(int(inside[0]) + 1, int(inside[-1]) + 2)
 
 
-def _within(frequency: NDArray[np.floating], band: tuple[float, float]) -> NDArray[np.bool_]:
+def _within(frequency: FloatArray, band: tuple[float, float]) -> BoolArray:
     low, high = band
     return (frequency >= low * (1 - EDGE)) & (frequency <= high * (1 + EDGE))

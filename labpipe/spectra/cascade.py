@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.reading import checked_blocks
@@ -15,16 +15,14 @@ from labpipe.spectra.shaft import shaft_motion
 
 MOST_BLOCKS = 40
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class CascadeSpectra:
     """speed (n_block,) [Hz], frequency (n_line,) [Hz], amplitude (n_block, n_line, n_output) 0-to-peak [SI], labels (n_output,)."""
 
-    speed: Array
-    frequency: Array
-    amplitude: Array
+    speed: FloatArray
+    frequency: FloatArray
+    amplitude: FloatArray
     labels: tuple[str, ...]
 
 

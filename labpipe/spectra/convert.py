@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.matrices import hermitian, without_rounding
@@ -14,11 +14,11 @@ from labpipe.spectra.matrices import hermitian, without_rounding
 DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
 
-def receptance_factor(form: str, frequency: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+def receptance_factor(form: str, frequency: FloatArray) -> ComplexArray:
     """(j w)^n by which a receptance is multiplied to give *form*, (n_frequency,); ConfigError for a form that is no such FRF."""
     if form not in DERIVATIVES:
         raise ConfigError(f"a response of the form '{form}' cannot be identified", hint="displacement, velocity or acceleration per force")
-    factor: NDArray[np.complexfloating] = (2j * np.pi * frequency) ** DERIVATIVES[form]
+    factor: ComplexArray = (2j * np.pi * frequency) ** DERIVATIVES[form]
     return factor
 
 
@@ -40,7 +40,7 @@ def converted(response: FrequencyResponse, form: str) -> FrequencyResponse:
     return dataclasses.replace(response, matrix=response.matrix * factor[:, None, None], covariance=covariance, form=form)
 
 
-def dynamic_stiffness(response: FrequencyResponse) -> NDArray[np.complexfloating]:
+def dynamic_stiffness(response: FrequencyResponse) -> ComplexArray:
     """Z = H^-1 [N/m] of the receptance matrix, (n_frequency, n_input, n_output): force per displacement, the matrix inverse.
 
     Raises DataError when there are not as many forces as responses, or when the matrix is singular at a line.
@@ -56,7 +56,7 @@ def dynamic_stiffness(response: FrequencyResponse) -> NDArray[np.complexfloating
         raise DataError("the FRF matrix is singular at a line, so it has no dynamic stiffness") from None
 
 
-def dynamic_stiffness_covariance(response: FrequencyResponse) -> NDArray[np.complexfloating] | None:
+def dynamic_stiffness_covariance(response: FrequencyResponse) -> ComplexArray | None:
     """Covariance of vec(Z), row-major, (n_frequency, n, n) [(N/m)^2]: dZ = -Z dH Z, so cov = T cov_H T^H with T = Z kron Z^T.
 
     To first order in the errors of H; None when the response has no covariance. Raises as dynamic_stiffness does.

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labpipe.spectra.matrices import Matrix
+from labpipe.arrays import ComplexArray, FloatArray
 
 # Lines to either side that a local rational function is fitted to.
 HALF_WIDTH = 4
 
 
-def without_added_damping(frequency: NDArray[np.floating], matrix: Matrix, decay: float) -> Matrix:
+def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: float) -> ComplexArray:
     """H(j w) from the windowed H(j w + s), s = 1/decay, (n_frequency, n_output, n_input); frequency [Hz] evenly spaced, decay [s].
 
     Around every line H is taken for (a0 + a1 x + a2 x^2) / (1 + b1 x), x = j (w' - w) / dw, on 4 lines to either side (the local
@@ -38,7 +37,7 @@ def without_added_damping(frequency: NDArray[np.floating], matrix: Matrix, decay
     return (value * np.where(size > 0, size, 1.0)).reshape(matrix.shape)
 
 
-def covariance_without_damping(before: Matrix, after: Matrix, covariance: Matrix) -> Matrix:
+def covariance_without_damping(before: ComplexArray, after: ComplexArray, covariance: ComplexArray) -> ComplexArray:
     """cov of the undamped response, (n_frequency, n, n): dH = (H/H_w)^2 dH_w, since the window adds a known part to 1/H."""
     ratio = np.divide(after, before, out=np.ones(before.shape, np.complex128), where=before != 0)
     gain = ratio.reshape(before.shape[0], -1) ** 2

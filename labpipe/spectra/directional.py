@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.matrices import without_rounding
@@ -48,7 +48,7 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
     )
 
 
-def directions(ports: tuple[Port, ...], what: str) -> NDArray[np.floating]:
+def directions(ports: tuple[Port, ...], what: str) -> FloatArray:
     """Rows (cos, sin) of the two directions; DataError unless there are two that differ."""
     angles = [port.angle for port in ports if port.angle is not None]
     if len(ports) != 2 or len(angles) != 2:
@@ -61,7 +61,7 @@ def directions(ports: tuple[Port, ...], what: str) -> NDArray[np.floating]:
     return directions
 
 
-def two_sided(response: FrequencyResponse) -> tuple[NDArray[np.floating], NDArray[np.complexfloating]]:
+def two_sided(response: FrequencyResponse) -> tuple[FloatArray, ComplexArray]:
     """Frequency from -f_max to f_max [Hz], (2 n,), and H_ff and H_fb over it, (2 n, 2) [unit of the response].
 
     Of a real system H_ff(-w) = conj H_bb(w) and H_fb(-w) = conj H_bf(w) (Lee, Vibration Analysis of Rotors, 1993): the backward

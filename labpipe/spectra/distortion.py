@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.periodic import LineSpectrum
@@ -21,14 +21,14 @@ class Distortion:
     noise: scatter between periods; nonlinear: what the noise does not explain of the total, 0 where it explains all.
     """
 
-    frequency: NDArray[np.floating]
-    gain: NDArray[np.complexfloating]
-    total: NDArray[np.floating]
-    noise: NDArray[np.floating]
+    frequency: FloatArray
+    gain: ComplexArray
+    total: FloatArray
+    noise: FloatArray
     n_realisation: int
 
     @property
-    def nonlinear(self) -> NDArray[np.floating]:
+    def nonlinear(self) -> FloatArray:
         """sqrt(total^2 - noise^2), (n_frequency,)."""
         return np.asarray(np.sqrt(np.maximum(self.total**2 - self.noise**2, 0.0)))
 
@@ -58,9 +58,9 @@ def robust_distortion(realisations: Sequence[FrequencyResponse], output: int = 0
 class DetectionLines:
     """Response at lines that the force leaves out: *frequency* (n,) [Hz], *level* |Y| and *noise* std of Y (n,) [unit of the channel]."""
 
-    frequency: NDArray[np.floating]
-    level: NDArray[np.floating]
-    noise: NDArray[np.floating]
+    frequency: FloatArray
+    level: FloatArray
+    noise: FloatArray
 
     @property
     def distortion(self) -> float:
@@ -68,7 +68,7 @@ class DetectionLines:
         return max(float(np.mean(self.level**2 - self.noise**2)), 0.0) ** 0.5 if self.level.size else 0.0
 
 
-def detection_lines(spectrum: LineSpectrum, excited: NDArray[np.bool_], column: int, spacing: float) -> dict[str, DetectionLines]:
+def detection_lines(spectrum: LineSpectrum, excited: BoolArray, column: int, spacing: float) -> dict[str, DetectionLines]:
     """Odd and even lines without force, within the band of the excited ones: "odd" and "even" distortion of one response.
 
     An odd multisine in a nonlinear system of even order answers at even lines only, of odd order at odd ones only, so lines left

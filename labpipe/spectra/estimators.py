@@ -13,25 +13,25 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
-from labpipe.spectra.matrices import Matrix, hermitian, inverse
+from labpipe.spectra.matrices import hermitian, inverse
 
 
-def h1(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:  # noqa: ARG001 (one signature for the whole table)
+def h1(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:  # noqa: ARG001 (one signature for the whole table)
     """H1 = S_yu S_uu^-1: noise on the responses averages out."""
     return s_yu @ inverse(s_uu)
 
 
-def h2(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:  # noqa: ARG001
+def h2(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:  # noqa: ARG001
     """H2 = S_yy S_uy^-1: noise on the forces averages out; needs as many responses as forces. The inverse is a general one."""
     if s_yu.shape[1] != s_yu.shape[2]:
         raise ConfigError("H2 needs as many responses as forces", hint="use H1 or Hv")
     return s_yy @ inverse(hermitian(s_yu))
 
 
-def hv(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:
+def hv(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:
     """Hv: total least squares per response, noise shared between force and response.
 
     Each channel is scaled by its own power at the line first, so that the result does not depend on units: in metres the plain
@@ -54,24 +54,24 @@ def hv(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:
     return np.stack(columns, axis=1)
 
 
-def forces_as_instruments(response: Matrix, power: NDArray[np.floating]) -> Matrix:  # noqa: ARG001 (one signature for the table)
+def forces_as_instruments(response: ComplexArray, power: FloatArray) -> ComplexArray:  # noqa: ARG001 (one signature for the table)
     """z = u: the measured forces, for H1."""
     return _chosen_channels(response, 0)
 
 
-def responses_as_instruments(response: Matrix, power: NDArray[np.floating]) -> Matrix:  # noqa: ARG001
+def responses_as_instruments(response: ComplexArray, power: FloatArray) -> ComplexArray:  # noqa: ARG001
     """z = y: the measured responses, for H2."""
     return _chosen_channels(response, response.shape[2])
 
 
-def _chosen_channels(response: Matrix, first: int) -> Matrix:
+def _chosen_channels(response: ComplexArray, first: int) -> ComplexArray:
     """W = [0 I 0], the same at every line and for every response."""
     n_frequency, n_output, n_input = response.shape
     chosen = np.eye(n_input, n_input + n_output, first, dtype=np.complex128)
     return np.broadcast_to(chosen, (n_frequency, 1, *chosen.shape))
 
 
-def adjusted_forces_as_instruments(response: Matrix, power: NDArray[np.floating]) -> Matrix:
+def adjusted_forces_as_instruments(response: ComplexArray, power: FloatArray) -> ComplexArray:
     """z = the forces moved onto the plane y = H u by the shortest way in scaled channels, for Hv.
 
     With q the normal (-H, 1) of that plane in channels divided by their own power, z = (I - q q^H / q^H q) [u; y].
@@ -88,8 +88,8 @@ def adjusted_forces_as_instruments(response: Matrix, power: NDArray[np.floating]
     return weights
 
 
-ESTIMATORS: dict[str, Callable[[Matrix, Matrix, Matrix], Matrix]] = {"H1": h1, "H2": h2, "Hv": hv}
-INSTRUMENTS: dict[str, Callable[[Matrix, NDArray[np.floating]], Matrix]] = {
+ESTIMATORS: dict[str, Callable[[ComplexArray, ComplexArray, ComplexArray], ComplexArray]] = {"H1": h1, "H2": h2, "Hv": hv}
+INSTRUMENTS: dict[str, Callable[[ComplexArray, FloatArray], ComplexArray]] = {
     "H1": forces_as_instruments,
     "H2": responses_as_instruments,
     "Hv": adjusted_forces_as_instruments,

@@ -6,9 +6,9 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
@@ -79,7 +79,7 @@ class _HitAverage:
         what, _, column = fault.rpartition(" ")
         return f"{what} '{self._source.channels[int(column) - 1].name}'" if column.isdigit() else fault
 
-    def _windowed(self, hit: Hit) -> NDArray[np.floating]:
+    def _windowed(self, hit: Hit) -> FloatArray:
         rate, impact = self._source.sample_rate, self._settings.impact
         samples = hit.samples.copy()
         if impact.force_window is not None:
@@ -89,7 +89,7 @@ class _HitAverage:
         self._note_slow(samples)
         return samples
 
-    def _note_slow(self, samples: NDArray[np.floating]) -> None:
+    def _note_slow(self, samples: FloatArray) -> None:
         tenths = np.array([np.sqrt(np.mean(part**2, axis=0)) for part in np.array_split(samples, 10)])
         ringing = tenths[-1] > DIED_AWAY * tenths.max(axis=0)
         self._slow.update(c.name for c, slow in zip(self._source.channels, ringing, strict=True) if slow and c.role == "output")
@@ -115,7 +115,7 @@ def _undamped(parts: Parts, decay: float) -> Parts:
     return dataclasses.replace(parts, matrix=matrix, covariance=covariance)
 
 
-def _selected(parts: Parts, chosen: NDArray[np.bool_]) -> Parts:
+def _selected(parts: Parts, chosen: BoolArray) -> Parts:
     """The parts on the chosen lines."""
     arrays = {name: getattr(parts, name) for name in ("frequency", "matrix", "covariance", "coherence", "multiple_coherence")}
     return dataclasses.replace(parts, **{name: values[chosen] for name, values in arrays.items() if values is not None})

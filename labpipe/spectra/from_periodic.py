@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
@@ -43,7 +43,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     return Parts(spectra[0].frequency, matrix, covariance, averages, dof, findings, snr=snr)
 
 
-def _lines_of_all_forces(spectra: Sequence[LineSpectrum], layout: Layout) -> NDArray[np.bool_]:
+def _lines_of_all_forces(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
     """The lines at which every force acts in one of the recordings; hum in one force channel alone makes no line of the matrix."""
     acting = np.zeros((spectra[0].frequency.size, len(layout.inputs)), bool)
     for spectrum, columns in zip(spectra, layout.input_columns, strict=True):
@@ -65,7 +65,7 @@ def _period_average(source: SampleSource, settings: FrfSettings) -> LineSpectrum
     return smoothed_noise(spectrum.select(lines_left(spectrum.frequency, settings)), settings.smooth)
 
 
-def _signal_to_noise(mean: NDArray[np.complexfloating], noise: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+def _signal_to_noise(mean: ComplexArray, noise: ComplexArray) -> FloatArray:
     """|mean| / std of the mean per line and channel, the largest over the recordings, (n_line, n_channel)."""
     std = np.sqrt(np.einsum("eljj->lje", noise).real)
     ratio = np.divide(np.abs(mean), std, out=np.full(std.shape, np.inf), where=std > 0)
@@ -78,7 +78,7 @@ def _no_covariance_finding(n_period: int) -> tuple[Finding, ...]:
     return (Finding("no-covariance", message),)
 
 
-def _snr_findings(snr: NDArray[np.floating] | None, layout: Layout) -> tuple[Finding, ...]:
+def _snr_findings(snr: FloatArray | None, layout: Layout) -> tuple[Finding, ...]:
     assert snr is not None
     poor = np.mean(snr < LOW_SNR, axis=0)
     labels = [port.label for port in (*layout.inputs, *layout.outputs)]

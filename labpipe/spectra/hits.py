@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.reading import READ_SAMPLES, checked_blocks
@@ -31,7 +31,7 @@ class Hit:
     number: int
     start: int
     trigger: int
-    samples: NDArray[np.floating]
+    samples: FloatArray
     fault: str = ""
 
 
@@ -68,7 +68,7 @@ def find_hits(source: SampleSource, force: int, n_sample: int, settings: ImpactS
         window, begin = window[keep - begin :], keep
 
 
-def _judged(number: int, start: int, raw: NDArray[np.floating], trigger: int, force: int, settings: ImpactSettings) -> Hit:
+def _judged(number: int, start: int, raw: FloatArray, trigger: int, force: int, settings: ImpactSettings) -> Hit:
     offset = np.median(raw[: max(trigger, 1)], axis=0) if trigger >= 4 else np.zeros(raw.shape[1])
     samples = raw - offset
     if number in settings.reject:
@@ -82,7 +82,7 @@ def _judged(number: int, start: int, raw: NDArray[np.floating], trigger: int, fo
     return Hit(number, start, trigger, samples, fault)
 
 
-def overloaded(samples: NDArray[np.floating]) -> NDArray[np.bool_]:
+def overloaded(samples: FloatArray) -> BoolArray:
     """Which channels (n_channel,) of samples (n_sample, n_channel) stand at their largest or smallest value several times in a row.
 
     The end on which the signal rests is no overload: only values beyond half the peak count.
@@ -96,7 +96,7 @@ def overloaded(samples: NDArray[np.floating]) -> NDArray[np.bool_]:
     return found
 
 
-def is_double(force: NDArray[np.floating], share: float) -> bool:
+def is_double(force: FloatArray, share: float) -> bool:
     """Whether the hammer touched twice: |force| (n_sample,) falls below half of *share* of its peak and rises above *share* again."""
     size = np.abs(force) / np.max(np.abs(force))
     above = np.flatnonzero(size >= share)
@@ -104,13 +104,13 @@ def is_double(force: NDArray[np.floating], share: float) -> bool:
     return any(size[above[gap] : above[gap + 1]].min() < ENDED * share for gap in gaps)
 
 
-def force_window(n_sample: int, trigger: int, length: float) -> NDArray[np.floating]:
+def force_window(n_sample: int, trigger: int, length: float) -> FloatArray:
     """One up to *length* [samples] after the hit, then half a cosine to zero within a tenth of it, (n_sample,)."""
     past = np.arange(n_sample) - (trigger + length)
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(past / (FLANK * length), 0.0, 1.0)))
 
 
-def exponential_window(n_sample: int, constant: float) -> NDArray[np.floating]:
+def exponential_window(n_sample: int, constant: float) -> FloatArray:
     """exp(-t / constant) from the block's start, (n_sample,); *constant* in samples.
 
     Force and response are both multiplied with it, so that their FRF is exactly H(j w + 1/constant).

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.spectra.ports import Layout
 
@@ -12,7 +12,7 @@ from labpipe.spectra.ports import Layout
 WORST_FORCE_CONDITION = 1e3
 
 
-def condition_number(correlation: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+def condition_number(correlation: ComplexArray) -> FloatArray:
     """Largest over smallest eigenvalue of Hermitian matrices with ones on the diagonal, (n_frequency,); 1 ... inf."""
     if correlation.shape[1] == 2:
         # Two channels, the usual case: the eigenvalues are 1 +- |c|.
@@ -24,7 +24,7 @@ def condition_number(correlation: NDArray[np.complexfloating]) -> NDArray[np.flo
     return np.divide(largest, smallest, out=np.full(smallest.shape, np.inf), where=smallest > 0)
 
 
-def force_inverse(forces: NDArray[np.complexfloating], layout: Layout) -> NDArray[np.complexfloating]:
+def force_inverse(forces: ComplexArray, layout: Layout) -> ComplexArray:
     """pinv of the forces (n_line, n_input, n_experiment); DataError when they do not span every input at every line."""
     n_input, n_experiment = forces.shape[1:]
     names = ", ".join(port.label for port in layout.inputs)
@@ -38,7 +38,7 @@ def force_inverse(forces: NDArray[np.complexfloating], layout: Layout) -> NDArra
     return np.linalg.pinv(forces / size[:, None]) / size[None, None, :]
 
 
-def check_forces(s_uu: NDArray[np.complexfloating], layout: Layout) -> None:
+def check_forces(s_uu: ComplexArray, layout: Layout) -> None:
     """DataError when the forces (n_frequency, n_input, n_input) are so correlated that their responses cannot be told apart."""
     scale = np.sqrt(np.einsum("fii->fi", s_uu).real)
     if np.any(scale == 0):
@@ -48,7 +48,7 @@ def check_forces(s_uu: NDArray[np.complexfloating], layout: Layout) -> None:
         raise DataError(f"the forces {names} do not act independently", hint="excite each direction in its own recording")
 
 
-def check_responses(s_yy: NDArray[np.complexfloating], layout: Layout, estimator: str) -> None:
+def check_responses(s_yy: ComplexArray, layout: Layout, estimator: str) -> None:
     """DataError when a response on which the estimator leans is silent, or a combination of the others where it inverts them all."""
     power = np.einsum("foo->fo", s_yy).real
     silent = [port.label for port, values in zip(layout.outputs, power.T, strict=True) if np.any(values == 0)]

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Matrix = NDArray[np.complexfloating]
+from labpipe.arrays import ComplexArray
 
 
-def hermitian(matrix: Matrix) -> Matrix:
+def hermitian(matrix: ComplexArray) -> ComplexArray:
     """The conjugate transpose of every matrix."""
     return matrix.conj().swapaxes(-1, -2)
 
 
-def inverse(matrix: Matrix) -> Matrix:
+def inverse(matrix: ComplexArray) -> ComplexArray:
     """The inverse of every matrix; numpy.linalg.LinAlgError when one is singular. Two by two, the usual case, in closed form."""
     if matrix.shape[-1] != 2:
         return np.linalg.inv(matrix)
@@ -27,7 +26,7 @@ def inverse(matrix: Matrix) -> Matrix:
     return adjugate
 
 
-def without_rounding(covariance: Matrix) -> Matrix:
+def without_rounding(covariance: ComplexArray) -> ComplexArray:
     """The Hermitian part of a covariance, its diagonal real and not below zero."""
     covariance = (covariance + hermitian(covariance)) / 2
     diagonal = np.einsum("...ii->...i", covariance)

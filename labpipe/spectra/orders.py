@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import Port
@@ -29,13 +29,13 @@ class OrderTrack:
     """
 
     order: float
-    time: NDArray[np.floating]
-    speed: NDArray[np.floating]
-    amplitude: NDArray[np.complexfloating]
-    variance: NDArray[np.floating]
+    time: FloatArray
+    speed: FloatArray
+    amplitude: ComplexArray
+    variance: FloatArray
     ports: tuple[Port, ...]
-    overall: NDArray[np.floating]
-    orbit: NDArray[np.floating]
+    overall: FloatArray
+    orbit: FloatArray
     planes: tuple[Plane, ...] = ()
 
 
@@ -80,7 +80,7 @@ def plane_track(track: OrderTrack, plane: Plane) -> OrderTrack:
     return OrderTrack(track.order, track.time, track.speed, amplitude, variance, ports, np.abs(amplitude), orbit, (plane,))
 
 
-Stretch = tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]
+Stretch = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def _stretches(source: SampleSource, motion: ShaftMotion, revolutions: int) -> Iterator[Stretch]:
@@ -101,7 +101,7 @@ def _stretches(source: SampleSource, motion: ShaftMotion, revolutions: int) -> I
         rest, start = samples[kept:], start + kept
 
 
-def _whole(samples: NDArray[np.floating], planes: tuple[Plane, ...]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _whole(samples: FloatArray, planes: tuple[Plane, ...]) -> tuple[FloatArray, FloatArray]:
     """Half of peak-to-peak of every response (n_output,), and the largest distance from the middle of every plane's orbit (n_plane,)."""
     low, high = samples.min(axis=0), samples.max(axis=0)
     centred = samples - (low + high) / 2
@@ -110,13 +110,13 @@ def _whole(samples: NDArray[np.floating], planes: tuple[Plane, ...]) -> tuple[ND
 
 
 def _fitted(
-    time: NDArray[np.floating],
-    angle: NDArray[np.floating],
-    samples: NDArray[np.floating],
+    time: FloatArray,
+    angle: FloatArray,
+    samples: FloatArray,
     outputs: list[int],
-    orders: NDArray[np.floating],
+    orders: FloatArray,
     order: float,
-) -> tuple[float, float, NDArray[np.complexfloating], NDArray[np.floating]]:
+) -> tuple[float, float, ComplexArray, FloatArray]:
     """Mean time [s], speed [Hz], amplitude and its variance (n_output,) of one stretch."""
     turns = np.exp(1j * angle[:, None] * orders)
     columns = np.column_stack([np.ones(time.size), turns.real, -turns.imag])

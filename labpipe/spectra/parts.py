@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.spectra.bands import lines_in
@@ -22,20 +22,20 @@ LOW_COHERENCE = 0.9
 class Parts:
     """Matrix, covariance and quality of a measurement on its lines; the fields are those of FrequencyResponse."""
 
-    frequency: NDArray[np.floating]
-    matrix: NDArray[np.complexfloating]
-    covariance: NDArray[np.complexfloating] | None
+    frequency: FloatArray
+    matrix: ComplexArray
+    covariance: ComplexArray | None
     averages: float
     dof: float
     findings: tuple[Finding, ...] = ()
-    coherence: NDArray[np.floating] | None = None
-    multiple_coherence: NDArray[np.floating] | None = None
-    partial_coherence: NDArray[np.floating] | None = None
-    snr: NDArray[np.floating] | None = None
+    coherence: FloatArray | None = None
+    multiple_coherence: FloatArray | None = None
+    partial_coherence: FloatArray | None = None
+    snr: FloatArray | None = None
     line_correlation: tuple[float, ...] = ()
 
 
-def lines_left(frequency: NDArray[np.floating], settings: FrfSettings) -> NDArray[np.bool_]:
+def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:
     """The lines of the settings' band outside its gaps; DataError when none is left."""
     chosen = lines_in(frequency, settings.band, settings.exclude)
     if not np.any(chosen):
@@ -43,7 +43,7 @@ def lines_left(frequency: NDArray[np.floating], settings: FrfSettings) -> NDArra
     return chosen
 
 
-def coherence_findings(multiple: NDArray[np.floating], layout: Layout) -> tuple[Finding, ...]:
+def coherence_findings(multiple: FloatArray, layout: Layout) -> tuple[Finding, ...]:
     """A warning for every response (n_frequency, n_output) that the forces explain poorly at many lines."""
     return tuple(
         Finding(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 
 
@@ -25,7 +25,7 @@ class HalfPower:
         return (self.high**2 - self.low**2) / (4 * self.frequency**2)
 
 
-def half_power(frequency: NDArray[np.floating], response: NDArray[np.complexfloating], band: tuple[float, float]) -> HalfPower:
+def half_power(frequency: FloatArray, response: ComplexArray, band: tuple[float, float]) -> HalfPower:
     """The highest peak of |H| (n_frequency,) in *band* [Hz] and where |H| falls to 1/sqrt(2) of it.
 
     Between lines 1/|H|^2 is a parabola in w^2, which it is exactly for one degree of freedom: receptance |1/H|^2 =
@@ -47,13 +47,13 @@ def half_power(frequency: NDArray[np.floating], response: NDArray[np.complexfloa
     return HalfPower(float(np.sqrt(square[peak] + top)), float(size[peak] / np.sqrt(least)), float(np.sqrt(low)), float(np.sqrt(high)))
 
 
-def _parabola(x: NDArray[np.floating], y: NDArray[np.floating], origin: float) -> tuple[float, float, float]:
+def _parabola(x: FloatArray, y: FloatArray, origin: float) -> tuple[float, float, float]:
     """a, b, c of y = a (x - origin)^2 + b (x - origin) + c through three points."""
     a, b, c = np.linalg.solve(np.vander(x - origin, 3), y)
     return float(a), float(b), float(c)
 
 
-def _crossing(square: NDArray[np.floating], inverse: NDArray[np.floating], peak: int, side: int, level: float) -> float:
+def _crossing(square: FloatArray, inverse: FloatArray, peak: int, side: int, level: float) -> float:
     """w^2 / (2 pi)^2 where the inverse rises through *level* on one side of the peak."""
     beyond = np.flatnonzero(inverse[peak::side] >= level)
     if not beyond.size:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, special
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
 
 # A line whose own scatter exceeds its neighbours' at this level is not broadband noise (a shaft-speed line, say).
@@ -25,13 +26,13 @@ class LineSpectrum:
     dof        complex degrees of freedom behind each line of the noise
     """
 
-    frequency: NDArray[np.floating]
-    mean: NDArray[np.complexfloating]
-    noise: NDArray[np.complexfloating] | None
+    frequency: FloatArray
+    mean: ComplexArray
+    noise: ComplexArray | None
     n_period: int
     dof: float
 
-    def select(self, lines: NDArray[np.bool_]) -> LineSpectrum:
+    def select(self, lines: BoolArray) -> LineSpectrum:
         """The spectrum on the chosen lines."""
         noise = None if self.noise is None else self.noise[lines]
         return LineSpectrum(self.frequency[lines], self.mean[lines], noise, self.n_period, self.dof)
@@ -59,13 +60,13 @@ class PeriodAverage:
         self._lines = lines
         self._line_numbers = np.arange(n_sample // 2 + 1)[lines]
         self._skip = skip
-        self._rest: NDArray[np.floating] = np.empty((0, n_channel))
+        self._rest: FloatArray = np.empty((0, n_channel))
         n_line = self._line_numbers.size
         self._mean = np.zeros((n_line, n_channel), np.complex128)
         self._scatter = np.zeros((n_line, n_channel, n_channel), np.complex128)
         self.n_period = 0
 
-    def add(self, block: NDArray[np.floating]) -> None:
+    def add(self, block: FloatArray) -> None:
         """Take a block (n, n_channel) that follows the one before."""
         samples = np.concatenate([self._rest, block]) if self._rest.size else block
         n_whole = samples.shape[0] // self._n_sample
@@ -73,7 +74,7 @@ class PeriodAverage:
             self._add_period(samples[number * self._n_sample : (number + 1) * self._n_sample])
         self._rest = samples[n_whole * self._n_sample :].copy()
 
-    def _add_period(self, period: NDArray[np.floating]) -> None:
+    def _add_period(self, period: FloatArray) -> None:
         if self._skip > 0:
             self._skip -= 1
             return
@@ -116,7 +117,7 @@ def smoothed_noise(spectrum: LineSpectrum, half_width: int) -> LineSpectrum:
     return LineSpectrum(spectrum.frequency, spectrum.mean, noise, spectrum.n_period, dof)
 
 
-def _broadband_lines(power: NDArray[np.floating], dof: float, half_width: int) -> NDArray[np.bool_]:
+def _broadband_lines(power: FloatArray, dof: float, half_width: int) -> BoolArray:
     """The lines whose noise power (n_line, n_channel) is that of their neighbours; the others are left out one after the other.
 
     A strong line hides weaker ones beside it (leakage of a shaft-speed line, say), so the test is repeated without those found.
@@ -145,11 +146,11 @@ def _neighbourhood_sum(values: NDArray[Any], half_width: int, own: bool) -> NDAr
     return total
 
 
-def _neighbourhood_count(chosen: NDArray[np.bool_], half_width: int, own: bool) -> NDArray[np.floating]:
+def _neighbourhood_count(chosen: BoolArray, half_width: int, own: bool) -> FloatArray:
     return np.maximum(_neighbourhood_sum(chosen.astype(np.float64), half_width, own), 1)
 
 
-def _neighbourhood_mean(values: NDArray[Any], chosen: NDArray[np.bool_], half_width: int, own: bool) -> NDArray[Any]:
+def _neighbourhood_mean(values: NDArray[Any], chosen: BoolArray, half_width: int, own: bool) -> NDArray[Any]:
     """Mean over the chosen lines k-h ... k+h, with or without line k itself."""
     shape = (-1,) + (1,) * (values.ndim - 1)
     total = _neighbourhood_sum(np.where(chosen.reshape(shape), values, 0), half_width, own)
@@ -157,7 +158,7 @@ def _neighbourhood_mean(values: NDArray[Any], chosen: NDArray[np.bool_], half_wi
     return mean
 
 
-def excited_lines(spectrum: LineSpectrum, inputs: list[int], signal_to_noise: float = 5.0, floor: float = 1e-3) -> NDArray[np.bool_]:
+def excited_lines(spectrum: LineSpectrum, inputs: list[int], signal_to_noise: float = 5.0, floor: float = 1e-3) -> BoolArray:
     """The lines at which a force really acts: above its noise, and above *floor* of the strongest line.
 
     With smoothed noise the chance that an empty line passes at a signal-to-noise ratio of 5 is exp(-25).

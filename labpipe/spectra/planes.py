@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.records.response import Port
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.spectra.directional import SMALLEST_ANGLE
@@ -22,7 +22,7 @@ class Plane:
     angles: tuple[float, float]
 
     @property
-    def directions(self) -> NDArray[np.floating]:
+    def directions(self) -> FloatArray:
         """Rows (cos, sin) of the two responses."""
         return np.column_stack([np.cos(self.angles), np.sin(self.angles)])
 

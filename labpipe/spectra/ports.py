@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import Port
@@ -31,13 +31,13 @@ class Layout:
     input_sensors: tuple[Channel, ...]
     output_sensors: tuple[Channel, ...]
 
-    def sensor_factor(self, frequency: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    def sensor_factor(self, frequency: FloatArray) -> ComplexArray:
         """S_input / S_output: the factor that takes the sensors out of H, (n_line, n_output, n_input); see sensor_response."""
         shown = [[sensor_response(sensor, frequency) for sensor in sensors] for sensors in (self.output_sensors, self.input_sensors)]
         outputs, inputs = (np.array(each, np.complex128).T for each in shown)
         return np.asarray(inputs[:, None, :] / outputs[:, :, None])
 
-    def padded(self, recording: int, values: NDArray[np.complexfloating], axes: int) -> NDArray[np.complexfloating]:
+    def padded(self, recording: int, values: ComplexArray, axes: int) -> ComplexArray:
         """The last *axes* axes of *values* reordered to inputs then outputs; zero for a force that does not act."""
         columns = np.array([*self.input_columns[recording], *self.output_columns[recording]])
         known = columns >= 0
@@ -70,12 +70,12 @@ def find_layout(sources: Sequence[SampleSource]) -> Layout:
     )
 
 
-def sensor_response(sensor: Channel, frequency: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+def sensor_response(sensor: Channel, frequency: FloatArray) -> ComplexArray:
     """What the sensor shows over what there is, exp(-j w delay) g(f) exp(j phi(f)), (n_line,) at *frequency* [Hz].
 
     Gain and phase are straight lines between the rows of its table. DataError where a line lies outside the table.
     """
-    shown: NDArray[np.complexfloating] = np.exp(-2j * np.pi * frequency * sensor.delay)
+    shown: ComplexArray = np.exp(-2j * np.pi * frequency * sensor.delay)
     if not sensor.response:
         return shown
     at, gain, phase = np.array(sensor.response).T

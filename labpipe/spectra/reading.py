@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 
@@ -14,7 +14,7 @@ from labpipe.records.recording import SampleSource
 READ_SAMPLES = 1 << 16
 
 
-def checked_blocks(source: SampleSource) -> Iterator[NDArray[np.floating]]:
+def checked_blocks(source: SampleSource) -> Iterator[FloatArray]:
     """The recording's blocks (n, n_channel); DataError at the first sample that is no number, and at the end for a silent force."""
     start = 0
     silent: dict[int, float] = {}
@@ -34,7 +34,7 @@ def checked_blocks(source: SampleSource) -> Iterator[NDArray[np.floating]]:
         raise DataError(what, hint="is the sensor connected?")
 
 
-def _refuse_missing(source: SampleSource, block: NDArray[np.floating], start: int) -> None:
+def _refuse_missing(source: SampleSource, block: FloatArray, start: int) -> None:
     missing = np.argwhere(~np.isfinite(block))
     if not missing.size:
         return

@@ -6,8 +6,8 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
@@ -65,7 +65,7 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
     )
 
 
-def _neighbours_mean(values: NDArray[np.floating], half_width: int) -> NDArray[np.floating]:
+def _neighbours_mean(values: FloatArray, half_width: int) -> FloatArray:
     """Mean over lines k-h ... k+h, cut at the ends."""
     ones = np.ones(2 * half_width + 1)
     middle = slice(half_width, half_width + values.size)
@@ -73,7 +73,7 @@ def _neighbours_mean(values: NDArray[np.floating], half_width: int) -> NDArray[n
     return np.asarray(total / count)
 
 
-def _distortion_note(matrix: NDArray[np.complexfloating], distortion: NDArray[np.floating], noise: NDArray[np.floating], m: int) -> Finding:
+def _distortion_note(matrix: ComplexArray, distortion: FloatArray, noise: FloatArray, m: int) -> Finding:
     size = np.sqrt(np.mean(np.abs(matrix) ** 2))
     nonlinear, noisy = (100 * float(np.sqrt(np.mean(level**2)) / size) for level in (distortion, noise))
     message = f"{m} realisations of the phases: nonlinearity scatters the FRF by {nonlinear:.2g} % (rms), noise by {noisy:.2g} % in each"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import gamma_tail
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
@@ -30,7 +30,7 @@ class Reciprocity:
 
     first: str
     second: str
-    ratio: NDArray[np.floating]
+    ratio: FloatArray
     difference: float
     p_value: float
 
@@ -83,7 +83,7 @@ def _pair(response: FrequencyResponse, first: str, second: str, one: tuple[int, 
     return Reciprocity(first, second, ratio, difference, _p_value(normal, response.covariance_dof))
 
 
-def _p_value(normal: NDArray[np.complexfloating], dof: float) -> float:
+def _p_value(normal: ComplexArray, dof: float) -> float:
     """P(mean ratio at least as large): a gamma distribution with the mean and variance of averaged F(2, 2 dof) ratios.
 
     Mean dof/(dof-1), variance dof^3 / ((dof-1)^2 (dof-2)) / n_e, with n_e = n / (1 + 2 sum |r_k|^2) lines in effect, r_k the

@@ -6,17 +6,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.records.run_up import RunUp
 from labpipe.spectra.orders import OrderTrack
 
 # Part of a speed by which two runs may differ and still be taken at the same speed.
 SAME_SPEED = 1e-3
-
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
 
 
 def run_up_of(track: OrderTrack, name: str, load: float, unbalance: Mapping[str, complex], planes: tuple[str, ...] = ()) -> RunUp:
@@ -39,7 +36,7 @@ def run_up_of(track: OrderTrack, name: str, load: float, unbalance: Mapping[str,
     return RunUp(name, load, speed, names, response, deviation, deviation / size, dict(unbalance))
 
 
-def _by_speed(speed: Array, response: ComplexArray, deviation: Array) -> tuple[Array, ComplexArray, Array]:
+def _by_speed(speed: FloatArray, response: ComplexArray, deviation: FloatArray) -> tuple[FloatArray, ComplexArray, FloatArray]:
     """Stretches in the order of their speeds, those of one speed averaged with the inverse of their variances."""
     order = np.argsort(speed, kind="stable")
     group, first = np.zeros(speed.size, np.intp), speed[order[0]]
@@ -51,11 +48,11 @@ def _by_speed(speed: Array, response: ComplexArray, deviation: Array) -> tuple[A
     weight = deviation[order] ** -2.0
     total = np.add.reduceat(weight, starts)
     means = np.asarray(np.add.reduceat(weight * response[order], starts) / total, np.complex128)
-    middle: Array = np.add.reduceat(speed[order], starts) / np.diff([*starts, speed.size])
+    middle: FloatArray = np.add.reduceat(speed[order], starts) / np.diff([*starts, speed.size])
     return middle, means, np.asarray(total**-0.5)
 
 
-def _in_planes(track: OrderTrack) -> tuple[ComplexArray, Array]:
+def _in_planes(track: OrderTrack) -> tuple[ComplexArray, FloatArray]:
     """Phasors and their standard deviations (n_stretch, n_plane, 2) in x and y."""
     found, spread = [], []
     for plane in track.planes:
@@ -84,13 +81,13 @@ def difference(run: RunUp, residual: RunUp) -> RunUp:
     return _subtracted(run, residual, kept, partner[kept])
 
 
-def at_speeds(run: RunUp, speed: Array) -> RunUp:
+def at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
     """A densely tracked run at other speeds within its range, straight between its points; DataError when there is none."""
     inside = speed[(speed >= run.speed[0]) & (speed <= run.speed[-1])]
     if inside.size == 0:
         raise DataError(f"run '{run.name}' does not reach the speeds of the run that it is subtracted from")
 
-    def between(values: Array) -> Array:
+    def between(values: FloatArray) -> FloatArray:
         flat = values.reshape(run.n_speed, -1)
         return np.stack([np.interp(inside, run.speed, column) for column in flat.T], axis=-1).reshape(-1, *values.shape[1:])
 
@@ -99,7 +96,7 @@ def at_speeds(run: RunUp, speed: Array) -> RunUp:
     return replace(run, speed=inside, response=response, amplitude_error=errors[0], phase_error=errors[1])
 
 
-def _subtracted(run: RunUp, residual: RunUp, kept: NDArray[np.intp], partner: NDArray[np.intp]) -> RunUp:
+def _subtracted(run: RunUp, residual: RunUp, kept: IntArray, partner: IntArray) -> RunUp:
     first, second = run.response[kept], residual.response[partner]
     net = first - second
     if np.any(net == 0):
@@ -114,5 +111,5 @@ def _subtracted(run: RunUp, residual: RunUp, kept: NDArray[np.intp], partner: ND
     unbalance = {plane: run.unbalance.get(plane, 0j) - residual.unbalance.get(plane, 0j) for plane in planes}
     if not any(abs(size) > 0 for size in unbalance.values()):
         raise DataError(f"runs '{run.name}' and '{residual.name}' have the same known unbalance", hint="state what was added in between")
-    turned: Array = np.sqrt(across) / np.abs(net)
+    turned: FloatArray = np.sqrt(across) / np.abs(net)
     return replace(run, speed=run.speed[kept], response=net, unbalance=unbalance, amplitude_error=np.sqrt(along), phase_error=turned)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.reading import READ_SAMPLES
@@ -23,22 +23,22 @@ STRETCH = 10
 class ShaftMotion:
     """Revolutions [1] counted at times [s], both increasing; the shaft turns evenly between them, and beyond the ends."""
 
-    times: NDArray[np.floating]
-    revolutions: NDArray[np.floating]
+    times: FloatArray
+    revolutions: FloatArray
 
-    def angle(self, time: NDArray[np.floating]) -> NDArray[np.floating]:
+    def angle(self, time: FloatArray) -> FloatArray:
         """Shaft angle at *time* [s], same shape [rad], zero at the first pulse (or at the start for a given speed)."""
         inner = np.interp(time, self.times, self.revolutions)
         first, last = self.speeds[[0, -1]]
         before = np.minimum(time - self.times[0], 0.0) * first
         after = np.maximum(time - self.times[-1], 0.0) * last
-        turned: NDArray[np.floating] = 2 * np.pi * (inner + before + after)
+        turned: FloatArray = 2 * np.pi * (inner + before + after)
         return turned
 
     @property
-    def speeds(self) -> NDArray[np.floating]:
+    def speeds(self) -> FloatArray:
         """Speed of every stretch between counted times, (n,) [Hz]."""
-        found: NDArray[np.floating] = np.diff(self.revolutions) / np.diff(self.times)
+        found: FloatArray = np.diff(self.revolutions) / np.diff(self.times)
         return found
 
     @property
@@ -66,7 +66,7 @@ def shaft_motion(source: SampleSource, lines: ShaftLines) -> ShaftMotion:
     return ShaftMotion(pulses, np.arange(pulses.size) / lines.pulses)
 
 
-def tacho_pulses(source: SampleSource, channel: str) -> NDArray[np.floating]:
+def tacho_pulses(source: SampleSource, channel: str) -> FloatArray:
     """Times [s] at which the tacho rises through the middle of its range, between samples by straight lines.
 
     A rise counts once the signal has been in the lower and then in the upper part of the range, so that noise at the middle makes
@@ -99,7 +99,7 @@ class _PulseCounter:
         self._n_sample = 0
         self.positions: list[float] = []
 
-    def add(self, column: NDArray[np.floating]) -> None:
+    def add(self, column: FloatArray) -> None:
         samples = np.concatenate([self._last, column])
         start = self._n_sample - self._last.size
         rises = np.flatnonzero((samples[:-1] < self._middle) & (samples[1:] >= self._middle))

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
@@ -23,7 +23,7 @@ class WithoutSynchronous:
 
     source: SampleSource
     motion: ShaftMotion
-    amplitude: NDArray[np.complexfloating]
+    amplitude: ComplexArray
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -45,7 +45,7 @@ class WithoutSynchronous:
     def findings(self) -> tuple[Finding, ...]:
         return (*self.source.findings, *_removed(self.source.channels, self.motion, self.amplitude))
 
-    def blocks(self, n_sample: int) -> Iterator[NDArray[np.floating]]:
+    def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]: x - Re sum_h X_h exp(j h theta)."""
         start = 0
         for block in self.source.blocks(n_sample):
@@ -76,20 +76,20 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
     return WithoutSynchronous(source, motion, amplitude * [channel.role != "reference" for channel in source.channels])
 
 
-def _shares(source: SampleSource, amplitude: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+def _shares(source: SampleSource, amplitude: ComplexArray) -> FloatArray:
     """Power of the fitted harmonics of every response in shares of the first block's power, so that units do not matter."""
     outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
     power = next(iter(source.blocks(READ_SAMPLES)))[:, outputs].var(axis=0)
     return np.sum(np.abs(amplitude[:, outputs]) ** 2, axis=0) / np.where(power > 0, power, 1.0)
 
 
-def _turns(motion: ShaftMotion, start: int, n_sample: int, sample_rate: float, n_harmonic: int) -> NDArray[np.complexfloating]:
+def _turns(motion: ShaftMotion, start: int, n_sample: int, sample_rate: float, n_harmonic: int) -> ComplexArray:
     """exp(j h theta) of h = 1 ... n_harmonic, (n_sample, n_harmonic)."""
     angle = motion.angle((start + np.arange(n_sample)) / sample_rate)
     return np.exp(1j * angle[:, None] * np.arange(1, n_harmonic + 1))
 
 
-def _fitted(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> NDArray[np.complexfloating]:
+def _fitted(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> ComplexArray:
     """Least squares of x = c + Re sum_h X_h exp(j h theta) over the whole recording, (n_harmonic, n_channel)."""
     n = 2 * n_harmonic + 1
     normal, right = np.zeros((n, n)), np.zeros((n, len(source.channels)))
@@ -124,7 +124,7 @@ def _refined(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
     return speed + float(turn) / (2 * np.pi * stretch / source.sample_rate)
 
 
-def _removed(channels: Sequence[Channel], motion: ShaftMotion, amplitude: NDArray[np.complexfloating]) -> tuple[Finding, ...]:
+def _removed(channels: Sequence[Channel], motion: ShaftMotion, amplitude: ComplexArray) -> tuple[Finding, ...]:
     """What was taken out, in words: the amplitudes of every channel, 0-to-peak."""
     low, high = motion.speed_range
     speed = f"{low:.6g} Hz" if high - low < 1e-9 * high else f"{low:.6g}-{high:.6g} Hz"

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.spectra.matrices import Matrix, hermitian, inverse, without_rounding
+from labpipe.arrays import ComplexArray
+from labpipe.spectra.matrices import hermitian, inverse, without_rounding
 
 
-def covariance_of_random(spectra: Matrix, response: Matrix, instruments: Matrix, averages: float) -> Matrix:
+def covariance_of_random(spectra: ComplexArray, response: ComplexArray, instruments: ComplexArray, averages: float) -> ComplexArray:
     """cov(H_oi, H_pj) = S_rr[o, p] (B_p^H S_zz[p, o] B_o)[j, i] / (n_e - n_input), B_o = (E[u z_o^H])^-1, S_rr = [-H, I] S [-H, I]^H.
 
     An estimator with instruments z errs by d_o = sum_k r_o z_o^H B_o / n_e, r = y - H u. For H1 (z = u) the second factor is
@@ -34,7 +35,7 @@ def covariance_of_random(spectra: Matrix, response: Matrix, instruments: Matrix,
     return without_rounding(covariance.reshape(n_frequency, n, n))
 
 
-def covariance_of_periodic(response: Matrix, force_inverse: Matrix, noise: Matrix) -> Matrix:
+def covariance_of_periodic(response: ComplexArray, force_inverse: ComplexArray, noise: ComplexArray) -> ComplexArray:
     """cov(H_oi, H_pj) = sum_e R_e[o, p] G[e, i] G[e, j]*, R_e = [-H, I] N_e [-H, I]^H, G = pinv(U).
 
     From H = Y G over the experiments e (one per force direction): dH = sum_e (dy_e - H du_e) G[e, :].

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
 from labpipe.spectra.settings import DETRENDS
 from labpipe.spectra.windows import effective_averages, line_correlation
@@ -28,8 +28,8 @@ class CrossSpectra:
     line_correlation: of an FRF's noise with that of the next lines, see windows.line_correlation.
     """
 
-    frequency: NDArray[np.floating]
-    matrix: NDArray[np.complexfloating]
+    frequency: FloatArray
+    matrix: ComplexArray
     n_block: int
     averages: float
     line_correlation: tuple[float, ...] = ()
@@ -42,9 +42,7 @@ class WelchAverage:
     FFT(w (x - sum_p c_p b_p)) = FFT(w x) - sum_p c_p FFT(w b_p), where FFT(w b_p) has few lines that differ from zero.
     """
 
-    def __init__(
-        self, window: NDArray[np.floating], step: int, n_channel: int, lines: slice = slice(1, None), detrend: str = "constant"
-    ) -> None:
+    def __init__(self, window: FloatArray, step: int, n_channel: int, lines: slice = slice(1, None), detrend: str = "constant") -> None:
         """*window* (n_sample,), *step* samples from block to block; *lines* of the DFT that are kept, neighbours above 0 Hz.
 
         *detrend*: what is taken out of every segment before the window: its mean (constant), a straight line (linear), or none.
@@ -63,10 +61,10 @@ class WelchAverage:
         self._coefficients = np.empty((n_together, self._basis.shape[0], n_channel))
         self._n_waiting = 0
         self._gram = _Gram(self._line_numbers.size, n_channel)
-        self._rest: list[NDArray[np.floating]] = []
+        self._rest: list[FloatArray] = []
         self.n_block = 0
 
-    def add(self, block: NDArray[np.floating]) -> None:
+    def add(self, block: FloatArray) -> None:
         """Take samples (n, n_channel) that follow the ones before."""
         n, block = self._window.size, np.ascontiguousarray(block, np.float64)
         n_rest = sum(piece.shape[0] for piece in self._rest)
@@ -81,7 +79,7 @@ class WelchAverage:
         done = begin + self._add_segments(block[begin:], block.shape[0]) if begin >= 0 else begin
         self._rest = [block[done:].copy()] if done >= 0 else [seam[n_rest + done :].copy()]
 
-    def _add_segments(self, samples: NDArray[np.floating], most: int) -> int:
+    def _add_segments(self, samples: FloatArray, most: int) -> int:
         """Taper all complete segments of samples (n, n_channel), at most *most*; returns where the next one begins."""
         n = self._window.size
         n_segment = min(most, max(0, (samples.shape[0] - n) // self._step + 1))
@@ -99,7 +97,7 @@ class WelchAverage:
                 self._transform()
         return n_segment * self._step
 
-    def _trend_of(self, samples: NDArray[np.floating], segments: NDArray[np.floating]) -> NDArray[np.floating]:
+    def _trend_of(self, samples: FloatArray, segments: FloatArray) -> FloatArray:
         """The trend's coefficients (n_segment, n_row, n_channel); *segments* begin with *samples*.
 
         A mean is that of whole steps, where they fit, so that every sample is summed once, however blocks overlap.
@@ -143,7 +141,7 @@ class _Gram:
         self._sum = np.zeros((n_line, 2 * n_channel, 2 * n_channel + 1))
         self._product = np.empty_like(self._sum)
 
-    def add(self, amplitude: NDArray[np.complexfloating], first: int) -> None:
+    def add(self, amplitude: ComplexArray, first: int) -> None:
         """Add the lines from *first* on of amplitudes (n_segment, n_line_in_all, n_channel)."""
         n_segment, n_row = amplitude.shape[0], 2 * amplitude.shape[2]
         n_line = self._sum.shape[0]
@@ -155,7 +153,7 @@ class _Gram:
         np.matmul(left.transpose(1, 2, 0), wide.swapaxes(0, 1), out=self._product)
         self._sum += self._product
 
-    def matrix(self) -> NDArray[np.complexfloating]:
+    def matrix(self) -> ComplexArray:
         """sum X_a X_b*, (n_line, n_channel, n_channel), Hermitian to the last digit."""
         n_line, n_row, _ = self._sum.shape
         n = n_row // 2
@@ -169,7 +167,7 @@ class _Gram:
         return matrix
 
 
-def trend_basis(detrend: str, n_sample: int) -> NDArray[np.floating]:
+def trend_basis(detrend: str, n_sample: int) -> FloatArray:
     """Orthonormal rows (n_row, n_sample) that span the trend: none, a constant, or a straight line; ConfigError for another name."""
     if detrend not in DETRENDS:
         raise ConfigError(f"unknown trend '{detrend}'", hint=f"known: {', '.join(DETRENDS)}")
@@ -177,7 +175,7 @@ def trend_basis(detrend: str, n_sample: int) -> NDArray[np.floating]:
     return np.array([row / np.linalg.norm(row) for row in rows]).reshape(len(rows), n_sample)
 
 
-def _significant_lines(trend: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:
+def _significant_lines(trend: ComplexArray) -> ComplexArray:
     """The first lines (n_row, n_line) up to the last one above rounding: a row's largest possible amplitude is sqrt(n_sample)."""
     size = np.sqrt(2 * trend.shape[1])
     above = np.flatnonzero(np.any(np.abs(trend) > np.finfo(float).eps * size, axis=0))

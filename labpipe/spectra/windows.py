@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 
 # Lines whose noise shares less than this are taken as independent; no window's lobe is wider than so many lines.
@@ -14,13 +14,13 @@ SHARED = 1e-3
 FURTHEST_LINE = 20
 
 
-def hann(n_sample: int) -> NDArray[np.floating]:
+def hann(n_sample: int) -> FloatArray:
     """The periodic (DFT-even) Hann window, 1/2 - 1/2 cos(2 pi n / N), (n_sample,)."""
-    values: NDArray[np.floating] = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n_sample) / n_sample)
+    values: FloatArray = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n_sample) / n_sample)
     return values
 
 
-def window_values(name: str, n_sample: int) -> NDArray[np.floating]:
+def window_values(name: str, n_sample: int) -> FloatArray:
     """The periodic (DFT-even) window of that name; "tukey 0.25" gives a parameter. ConfigError when scipy does not know it."""
     if name == "hann":
         return hann(n_sample)
@@ -30,13 +30,13 @@ def window_values(name: str, n_sample: int) -> NDArray[np.floating]:
     kind, *parameters = name.split()
     try:
         chosen: Any = (kind, *(float(parameter) for parameter in parameters)) if parameters else kind
-        values: NDArray[np.floating] = signal.get_window(chosen, n_sample, fftbins=True)
+        values: FloatArray = signal.get_window(chosen, n_sample, fftbins=True)
     except (ValueError, TypeError):
         raise ConfigError(f"unknown window '{name}'", hint="for example hann, hamming, blackman, flattop, boxcar, 'tukey 0.25'") from None
     return values
 
 
-def noise_bandwidth(window: NDArray[np.floating]) -> float:
+def noise_bandwidth(window: FloatArray) -> float:
     """Equivalent noise bandwidth n sum w^2 / (sum w)^2 in lines [1]; times the line spacing it is in Hz (Harris 1978, eq. 11).
 
     White noise reads as much on a line as through a rectangular filter of this width: boxcar 1, Hann 1.5.
@@ -44,14 +44,14 @@ def noise_bandwidth(window: NDArray[np.floating]) -> float:
     return float(window.size * np.dot(window, window) / np.sum(window) ** 2)
 
 
-def overlap_correlation(window: NDArray[np.floating], step: int) -> NDArray[np.floating]:
+def overlap_correlation(window: FloatArray, step: int) -> FloatArray:
     """rho_k = (sum w(n) w(n + k step) / sum w^2)^2 of the powers of blocks k steps apart, k = 1 ... (Welch 1967)."""
     n = window.size
     products = [np.dot(window[:-shift], window[shift:]) for shift in range(step, n, step)]
     return (np.array(products) / np.dot(window, window)) ** 2
 
 
-def line_correlation(window: NDArray[np.floating], step: int, n_block: int) -> tuple[float, ...]:
+def line_correlation(window: FloatArray, step: int, n_block: int) -> tuple[float, ...]:
     """c_d of the noise of an FRF on lines d = 1, 2, ... apart, while it exceeds SHARED: Hann 0.45, 0.03; boxcar without overlap none.
 
     Noise and force of blocks m and n at lines k and k + d both have the covariance r_j(d) = sum_t w(t) w(t + j step) exp(-2 pi j d t / N),
@@ -67,7 +67,7 @@ def line_correlation(window: NDArray[np.floating], step: int, n_block: int) -> t
     return tuple(float(c) for c in shared[1 : above[-1] + 2] / shared[0]) if above.size else ()
 
 
-def effective_averages(window: NDArray[np.floating], step: int, n_block: int) -> float:
+def effective_averages(window: FloatArray, step: int, n_block: int) -> float:
     """n_e = K / (1 + 2 sum_k (1 - k/K) rho_k): overlapping blocks are correlated and average less than their number (Welch 1967)."""
     rho = overlap_correlation(window, step)
     k = np.arange(1, rho.size + 1)
