@@ -1,4 +1,4 @@
-"""Choosing frequency lines: a band, and what is left out of it."""
+"""Choice of frequency lines: inside a band, outside excluded bands."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def lines_in(
     band: tuple[float, float] | None,
     exclude: tuple[tuple[float, float], ...] = (),
 ) -> BoolArray:
-    """Which lines (n_frequency,) [Hz] lie in the band, its edges included, and outside every excluded band."""
+    """Lines (n_frequency,) [Hz] inside the band (edges included) and outside every excluded band, as a mask (n_frequency,)."""
     chosen = np.ones(frequency.shape, bool)
     if band is not None:
         chosen &= _within(frequency, band)
@@ -26,9 +26,9 @@ def lines_in(
 
 
 def line_range(n_sample: int, sample_rate: float, band: tuple[float, float] | None) -> slice:
-    """The DFT lines of *n_sample* samples at *sample_rate* [Hz] from the first to the last one in the band, without the mean value.
+    """Range of DFT lines of *n_sample* samples at *sample_rate* [Hz] inside the band, without the line at 0 Hz.
 
-    Products of channels are formed on these only. DataError when the band holds no line.
+    Cross-spectra are formed on these lines only. DataError when the band holds no line.
     """
     frequency = np.arange(1, n_sample // 2 + 1) * (sample_rate / n_sample)
     inside = np.flatnonzero(lines_in(frequency, band))

@@ -1,4 +1,4 @@
-"""Spectra of a run, block by block: what a waterfall (cascade) plot shows beside the tracked order."""
+"""Waterfall (cascade) spectra of a run, block by block."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class CascadeSpectra:
 
 
 def cascade_spectra(source: SampleSource, lines: ShaftLines, *, resolution: float = 1.0, orders: float = 4.0) -> CascadeSpectra:
-    """Amplitude spectra (Hann window, a sine keeps its amplitude) of blocks of 1 / *resolution* [s], at most MOST_BLOCKS of them.
+    """Amplitude spectra of blocks of 1 / *resolution* [s], at most MOST_BLOCKS of them (Hann window, scaled to a sine's amplitude).
 
     Frequencies up to *orders* times the highest speed. DataError when the recording is shorter than two blocks.
     """
@@ -45,6 +45,6 @@ def cascade_spectra(source: SampleSource, lines: ShaftLines, *, resolution: floa
     ends = [motion.angle(np.array([start, start + length]) / source.sample_rate) for start in starts]
     speed = np.array([float(np.diff(pair)[0]) for pair in ends]) * source.sample_rate / (2 * np.pi * length)
     frequency = np.arange(amplitude.shape[1]) * source.sample_rate / length
-    shown = frequency <= orders * speed.max()
+    inside = frequency <= orders * speed.max()
     labels = tuple(source.channels[number].name for number in outputs)
-    return CascadeSpectra(speed, frequency[shown], amplitude[:, shown], labels)
+    return CascadeSpectra(speed, frequency[inside], amplitude[:, inside], labels)

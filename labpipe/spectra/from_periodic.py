@@ -1,4 +1,4 @@
-"""Recordings of a periodic excitation -> FRF matrix with the covariance that the scatter between periods shows."""
+"""Recordings of a periodic excitation -> FRF matrix with the covariance from the scatter between periods."""
 
 from __future__ import annotations
 
@@ -23,11 +23,15 @@ LOW_SNR = 10.0
 
 
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
+    """The FRF H = Y pinv(U) of the period averages of all recordings, at the lines where every force acts.
+
+    DataError when no line of a force exceeds its noise, or when the forces are not independent.
+    """
     assert settings.period is not None
     spectra = [_period_average(source, settings) for source in sources]
     lines = _lines_of_all_forces(spectra, layout)
     if not np.any(lines):
-        raise DataError("no line of the force stands out of its noise", hint="check `period` and `band`, or raise the level")
+        raise DataError("no line of the force exceeds its noise", hint="check `period` and `band`, or raise the level")
     spectra = [spectrum.select(lines) for spectrum in spectra]
     n_input = len(layout.inputs)
     mean = np.stack([layout.padded(e, spectrum.mean, 1) for e, spectrum in enumerate(spectra)], axis=2)
@@ -40,11 +44,13 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     findings = _no_covariance_finding(spectra[0].n_period) if covariance is None else _snr_findings(snr, layout)
     averages = float(min(spectrum.n_period for spectrum in spectra))
     dof = min(spectrum.dof for spectrum in spectra) if covariance is not None else np.inf
-    return Parts(spectra[0].frequency, matrix, covariance, averages, dof, findings, snr=snr)
+    return Parts(
+        frequency=spectra[0].frequency, matrix=matrix, covariance=covariance, averages=averages, dof=dof, findings=findings, snr=snr
+    )
 
 
 def _lines_of_all_forces(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
-    """The lines at which every force acts in one of the recordings; hum in one force channel alone makes no line of the matrix."""
+    """Lines at which every force acts in one of the recordings; hum in a single force channel does not count."""
     acting = np.zeros((spectra[0].frequency.size, len(layout.inputs)), bool)
     for spectrum, columns in zip(spectra, layout.input_columns, strict=True):
         for number, column in enumerate(columns):
@@ -74,7 +80,7 @@ def _signal_to_noise(mean: ComplexArray, noise: ComplexArray) -> FloatArray:
 
 
 def _no_covariance_finding(n_period: int) -> tuple[Finding, ...]:
-    message = f"{n_period} period is left, so the noise of the FRF is not known; record at least 2 periods after the transient ones"
+    message = f"{n_period} period is left, so the noise of the FRF is unknown; record at least 2 periods after the transient ones"
     return (Finding("no-covariance", message),)
 
 

@@ -167,7 +167,7 @@ def _peaks(seen: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excit
     length = excitation.length / seen.rate
     periodic = excitation.kind == "periodic"
     settings = FrfSettings(
-        excitation.kind,
+        excitation=excitation.kind,
         period=length if periodic else None,
         skip=1 if excitation.repeats > 2 else 0,
         block=None if periodic else length,

@@ -33,7 +33,9 @@ def compared(hysteresis: float, seed: int) -> Comparison:
         for preload in rig.deep_groove.preloads:
             (run,) = simulate_ball_bearing(rig, seed, [f"6208-{preload:g}N-{way}-z"])
             conditions = {"preload": f"{preload:g} N", "way": way}
-            responses.append(measure([run.recording], FrfSettings("periodic", period=0.5, skip=0), name=run.name, conditions=conditions))
+            responses.append(
+                measure([run.recording], FrfSettings(excitation="periodic", period=0.5, skip=0), name=run.name, conditions=conditions)
+            )
             fits.extend(replace(fit, test=run.name) for fit in identify(responses[-1], FIT))
     return compare(ASKED, Evidence(tuple(fits), tuple(responses), (FIT,)))
 

@@ -31,7 +31,7 @@ def recording(rng: np.random.Generator) -> Recording:
 @pytest.mark.parametrize("window", ["boxcar", "hann", "hamming", "blackman", "flattop", "bartlett", "kaiser 8", "tukey 0.5"])
 def test_predicted_variance_is_that_of_repeats(window: str, overlap: float) -> None:
     rng = np.random.default_rng(41)
-    settings = FrfSettings("random", block=0.5, window=window, overlap=overlap, band=(6.0, 58.0))
+    settings = FrfSettings(excitation="random", block=0.5, window=window, overlap=overlap, band=(6.0, 58.0))
     responses = [measure([recording(rng)], settings) for _ in range(REPEATS)]
     matrices = np.array([response.matrix for response in responses])
     predicted = np.mean([response.variance for response in responses], axis=0)
