@@ -1,4 +1,4 @@
-"""The theoretical transfer matrix of a shaft that bends between its bearing and the place where it is shaken and measured."""
+"""Theoretical transfer matrix of a shaft that bends between its bearing and the place of excitation and measurement."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ RADIAL = (0, 1)
 def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
     """K_total = (K^-1 + S)^-1, S = diag(1, 1, 0, 0, 0) / k_s: the bending shaft k_s [N/m] in series in x and y, (..., 5, 5).
 
-    By Woodbury's identity K - K E (E^T K E + k_s)^-1 E^T K, so that K may be singular. Of an uncoupled radial coefficient it leaves
-    k k_s / (k + k_s), the series formula. Infinite k_s changes nothing. ConfigError for k_s not above zero.
+    By Woodbury's identity K - K E (E^T K E + k_s)^-1 E^T K, so that K may be singular. An uncoupled radial coefficient becomes
+    k k_s / (k + k_s), the series formula. Infinite k_s has no effect. ConfigError for k_s not above zero.
     """
     if not bending > 0:
         raise ConfigError(f"the bending stiffness of the shaft is {bending:g} N/m", hint="it must be above zero")

@@ -1,4 +1,4 @@
-"""What a bearing model answers, whatever its kind: stiffness and damping at its load and speed, and where its journal rests."""
+"""Result of a bearing model of any kind: stiffness and damping at its load and speed, and its equilibrium position."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TILTS = ("bx", "by", "bz")
 
 @dataclass(frozen=True)
 class Amount:
-    """One number of the rest position: its name, value in the SI unit, and that unit."""
+    """A number of the equilibrium: its name, its value in the SI unit, and that unit."""
 
     name: str
     value: float
@@ -38,14 +38,14 @@ class PressureField:
     thickness: FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BearingCoefficients:
     """Stiffness and damping (n_dof, n_dof): force in the row's dof per displacement or velocity in the column's [SI units].
 
-    rest: the rest position; element_state: further arrays of it by name; lowest, highest: stiffness over one ball passage, where a
-    bearing has one; notes: further numbers about the model; shaft: of the rigid shaft on the bearing, where the file describes one;
-    shares: what each element of a control loop adds to the direct coefficients; poles: of the closed loop [rad/s]; words: verdicts by name;
-    film: the pressure of an oil film, where there is one.
+    rest: equilibrium position; element_state: arrays per rolling element by name; lowest, highest: stiffness over one ball passage
+    (rolling bearings); notes: further numbers of the model; shaft: results of the rigid shaft on the bearing, if the file describes one;
+    shares: contribution of each element of a control loop to the direct coefficients; poles: of the closed loop [rad/s]; words: verdicts
+    by name; film: pressure of an oil film (journal bearings).
     """
 
     dofs: tuple[str, ...]
@@ -76,7 +76,7 @@ class BearingCoefficients:
 
     @property
     def relative(self) -> FloatArray:
-        """K_ij / sqrt(|K_ii K_jj|): what couples, whatever the units; zero where a diagonal term is zero."""
+        """Relative coupling K_ij / sqrt(|K_ii K_jj|), (n_dof, n_dof) [1]; zero where a diagonal term is zero."""
         diagonal = np.sqrt(np.abs(np.diag(self.stiffness)))
         scale = np.outer(diagonal, diagonal)
         relative: FloatArray = np.divide(self.stiffness, scale, out=np.zeros_like(scale), where=scale > 0)
@@ -85,10 +85,10 @@ class BearingCoefficients:
 
 @dataclass(frozen=True)
 class BearingKind:
-    """A kind of bearing: the settings its file holds, and the model from any number of such settings (a sweep) to coefficients.
+    """A kind of bearing: its settings class, and the model from a list of such settings (a sweep) to coefficients.
 
-    bare_units: units of entries that may stand as plain numbers; response: the theoretical frequency response that settings and their
-    coefficients give, or None where the file describes no shaft.
+    bare_units: units of entries that may be plain numbers; response: theoretical frequency response from settings and coefficients, None
+    where the file describes no shaft.
     """
 
     settings: type

@@ -21,13 +21,13 @@ MOST_CELLS_AROUND = 960
 WIDEST_GROOVE = 2 * np.pi / 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class JournalBearing:
-    """A plain bearing; every length in [m], *clearance* radial, viscosity [Pa s].
+    """A plain journal bearing; lengths in [m], *clearance* radial, viscosity [Pa s].
 
-    wear_depth [m] is the deepest wear, wear_angle [rad] its place from the bottom, positive with the spin. cavitation_pressure
-    [Pa] is against the ambient pressure at both ends, zero or negative. groove_width [rad]: of each of two axial grooves at the
-    horizontal split, over the whole length and at ambient pressure; zero for none. ConfigError where a value has no meaning.
+    wear_depth [m]: largest wear; wear_angle [rad]: its place from the bottom, positive with the spin. cavitation_pressure [Pa] relative
+    to the ambient pressure at both ends, zero or negative. groove_width [rad]: of each of two axial grooves at the horizontal split, over
+    the whole length and at ambient pressure; zero for none. ConfigError for impossible values.
     """
 
     diameter: float
@@ -65,7 +65,7 @@ class JournalBearing:
         return 6 * self.viscosity * speed * (self.diameter / (2 * self.clearance)) ** 2
 
     def force_scale(self, speed: float) -> float:
-        """6 mu Omega (R / c)^2 R L [N]: the unit of force of the dimensionless film."""
+        """6 mu Omega (R / c)^2 R L [N]: unit of the dimensionless film force."""
         return self.pressure_scale(speed) * self.diameter / 2 * self.length
 
     def film(self, speed: float, mesh: FilmMesh) -> Film:
@@ -76,10 +76,10 @@ class JournalBearing:
 
 @dataclass(frozen=True)
 class JournalEquilibrium:
-    """A journal carried by its film: *load* (2,) [N] on the journal in y and z, *speed* [rad/s].
+    """Equilibrium of a journal on its oil film: *load* (2,) [N] on the journal in y and z, *speed* [rad/s].
 
-    stiffness [N/m] and damping [N s/m] (2, 2) in the order yy yz; zy zz. *state* holds the dimensionless film, from which a
-    neighbouring equilibrium starts. error: estimated mesh error of the coefficients, part of the largest; None when not asked for.
+    stiffness [N/m] and damping [N s/m] (2, 2) in the order yy yz; zy zz. *state* holds the dimensionless film, start value of a
+    neighbouring equilibrium. error: estimated mesh error of the coefficients relative to the largest; None where it was not estimated.
     """
 
     bearing: JournalBearing
@@ -91,7 +91,7 @@ class JournalEquilibrium:
 
     @property
     def position(self) -> FloatArray:
-        """Displacement of the journal's centre from the bearing's (2,) [m]."""
+        """Displacement of the journal's centre from the bearing's, (2,) [m]."""
         return self.state.displacement * self.bearing.clearance
 
     @property
@@ -138,7 +138,7 @@ class JournalEquilibrium:
 
     @property
     def film_thickness(self) -> FloatArray:
-        """Thickness of the film [m], (n_theta,)."""
+        """Film thickness [m], (n_theta,)."""
         return self.bearing.film(self.speed, self.mesh).thickness(self.state.displacement)[0] * self.bearing.clearance
 
 
@@ -149,13 +149,13 @@ def journal_equilibrium(
     mesh: FilmMesh = DEFAULT_MESH,
     near: JournalEquilibrium | None = None,
 ) -> JournalEquilibrium:
-    """Where the journal runs under a static *load* (2,) [N] in y and z, at *speed* [rad/s], with its coefficients.
+    """Static equilibrium and coefficients under a *load* (2,) [N] in y and z, at *speed* [rad/s].
 
-    *near*: an equilibrium of a similar bearing on the same mesh, to start from. ConfigError for a load of zero, FitError when
-    there is no equilibrium.
+    *near*: an equilibrium of a similar bearing on the same mesh as start value. ConfigError for a load of zero, FitError when there is
+    no equilibrium.
     """
     if not 0 < np.hypot(*load) < np.inf:
-        raise ConfigError("a journal bearing needs a load to find its place", hint="give the static load in newtons")
+        raise ConfigError("a journal bearing needs a load for its equilibrium", hint="give the static load in newtons")
     start = near.state if near is not None and near.mesh == mesh else None
     scaled = np.asarray(load, np.float64) / bearing.force_scale(speed)
     state = film_equilibrium(bearing.film(speed, mesh), scaled, start)
@@ -165,7 +165,7 @@ def journal_equilibrium(
 def film_force(
     bearing: JournalBearing, position: FloatArray, velocity: FloatArray, speed: float, mesh: FilmMesh = DEFAULT_MESH
 ) -> FloatArray:
-    """Force of the film on the journal (2,) [N] at a *position* (2,) [m] and *velocity* (2,) [m/s]; nothing is linearised."""
+    """Force of the film on the journal (2,) [N] at a *position* (2,) [m] and *velocity* (2,) [m/s], without linearisation."""
     displacement = np.asarray(position) / bearing.clearance
     state = film_at(bearing.film(speed, mesh), displacement, np.asarray(velocity) / (bearing.clearance * speed))
     return state.force * bearing.force_scale(speed)
@@ -174,10 +174,10 @@ def film_force(
 def converged_equilibrium(
     bearing: JournalBearing, load: tuple[float, float], speed: float, tolerance: float = 0.01, mesh: FilmMesh = DEFAULT_MESH
 ) -> JournalEquilibrium:
-    """The equilibrium on the coarsest mesh, from *mesh* doubled up, whose coefficients err by less than *tolerance* (of the largest).
+    """The equilibrium on the coarsest mesh, starting from *mesh* and doubling, with a coefficient error below *tolerance*.
 
-    The error is estimated as a third of the change from half the cells each way (second order) and stated in the result.
-    FitError when the finest mesh allowed is not enough, ConfigError for a first mesh that cannot be halved.
+    The error, relative to the largest coefficient, is estimated as a third of the change from half the cells each way (second order).
+    FitError when the finest mesh is not sufficient, ConfigError for a first mesh that cannot be halved.
     """
     half = mesh.halved()
     if half is None:

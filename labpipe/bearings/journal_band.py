@@ -1,8 +1,8 @@
 """Banded Cholesky factors of the film's equations.
 
-The cells are numbered across first, so the band is one column of cells wide. Around the journal the film closes on itself: where
-whole columns are cavitated the ring is cut there and they are left out; a film without such a column is folded, columns
-0, n - 1, 1, n - 2, ..., which closes the ring within a band of two columns.
+The cells are numbered in axial direction first, so the band is one column of cells wide. The film is periodic around the journal:
+where whole columns are cavitated, the ring is cut there and they are left out; a film without such a column is folded, columns
+0, n - 1, 1, n - 2, ..., which keeps the periodic ring within a band of two columns.
 """
 
 from __future__ import annotations
@@ -19,14 +19,17 @@ from labpipe.errors import FitError
 
 @dataclass(frozen=True)
 class FactoredFilm:
-    """Columns of cells that are solved, in their order, the factors of their equations, and the diagonal of all cells."""
+    """Factored equations of a film, dimensionless [-]: columns (n_column,) solved, in order, and banded factors (n_band, n_cell).
+
+    diagonal (n_theta, n_half): of all cells.
+    """
 
     columns: IntArray
     factors: FloatArray
     diagonal: FloatArray
 
     def solve(self, sides: FloatArray) -> FloatArray:
-        """(A + diagonal)^-1 for right-hand sides (n_side, n_theta, n_half); in columns left out the diagonal is all there is."""
+        """(A + diagonal)^-1 times right-hand sides (n_side, n_theta, n_half) [-], same shape; only the diagonal in cavitated columns."""
         solved, _ = lapack.dpbtrs(self.factors, sides[:, self.columns].reshape(sides.shape[0], -1).T, lower=1)
         full = sides / self.diagonal
         full[:, self.columns] = solved.T.reshape(sides.shape[0], self.columns.size, -1)
@@ -34,7 +37,7 @@ class FactoredFilm:
 
 
 def factored(equations: FilmEquations, curvature: FloatArray) -> FactoredFilm:
-    """Factor A + diagonal; *curvature* (n_half, n_half) of the grid. FitError when the film is not positive definite."""
+    """Cholesky factors of A + diagonal; *curvature* (n_half, n_half) [-] of the grid. FitError when it is not positive definite."""
     cavitated: BoolArray = np.all(equations.cavitated, axis=1)
     columns = _open_ring(cavitated)
     columns, band = _folded_band(equations) if columns is None else (columns, _open_band(equations, columns))
@@ -53,7 +56,7 @@ def _diagonal(equations: FilmEquations, curvature: FloatArray) -> FloatArray:
 
 
 def _open_ring(cavitated: BoolArray) -> IntArray | None:
-    """Columns from the end of the longest cavitated arc to its start; None when no column is wholly cavitated."""
+    """Columns from the end of the longest cavitated arc to its start; None when no column is completely cavitated."""
     film = np.flatnonzero(~cavitated)
     if film.size in (0, cavitated.size):
         return None

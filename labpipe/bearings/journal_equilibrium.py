@@ -1,4 +1,4 @@
-"""Static equilibrium of the journal in its film: pressures and displacement by one Newton iteration, dimensionless."""
+"""Static equilibrium of the journal on its film: Newton's method for pressures and displacement together, dimensionless."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from labpipe.bearings.journal_film import Film, film_equations
 from labpipe.bearings.journal_mesh import interpolation
 from labpipe.errors import FitError
 
-# Largest change of displacement (over clearance), or of pressure (over the highest), in the last step.
+# Largest change of displacement (over clearance), or of pressure (over its maximum), in the last step.
 TOLERANCE = 1e-7
 ROUGH_TOLERANCE = 1e-3
 MOST_STEPS = 40
 MOST_HALVINGS = 6
-# A step may close the film at most by this part of its thickness.
+# Largest share of the film thickness that one step may close.
 LARGEST_CLOSING = 0.7
-# Thinnest film over clearance that is followed.
+# Least film thickness over clearance.
 THINNEST = 1e-6
 # First guess: this eccentricity ratio in the direction of the load.
 FIRST_ECCENTRICITY = 0.3
@@ -29,7 +29,7 @@ CHECK_LOAD = "the load may be too high for the film; check load, viscosity, spee
 
 @dataclass(frozen=True)
 class FilmState:
-    """The journal in its film: displacement (2,), pressure (n_theta, n_half), force on the journal (2,), Newton steps taken.
+    """State of the film, dimensionless [-]: displacement (2,), pressure (n_theta, n_half), force on the journal (2,), Newton steps.
 
     stiffness = -dF/de and damping = -dF/d(e'/Omega), (2, 2), from the factors of the last step.
     """
@@ -43,9 +43,9 @@ class FilmState:
 
 
 def film_equilibrium(film: Film, load: FloatArray, near: FilmState | None = None) -> FilmState:
-    """Where the film's force balances *load* (2,), over 6 mu Omega (R/c)^2 R L; *near*: the state of a similar film on the same mesh.
+    """Equilibrium with a *load* (2,) [-] over 6 mu Omega (R/c)^2 R L; *near*: state of a similar film on the same mesh.
 
-    Without one, or where it proves too far, coarser meshes find the neighbourhood. FitError when no equilibrium is found.
+    Without *near*, or where Newton's method fails from it, coarser meshes give the start value. FitError when there is no equilibrium.
     """
     if near is not None:
         try:
@@ -65,7 +65,7 @@ def _first_guess(film: Film, load: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _rough_state(film: Film, load: FloatArray, halvings: int) -> FilmState:
-    """The state on a coarse mesh; where Newton's method fails from afar, from the state under half the load."""
+    """The state on a coarse mesh; where Newton's method fails, started from the state under half the load."""
     try:
         return _balanced(film, load, *_first_guess(film, load), ROUGH_TOLERANCE)
     except FitError:
@@ -97,7 +97,10 @@ def _balanced(film: Film, load: FloatArray, displacement: FloatArray, pressure: 
 
 
 def film_at(film: Film, displacement: FloatArray, velocity: FloatArray, near: FilmState | None = None) -> FilmState:
-    """The film of a journal held at *displacement* (2,) and moving with *velocity* (2,) over c Omega."""
+    """State of the film at *displacement* (2,) [-] over c and *velocity* (2,) [-] over c Omega.
+
+    FitError when Newton's method does not converge.
+    """
     pressure = _ambient(film) if near is None else near.pressure
     for step in range(1, MOST_STEPS + 1):
         equations = film_equations(film, displacement, velocity, pressure)
@@ -107,7 +110,7 @@ def film_at(film: Film, displacement: FloatArray, velocity: FloatArray, near: Fi
         if np.max(np.abs(changes[0])) <= TOLERANCE * np.max(np.abs(pressure)):
             force, slopes = (film.force_weights @ field.sum(axis=-1).T for field in (pressure, changes[1:]))
             return FilmState(displacement, pressure, force, -slopes, _damping(film, factors), step)
-    raise FitError("the pressure in the oil film was not found", hint="check displacement and wear")
+    raise FitError("the pressure in the oil film did not converge", hint="check displacement and wear")
 
 
 def _damping(film: Film, factors: FactoredFilm) -> FloatArray:

@@ -1,6 +1,6 @@
-"""The short journal bearing (Ocvirk): closed forms for a film that is narrow, L / D well below one half, and cavitates over one half.
+"""Short journal bearing (Ocvirk): closed forms for a narrow film, L / D well below one half, cavitated over one half.
 
-The circumferential pressure gradient is left out; the film carries where it converges. Frame of `journal`, load along -z.
+The circumferential pressure gradient is neglected; the film carries where it converges. Frame of `journal`, load along -z.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def short_bearing_load(bearing: JournalBearing, eccentricity_ratio: float, speed
 def short_bearing_equilibrium(bearing: JournalBearing, load: float, speed: float) -> tuple[float, float]:
     """Eccentricity ratio [-] and attitude angle [rad] under a *load* [N] at *speed* [rad/s]; tan = pi sqrt(1 - e^2) / (4 e)."""
     if not load > 0:
-        raise ConfigError("a journal bearing needs a load to find its place", hint="give the static load in newtons")
+        raise ConfigError("a journal bearing needs a load for its equilibrium", hint="give the static load in newtons")
     e = float(brentq(lambda ratio: short_bearing_load(bearing, ratio, speed) / load - 1, 1e-9, 1 - 1e-9, xtol=1e-14))
     return e, float(np.arctan2(np.pi * np.sqrt(1 - e**2), 4 * e))
 

@@ -14,7 +14,7 @@ from labpipe.bearings.magnetic_loop import ControlLoop, controller, dynamic_stif
 PADE_ORDER = 4
 # Upper ends of the zones A, B, C of ISO 14839-3, peak of |S|; D lies above. 3 is 9.5 dB.
 ZONES = (("A", 3.0), ("B", 4.0), ("C", 5.0))
-# Frequencies that are searched: far below any lag, and up to where the standard ends, three times the speed or 2 kHz.
+# Frequencies searched [Hz]: from far below any lag to the upper limit of the standard, three times the speed or 2 kHz.
 SEARCH = (1e-3, 2000.0, 20_001)
 TURNING = (1e-5, 1e7, 400_001)
 
@@ -47,7 +47,7 @@ def pade(delay: float, order: int = PADE_ORDER) -> tuple[Polynomial, Polynomial]
 
 
 def characteristic_polynomial(plant: Levitated, time: float, order: int = PADE_ORDER) -> Polynomial:
-    """(m s^2 - k_n) den(s) + K num(s) with the delay by Pade, over s * *time* so that the coefficients are of one size."""
+    """(m s^2 - k_n) den(s) + K num(s) with the delay by Pade, in s * *time* so that the coefficients are of equal magnitude."""
     loop = plant.loop
     differentiator, lag = Polynomial([1.0, loop.derivative_time / time]), Polynomial([1.0, loop.lag_time / time])
     ahead, behind = pade(loop.delay / time, order if loop.delay > 0 else 0)
@@ -68,14 +68,14 @@ def closed_loop_poles(plant: Levitated, order: int = PADE_ORDER) -> ComplexArray
 
 
 def unstable_poles(plant: Levitated) -> int:
-    """Number of poles in the right half-plane with the exact delay, Z = 1 - (turn of D(jw) over w = 0 ... inf) / pi.
+    """Number of poles in the right half-plane with the exact delay, Z = 1 - (phase change of D(jw) over w = 0 ... inf) / pi.
 
-    Argument principle on D(s) = K G(s) - k_n + m s^2, whose elements are stable by themselves.
+    Argument principle for D(s) = K G(s) - k_n + m s^2, whose elements are stable.
     """
     omega = 2 * np.pi * np.geomspace(*TURNING)
     dynamic = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega) - plant.mass * omega**2
     angle = np.unwrap(np.angle(dynamic))
-    # From rest, where D is real, to where the mass alone is left and D is real and negative.
+    # From 0 Hz, where D is real, to the frequencies where the mass dominates and D is real and negative.
     start, end = (0.0 if dynamic[0].real > 0 else np.pi), angle[-1]
     first = start + np.angle(dynamic[0] * np.exp(-1j * start))
     return round(1 - float(end - angle[0] + first - start) / np.pi)
@@ -94,7 +94,7 @@ def zone_of(peak: float) -> str:
 
 
 def sensitivity_peak(plant: Levitated) -> SensitivityPeak:
-    """The largest |S| from rest to 2 kHz and its zone; meaningful for a stable loop only."""
+    """The largest |S| from 0 Hz to 2 kHz and its zone; meaningful for a stable loop only."""
     frequency = np.concatenate([[0.0], np.geomspace(*SEARCH)])
     size = np.abs(sensitivity(plant, 2 * np.pi * frequency))
     place = int(np.argmax(size))

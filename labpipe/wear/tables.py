@@ -49,16 +49,17 @@ class Ranges:
     def of_table(self, worn: bool) -> TableRange:
         """The table's axes, of a worn bearing or of one without wear."""
         further = (self.viscosity_factor > 1 or self.clearance_factor > 1) + (self.cavitation_pressure < 0)
-        nodes = WEAR_NODES[further] if worn else (FEWEST, FEWEST)
+        n_depth, n_angle = WEAR_NODES[further] if worn else (FEWEST, FEWEST)
         return TableRange(
-            self.depth if worn else SHALLOW,
-            self.angle,
-            self.viscosity_factor,
-            self.clearance_factor,
-            self.cavitation_pressure,
-            *nodes,
-            FEWEST,
-            FEWEST,
+            depth=self.depth if worn else SHALLOW,
+            angle=self.angle,
+            viscosity_factor=self.viscosity_factor,
+            clearance_factor=self.clearance_factor,
+            cavitation_pressure=self.cavitation_pressure,
+            n_depth=n_depth,
+            n_angle=n_angle,
+            n_sommerfeld=FEWEST,
+            n_cavitation=FEWEST,
         )
 
 
