@@ -1,4 +1,4 @@
-"""The matrices of a whole rotor and the static loads on its bearings: M q'' + (C + Omega G) q' + K q = F."""
+"""System matrices of a rotor and static loads on its bearings: M q'' + (C + Omega G) q' + K q = F."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STANDARD_GRAVITY = 9.80665
 
 @dataclass(frozen=True)
 class RotorMatrices:
-    """mass M, damping C, gyroscopic G and stiffness K, (n_dof, n_dof), four dofs per node: y, z, rotations about y and z."""
+    """Mass M [kg], damping C [N s/m], gyroscopic G, stiffness K [N/m], (n_dof, n_dof), four dofs per node: y, z, rotations about y, z."""
 
     mass: FloatArray
     damping: FloatArray
@@ -25,12 +25,12 @@ class RotorMatrices:
     stiffness: FloatArray
 
     def at_speed(self, speed: float) -> FloatArray:
-        """C + Omega G; *speed* [rad/s]."""
+        """C + Omega G, (n_dof, n_dof) [N s/m]; *speed* [rad/s]."""
         return self.damping + speed * self.gyroscopic
 
 
 def free_rotor(rotor: Rotor) -> RotorMatrices:
-    """The rotor without supports; damping alpha M + beta K of the shaft alone, discs and sleeves left out."""
+    """The rotor without supports; damping alpha M + beta K of the shaft alone, without discs and sleeves."""
     mass, stiffness, gyroscopic = (np.zeros((4 * rotor.n_node, 4 * rotor.n_node)) for _ in range(3))
     for number, element in enumerate(rotor.elements):
         _add(number, (mass, gyroscopic), inertia_matrices(element))
@@ -54,7 +54,7 @@ def _add(number: int, wholes: tuple[FloatArray, ...], parts: tuple[FloatArray, .
 
 
 def supported_rotor(rotor: Rotor, supports: Iterable[Support]) -> RotorMatrices:
-    """The rotor on its bearings. ConfigError when a bearing sits on no node."""
+    """The rotor on its bearings. ConfigError for a bearing on a node that does not exist."""
     free = free_rotor(rotor)
     damping, stiffness = free.damping.copy(), free.stiffness.copy()
     for support in supports:
@@ -81,10 +81,10 @@ def bearing_loads(
     applied = free.mass @ pull
     for node, force in (forces or {}).items():
         applied[rotor.dofs(node)] += force
-    held = [dof for node in nodes for dof in rotor.dofs(node)]
-    # Rigid supports as constraints; the stiffness scale keeps both kinds of equations alike.
+    fixed_dofs = [dof for node in nodes for dof in rotor.dofs(node)]
+    # Rigid supports as constraints, scaled by the stiffness so that both kinds of equations have one magnitude.
     scale = float(np.max(np.abs(free.stiffness)))
-    constraints = scale * np.eye(n_dof)[held]
-    system = np.block([[free.stiffness, constraints.T], [constraints, np.zeros((len(held), len(held)))]])
-    solution = np.linalg.solve(system, np.concatenate([applied, np.zeros(len(held))]))
+    constraints = scale * np.eye(n_dof)[fixed_dofs]
+    system = np.block([[free.stiffness, constraints.T], [constraints, np.zeros((len(fixed_dofs), len(fixed_dofs)))]])
+    solution = np.linalg.solve(system, np.concatenate([applied, np.zeros(len(fixed_dofs))]))
     return (scale * solution[n_dof:]).reshape(-1, 2)

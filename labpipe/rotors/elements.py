@@ -44,9 +44,9 @@ def plane_stiffness(element: ShaftElement) -> FloatArray:
 
 
 def plane_inertia(element: ShaftElement, ring: ShaftElement | None = None) -> tuple[FloatArray, FloatArray]:
-    """Translational mass rho A l int N N' and rotary inertia rho I l int D D' of one plane, (4, 4) each.
+    """Translational mass rho A l int N N' and rotary inertia rho I l int D D' of one plane, (4, 4) each [kg, kg m, kg m^2].
 
-    *ring*: a sleeve's cross-section, carried by the deflection of *element*; without it the element's own.
+    *ring*: cross-section of a sleeve that follows the deflection of *element*; by default the element's cross-section.
     """
     tube = ring or element
     points, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
@@ -56,9 +56,9 @@ def plane_inertia(element: ShaftElement, ring: ShaftElement | None = None) -> tu
 
 
 def inertia_matrices(element: ShaftElement, ring: ShaftElement | None = None) -> tuple[FloatArray, FloatArray]:
-    """M and G of an element or its sleeve, (8, 8), in the order y, z, rotation about y, about z at the left and at the right end.
+    """M and G of an element or its sleeve, (8, 8) [kg, kg m, kg m^2], in the order y, z, rotation about y, about z, left end, right end.
 
-    G multiplies the spin speed: a rotation rate about z turns the angular momentum towards y, 2 rho I per length.
+    G is multiplied by the spin speed: a rotation rate about z turns the angular momentum towards y, 2 rho I per length.
     """
     translation, rotary = plane_inertia(element, ring)
     coupling = 2 * rotary * SIGNS_Z
@@ -69,7 +69,7 @@ def inertia_matrices(element: ShaftElement, ring: ShaftElement | None = None) ->
 
 
 def in_both_planes(plane: FloatArray) -> FloatArray:
-    """A symmetric matrix of one plane (4, 4) written for both, (8, 8)."""
+    """A symmetric matrix of one plane (4, 4) applied to both planes, (8, 8) [same unit]."""
     both = np.zeros((8, 8))
     both[np.ix_(PLANE_Y, PLANE_Y)] = plane
     both[np.ix_(PLANE_Z, PLANE_Z)] = plane * np.outer(SIGNS_Z, SIGNS_Z)

@@ -1,4 +1,4 @@
-"""Steady vibration of a rotor on its bearings: frequency response between chosen places, and response to unbalance."""
+"""Steady vibration of a rotor on its bearings: frequency response between chosen dofs, and unbalance response."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ def dynamic_stiffness(matrices: RotorMatrices, omega: FloatArray, speed: float |
 
 
 def solved(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> ComplexArray:
-    """Displacements under *forces*; FitError at a resonance without damping."""
+    """Displacements (..., n_dof, n_force) [m] under *forces* [N], same shape; FitError at an undamped resonance.
+
+    *stiffness*: dynamic stiffness (..., n_dof, n_dof) [N/m].
+    """
     try:
         displacements: ComplexArray = np.linalg.solve(stiffness, forces)
     except np.linalg.LinAlgError:
@@ -34,7 +37,7 @@ def solved(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> Comple
 def frequency_response(
     rotor: Rotor, supports: Iterable[Support], frequency: FloatArray, speed: float, outputs: list[int], inputs: list[int]
 ) -> ComplexArray:
-    """Receptance H [m/N], (n_line, n_output, n_input), at *frequency* (n_line,) [Hz]; dof numbers as `Rotor.dofs` gives them."""
+    """Receptance H [m/N], (n_line, n_output, n_input), at *frequency* (n_line,) [Hz]; dof indices from `Rotor.dofs`."""
     matrices = supported_rotor(rotor, supports)
     forces = np.zeros((matrices.mass.shape[0], len(inputs)))
     forces[inputs, np.arange(len(inputs))] = 1
@@ -47,8 +50,8 @@ def unbalance_response(
 ) -> ComplexArray:
     """Displacements [m], 0-to-peak phasors, (n_speed, n_output), at spin *speed* (n_speed,) [rad/s].
 
-    *unbalance* [kg m] by node, its angle from the y axis at time zero: F_y = u Omega^2, F_z = -j u Omega^2, so that the force turns
-    from y to z. The same bearings serve all speeds.
+    *unbalance* [kg m] by node, its angle from the y axis at time zero: F_y = u Omega^2, F_z = -j u Omega^2, so that the force rotates
+    from y to z. The bearings do not change with speed.
     """
     speed = np.asarray(speed, np.float64)
     matrices = supported_rotor(rotor, supports)
@@ -61,6 +64,6 @@ def unbalance_response(
 
 
 def forward_backward_motion(displacements: ComplexArray) -> ComplexArray:
-    """[f, b] = A^-1 [y, z] of phasors (..., 2) in y and z: radii of the forward and the backward circle of an orbit, 0-to-peak."""
+    """[f, b] = A^-1 [y, z] of phasors (..., 2) in y and z [m]: radii of the forward and the backward circle of an orbit, 0-to-peak."""
     turned: ComplexArray = displacements @ np.linalg.inv(FROM_DIRECTIONAL).T
     return turned
