@@ -50,8 +50,15 @@ class MeasuredSensitivity:
         dof, averages = self.response.covariance_dof, self.response.averages
         shared = max(dof / (averages - 1), 1.0) if np.isfinite(dof) and averages > 1 else 1.0
         omega, variance = 2 * np.pi * self.frequency, (2 * self.error**2).astype(np.complex128)
-        ports = self.response.outputs[:1], self.response.inputs[:1]
-        measured = Measured(omega, self.values[:, None, None], variance[:, None, None], dof, shared, *ports)
+        measured = Measured(
+            omega=omega,
+            matrix=self.values[:, None, None],
+            covariance=variance[:, None, None],
+            noise_dof=dof,
+            noise_lines=shared,
+            outputs=self.response.outputs[:1],
+            inputs=self.response.inputs[:1],
+        )
         return LoopObservation(measured, lambda changed, _: sensitivity(changed.levitated(), omega)[:, None, None], file)
 
 

@@ -1,4 +1,4 @@
-"""Straight lines through calibration points: slope with its doubt, a check for curvature, the range in which the line holds."""
+"""Calibration lines: slope with standard error, test of curvature, linear range."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ CURVATURE_P = 0.01
 
 @dataclass(frozen=True)
 class Line:
-    """y = slope x + intercept: values and covariance in this order (slope alone through the origin), residuals (n_point,)."""
+    """y = slope x + intercept: values (1 or 2,) and covariance (2, 2) in this order (slope alone through the origin), residual (n_point,).
+
+    Units: slope [y unit / x unit], intercept and residual [y unit].
+    """
 
     values: FloatArray
     covariance: FloatArray
@@ -34,9 +37,9 @@ class Line:
 
 
 def fit_line(x: FloatArray, y: FloatArray, *, through_origin: bool = False) -> Line:
-    """Least-squares line with standard errors from the residual; R^2 about the mean, or about zero through the origin.
+    """Least-squares line through points x, y (n_point,) [any unit]; standard errors from the residual.
 
-    Raises FitError with fewer points than parameters + 1, or when x does not vary.
+    R^2 about the mean, or about zero through the origin. Raises FitError with fewer points than parameters + 1, or when x does not vary.
     """
     columns = x[:, None] if through_origin else np.column_stack([x, np.ones_like(x)])
     n_parameter = columns.shape[1]
@@ -54,7 +57,7 @@ def fit_line(x: FloatArray, y: FloatArray, *, through_origin: bool = False) -> L
 
 
 def curvature_p(x: FloatArray, y: FloatArray) -> float | None:
-    """p-value of a quadratic term beside the line (t-test); None with too few points."""
+    """p-value [1] of a quadratic term beside the line (t-test) for points x, y (n_point,); None with too few points."""
     if x.size < 5:
         return None
     centred = (x - x.mean()) / np.ptp(x)
@@ -68,7 +71,10 @@ def curvature_p(x: FloatArray, y: FloatArray) -> float | None:
 
 
 def linear_range(positions: FloatArray, slopes: FloatArray, tolerance: float) -> float:
-    """Largest position up to which every slope stays within *tolerance* of the one at the first position (sorted by size)."""
+    """Largest |position| [unit of positions] up to which every slope is within *tolerance* [1] of that at the smallest |position|.
+
+    positions, slopes (n_position,).
+    """
     order = np.argsort(np.abs(positions))
     within = np.abs(slopes[order] / slopes[order[0]] - 1) <= tolerance
     last = int(np.argmin(within)) - 1 if not np.all(within) else within.size - 1
@@ -76,7 +82,10 @@ def linear_range(positions: FloatArray, slopes: FloatArray, tolerance: float) ->
 
 
 def linear_range_of_curve(x: FloatArray, y: FloatArray, tolerance: float) -> float:
-    """Largest range of x, from the smallest up, whose line has a slope within *tolerance* of the line through the first third."""
+    """Largest range of x [its unit], from the smallest up, with a slope within *tolerance* [1] of the line through the first third.
+
+    x, y (n_point,).
+    """
     order = np.argsort(x)
     x, y = x[order], y[order]
     start = max(3, x.size // 3)
@@ -99,7 +108,7 @@ def line_fit(
     y: FloatArray,
     extra: tuple[Parameter, ...] = (),
 ) -> Fit:
-    """A line as a Fit: parameters slope and intercept [units], a finding when the points bend."""
+    """A line through x, y (n_point,) as a Fit: parameters slope and intercept [*units*], a warning for curved points."""
     names = ("slope", "intercept")[: line.values.size]
     std_errors = np.sqrt(np.diag(line.covariance))
     parameters = tuple(
@@ -120,12 +129,12 @@ def line_fit(
         parameters=(*parameters, *extra),
         condition_number=line.condition_number,
         correlation=correlation(line.covariance),
-        findings=_bent(curvature_p(x, y), line, y),
+        findings=_curvature_findings(curvature_p(x, y), line, y),
         test=test,
     )
 
 
-def _bent(p_value: float | None, line: Line, y: FloatArray) -> tuple[Finding, ...]:
+def _curvature_findings(p_value: float | None, line: Line, y: FloatArray) -> tuple[Finding, ...]:
     if p_value is None or p_value >= CURVATURE_P:
         return ()
     share = 100 * np.max(np.abs(line.residual)) / np.ptp(y)

@@ -1,4 +1,4 @@
-"""iv: instrumental variables, the regressors of the fitted model's own noise-free FRF as instruments (Young 1970)."""
+"""iv: instrumental variables, with the regressors of the fitted model's noise-free FRF as instruments (Young 1970)."""
 
 from __future__ import annotations
 
@@ -16,50 +16,60 @@ from labpipe.records.identification import Goodness
 
 MAX_ITERATIONS = 25
 TOLERANCE = 1e-4
-# Smallest canonical correlation between instruments and regressors. In trials on a three-dof system it is above 0.39 for sound fits
-# and below 0.2 where the iteration has run away to a model that has nothing to do with the data.
+# Smallest canonical correlation between instruments and regressors. In trials on a three-dof system it is above 0.39 for good fits
+# and below 0.2 where the iteration diverges to a model unrelated to the data.
 WEAKEST_INSTRUMENTS = 0.3
 BREAKDOWN_NOTE = (
-    "iv broke down: the fitted model's own FRF hardly resembles the measured one (smallest canonical correlation {correlation:.2f}, "
-    f"{WEAKEST_INSTRUMENTS:g} is the least), or the iteration does not settle. The estimator ml starts and converges without it."
+    "iv broke down: the fitted model's FRF hardly resembles the measured one (smallest canonical correlation {correlation:.2f}, "
+    f"limit {WEAKEST_INSTRUMENTS:g}), or the iteration does not converge. The estimator ml converges without it."
 )
 
 
 def instrumental_variables(measured: Measured, model: DynamicModel, weight: str = "none") -> Estimate:
-    """V^T A p = V^T b, V being A with the model's FRF of the last estimate in place of the measured one; started from ls.
+    """V^T A p = V^T b, V being A with the model's FRF of the last estimate instead of the measured one; started from ls.
 
-    Stops when parameters or FRF change by less than 1e-4, after 25 iterations at most (Knaapen 1997, ch. 4). Not converged is also
-    a fit whose instruments are too weak. Standard errors: the sandwich (V^T A)^-1 (V^T Omega V) (A^T V)^-1.
+    Stops when parameters or FRF change by less than 1e-4, after at most 25 iterations (Knaapen 1997, ch. 4). A fit with weak instruments
+    counts as not converged. Standard errors: the sandwich (V^T A)^-1 (V^T Omega V) (A^T V)^-1. FitError for dependent instruments.
     """
     equation = regression(measured, model, weight)
-    values, settled, iterations = _iterate(measured, model, equation, equation_solution(equation, model)[0])
+    values, stationary, iterations = _iterate(measured, model, equation, equation_solution(equation, model)[0])
     fitted_terms = model.equation_terms(model.receptance(values, measured.omega), measured.omega)
     instruments = _weighted_columns(fitted_terms, equation)
     correlation = weakest_correlation(instruments, stacked_terms(equation.terms))
-    converged = settled and correlation >= WEAKEST_INSTRUMENTS
+    converged = stationary and correlation >= WEAKEST_INSTRUMENTS
     covariance = _sandwich(measured, model, equation, instruments, values)
     dof = measured.n_equation - len(model.terms)
-    r2, adjusted = determination(equation.known, equation.residual(values), len(model.terms))
+    r2, adjusted = determination(equation.right_side, equation.residual(values), len(model.terms))
     gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
     notes = () if converged else (BREAKDOWN_NOTE.format(correlation=correlation),)
     design, amplification = equation_design(fitted_terms, model, values)
     scaled = measured.shared_noise * covariance
-    return Estimate(values, scaled, design, gof, dof, converged, iterations, notes, amplification=amplification)
+    return Estimate(
+        values=values,
+        covariance=scaled,
+        scaled_design=design,
+        gof=gof,
+        dof=dof,
+        converged=converged,
+        iterations=iterations,
+        notes=notes,
+        amplification=amplification,
+    )
 
 
 def _iterate(measured: Measured, model: DynamicModel, equation: Regression, values: FloatArray) -> tuple[FloatArray, bool, int]:
-    """(estimate, settled, iterations)."""
-    columns, side = stacked_terms(equation.terms), stacked(equation.known.reshape(-1))
-    # In units of the regressors' lengths parameters of different dimension compare.
+    """(estimate, True if converged, iterations)."""
+    columns, side = stacked_terms(equation.terms), stacked(equation.right_side.reshape(-1))
+    # Parameters of different dimension are compared in units of the regressors' lengths.
     size = np.sqrt(np.einsum("pe,pe->p", columns, columns))
     last: ComplexArray | None = None
     for iteration in range(1, MAX_ITERATIONS + 1):
         response = model.receptance(values, measured.omega)
         instruments = _weighted_columns(model.equation_terms(response, measured.omega), equation)
         new = _solve(instruments, columns, side, size)
-        settled = _change(new * size, values * size) < TOLERANCE or (last is not None and _change(response, last) < TOLERANCE)
+        stationary = _change(new * size, values * size) < TOLERANCE or (last is not None and _change(response, last) < TOLERANCE)
         values, last = new, response
-        if settled:
+        if stationary:
             return values, True, iteration
     return values, False, MAX_ITERATIONS
 
@@ -72,12 +82,12 @@ def _solve(instruments: FloatArray, columns: FloatArray, side: FloatArray, size:
     except np.linalg.LinAlgError:
         raise FitError("the instruments of iv are linearly dependent", hint="excite a second force direction, or use ml") from None
     if not np.all(np.isfinite(values)):
-        raise FitError("iv ran away to infinity", hint="use ml")
+        raise FitError("iv diverged", hint="use ml")
     return values
 
 
 def weakest_correlation(instruments: FloatArray, columns: FloatArray) -> float:
-    """Smallest canonical correlation between the spaces of instruments and of regressors, both (n_parameter, n_equation).
+    """Smallest canonical correlation [1] between the spaces of instruments and of regressors, both (n_parameter, n_equation).
 
     With V = Q_v R_v and A = Q_a R_a it is the smallest singular value of Q_v^T Q_a = R_v^-T V^T A R_a^-1.
     """
@@ -88,7 +98,7 @@ def weakest_correlation(instruments: FloatArray, columns: FloatArray) -> float:
 
 
 def _sandwich(measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray) -> FloatArray:
-    """Covariance of the estimate from the noise of the FRF, or, where it is not known, from the residual line by line (White)."""
+    """Covariance of the estimate from the noise of the FRF or, if it is unknown, from the residual line by line (White)."""
     scores = _known_scores if has_noise(measured) else _residual_scores
     middle = scores(measured, model, equation, instruments, values)
     bread = np.linalg.pinv(instruments @ stacked_terms(equation.terms).T)

@@ -1,4 +1,4 @@
-"""How many modes, how many independent motions: rational fits of rising order, and the singular values of the FRF."""
+"""Model order: rational fits with an increasing number of modes, and the singular values of the FRF."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from labpipe.identify.weights import has_noise, whitened
 from labpipe.optimise.levenberg import minimise, sum_of_squares
 
 PASSES = 8
-# A motion counts when its singular value is this much above the largest that noise alone would have.
+# Least ratio of a motion's singular value to the largest one of noise alone.
 STANDS_OUT = 1.5
 
 
@@ -21,7 +21,7 @@ STANDS_OUT = 1.5
 class RationalFit:
     """Elements of H as B_e(s) / A(s) with one common denominator: A of degree 2 n for n modes, B_e of degree 2 n - 2.
 
-    Receptances of n modes have just this form; coefficients of powers of s = j w / *unit*, A beginning with 1 at s^2n. *whitener*
+    Receptances of n modes have this form; coefficients of powers of s = j w / *unit*, A with 1 at s^2n. *whitener*
     (n_line, n_element, n_element) [N/m]. Parameters: 2 n of A, then 2 n - 1 of every element.
     """
 
@@ -35,13 +35,13 @@ class RationalFit:
 
     @cached_property
     def elements(self) -> ComplexArray:
-        """(n_line, n_element), in units of the largest."""
+        """Elements of H, (n_line, n_element), relative to the largest [1]."""
         flat = self.measured.matrix.reshape(self.measured.omega.size, -1)
         return flat / float(np.max(np.abs(flat)))
 
     @cached_property
     def powers(self) -> ComplexArray:
-        """s^0 ... s^2n, (n_line, 2 n + 1)."""
+        """s^0 ... s^2n, (n_line, 2 n + 1) [1]."""
         return np.asarray(np.vander(1j * self.measured.omega / self.unit, 2 * self.modes + 1, increasing=True))
 
     @property
@@ -53,32 +53,37 @@ class RationalFit:
         return float(np.linalg.norm(self._whitened(self.elements)))
 
     def residual(self, parameters: FloatArray) -> FloatArray:
+        """Whitened residual (n_equation,) [1] at *parameters* (n_parameter,)."""
         denominator, numerators = self._polynomials(parameters)
         return self._whitened(self.elements - numerators / denominator[:, None])
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
-        """d residual / d p = -(d B_e - H_e d A) / A, (n_equation, n_parameter)."""
+        """d residual / d p = -(d B_e - H_e d A) / A, (n_equation, n_parameter) [1]."""
         denominator, numerators = self._polynomials(parameters)
         return -self._equation(numerators / denominator[:, None], 1 / denominator)
 
     def chi2(self, parameters: FloatArray) -> float:
+        """Sum of squares [1] of the residual at *parameters* (n_parameter,); infinite without finite response."""
         return sum_of_squares(self.residual, parameters)
 
     def start(self) -> FloatArray:
-        """Equation error weighted by 1 / A of the last pass (Sanathanan and Koerner 1963); the pass of the lowest chi-square."""
+        """Start values (n_parameter,) [1] by the equation error weighted with 1 / A of the last pass (Sanathanan and Koerner 1963).
+
+        Of all passes the one with the lowest chi-square.
+        """
         weight: ComplexArray = np.ones(self.measured.omega.size, np.complex128)
         best: FloatArray = np.zeros(self.n_parameter)
         lowest = float("inf")
         for _ in range(PASSES):
-            known = self._whitened(self.elements * (self.powers[:, -1] * weight)[:, None])
+            right_side = self._whitened(self.elements * (self.powers[:, -1] * weight)[:, None])
             columns = self._equation(self.elements, weight)
-            values = np.linalg.lstsq(columns, known, rcond=None)[0]
+            values = np.linalg.lstsq(columns, right_side, rcond=None)[0]
             denominator, _ = self._polynomials(values)
             if np.any(denominator == 0):
                 break
             weight = 1 / denominator
-            if (found := self.chi2(values)) < lowest:
-                best, lowest = values, found
+            if (chi2 := self.chi2(values)) < lowest:
+                best, lowest = values, chi2
         return best
 
     def _polynomials(self, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray]:
@@ -103,7 +108,10 @@ class RationalFit:
 
 
 def modal_chi2(measured: Measured, whitener: ComplexArray, modes: int) -> tuple[float, int] | None:
-    """(chi-square, number of parameters) of the best rational fit with *modes* modes; None where it does not converge."""
+    """Chi-square [1] and number of parameters of the best rational fit with *modes* modes; None without convergence.
+
+    *whitener* (n_line, n_element, n_element) [N/m].
+    """
     fit = RationalFit(measured, whitener, modes)
     if measured.n_equation <= fit.n_parameter:
         return None
@@ -112,10 +120,11 @@ def modal_chi2(measured: Measured, whitener: ComplexArray, modes: int) -> tuple[
 
 
 def independent_motions(measured: Measured) -> tuple[FloatArray, int]:
-    """(singular values of the FRF in units of its noise, how many of them stand out of the noise), responses against lines and forces.
+    """Singular values (n_output,) [1] of the FRF in units of its noise, and the number of them above the noise.
 
-    Circular noise of variance 1 has singular values up to sqrt(n_row) + sqrt(n_column) (Geman 1980). Each response counts by its own
-    noise only: a common factor of the responses is a motion, whatever its noise.
+    The matrix has outputs as columns, lines and forces as rows. Circular noise of variance 1 has singular values up to sqrt(n_row) +
+    sqrt(n_column) (Geman 1980). Only the variance of each output is used, not their covariance: a common factor of the outputs is a
+    motion, whatever its noise.
     """
     n_line, n_output, n_input = measured.matrix.shape
     assert measured.covariance is not None
@@ -127,12 +136,12 @@ def independent_motions(measured: Measured) -> tuple[FloatArray, int]:
 
 
 def motion_notes(measured: Measured) -> tuple[str, ...]:
-    """What to say where fewer motions stand out of the noise than responses were measured."""
+    """A note where fewer independent motions than outputs are above the noise."""
     if len(measured.outputs) < 2 or not has_noise(measured):
         return ()
     values, count = independent_motions(measured)
     if count >= values.size:
         return ()
-    shown = ", ".join(f"{value:.3g}" for value in values)
+    value_list = ", ".join(f"{value:.3g}" for value in values)
     moving = "one independent motion" if count == 1 else f"{count} independent motions"
-    return (f"The {values.size} responses hold {moving}: singular values of the FRF in units of its noise {shown}.",)
+    return (f"The {values.size} responses hold {moving}: singular values of the FRF in units of its noise {value_list}.",)

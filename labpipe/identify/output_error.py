@@ -1,4 +1,4 @@
-"""The weighted output error of a model: residual, its slopes and its square, in real numbers."""
+"""Weighted output error of a model: residual, its Jacobian and its sum of squares, in real numbers."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ class OutputError:
 
     @property
     def size(self) -> float:
-        """Length of the whitened measured FRF."""
+        """Norm of the whitened measured FRF."""
         return float(np.linalg.norm(self.whitened(self.measured.matrix)))
 
     def whitened(self, values: ComplexArray) -> FloatArray:
-        """(..., n_line, n_output, n_input) -> (..., n_equation)."""
+        """FRFs (..., n_line, n_output, n_input) [m/N] whitened to real equations (..., n_equation) [1]."""
         return whitened(self.whitener, values)
 
     def residual(self, parameters: FloatArray) -> FloatArray:
-        """(n_equation,), of variance 1 for a right model."""
+        """Whitened residual (n_equation,) [1], of variance 1 for a correct model."""
         return self.whitened(self.measured.matrix - self.model.receptance(parameters, self.measured.omega))
 
     def chi2(self, parameters: FloatArray) -> float:
-        """Sum of the squared residual; infinite where the model has no finite response."""
+        """Sum of squares [1] of the residual at *parameters* (n_parameter,); infinite where the model has no finite response."""
         return sum_of_squares(self.residual, parameters)
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
-        """d residual / d p, (n_equation, n_parameter)."""
+        """d residual / d p, (n_equation, n_parameter) [1 per parameter unit]."""
         return -self.whitened(self.model.jacobian(parameters, self.measured.omega)).T

@@ -170,13 +170,13 @@ def _estimate(solved: _Solved) -> Estimate:
         reduced = best.chi2 / misfit.excess / dof
         p_value = weight_doubt(data.measured, dof).p_value(reduced, dof)
     return Estimate(
-        best.parameters,
-        solved.covariance,
-        triangle_of(jacobian[:, felt]) if felt else np.eye(1),
-        Goodness(r2, adjusted, reduced, p_value),
-        dof,
-        best.converged,
-        sum(one.evaluations for one in solved.found),
+        values=best.parameters,
+        covariance=solved.covariance,
+        scaled_design=triangle_of(jacobian[:, felt]) if felt else np.eye(1),
+        gof=Goodness(r2, adjusted, reduced, p_value),
+        dof=dof,
+        converged=best.converged,
+        iterations=sum(one.evaluations for one in solved.found),
     )
 
 

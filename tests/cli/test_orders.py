@@ -76,7 +76,7 @@ def test_a_constant_speed_without_tacho(project: Path, labpipe) -> None:
         (("--tacho", "m"), "'m'"),
         (("--speed", "50 N"), "--speed: 'N' has the wrong dimension"),
         (("--tacho", "n", "--order", "-1"), "--order must be positive"),
-        (("--tacho", "n", "--revolutions", "5000"), "holds no 5000 revolutions"),
+        (("--tacho", "n", "--revolutions", "5000"), "shorter than 5000 revolutions"),
     ],
 )
 def test_what_cannot_be_tracked_is_said(project: Path, labpipe, arguments: tuple[str, ...], message: str) -> None:

@@ -23,7 +23,7 @@ from labpipe.spectra.settings import FrfSettings
 
 RIG = Path(__file__).parents[2] / "configs/virtual-ball-bearing.yaml"
 FIT = FitSettings("sdof", input=("z",), output=("z",), band=(300.0, 900.0), name="axial")
-ASKED = CompareSettings("difference", fit="axial", over="preload", group="way", groups=("up", "down"), setting_error=0.005)
+ASKED = CompareSettings(kind="difference", fit="axial", over="preload", group="way", groups=("up", "down"), setting_error=0.005)
 
 
 def compared(hysteresis: float, seed: int) -> Comparison:
