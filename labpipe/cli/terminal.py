@@ -17,21 +17,21 @@ from labpipe.report.wording import threshold_text
 
 MAX_BANDS = 8
 MAX_NOTES = 8
-# Mode shapes and the like are many; they stand in identification.json and the report.
+# Numerous parameters such as mode shapes are only in identification.json and the report.
 IN_REPORT_ONLY = ("shape_", "participation_")
 
 
 def echo_identification(identification: Identification, quiet: bool) -> None:
-    """What the measurement showed, fits, warnings and rule outcomes; long sliding series are cut in the middle, the report has all."""
+    """Findings of the measurement, fits, warnings and outcomes of rules; long sliding series are shortened, the report is complete."""
     if quiet:
         return
     _echo_findings([response.findings for response in identification.responses], "tests")
     for name in dict.fromkeys(fit.name for fit in identification.fits):
         fits = [fit for fit in identification.fits if fit.name == name]
-        shown = fits if len(fits) <= MAX_BANDS else [*fits[: MAX_BANDS // 2], *fits[-MAX_BANDS // 2 :]]
-        for number, fit in enumerate(shown):
-            if len(shown) < len(fits) and number == MAX_BANDS // 2:
-                click.echo(f"  ... {len(fits) - len(shown)} more fits of '{name}' in identification.json ...")
+        displayed = fits if len(fits) <= MAX_BANDS else [*fits[: MAX_BANDS // 2], *fits[-MAX_BANDS // 2 :]]
+        for number, fit in enumerate(displayed):
+            if len(displayed) < len(fits) and number == MAX_BANDS // 2:
+                click.echo(f"  ... {len(fits) - len(displayed)} more fits of '{name}' in identification.json ...")
             _echo_fit(fit)
         _echo_findings([fit.findings for fit in fits], "fits")
     for comparison in identification.comparisons:
@@ -42,7 +42,7 @@ def echo_identification(identification: Identification, quiet: bool) -> None:
         _echo_run_ups(identification.run_ups)
     for outcome in identification.outcomes:
         mark = _coloured("passed", "green") if outcome.passed else _coloured("FAILED", "red")
-        click.echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {_found(outcome.value)})")
+        click.echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {_outcome_value(outcome.value)})")
 
 
 def _echo_study(study: Study) -> None:
@@ -62,13 +62,13 @@ def _echo_study(study: Study) -> None:
 
 
 def _echo_run_ups(result: RunUpResult) -> None:
-    """Critical and threshold speed of every run, measured and by every method, in rpm; then how far each method is determined."""
+    """Critical and threshold speed of every run, measured and by every method, in rpm; then the rank of each method."""
     click.echo(f"run-ups of {result.rotor}: critical speed / threshold [rpm]")
     names = ["measured", *(method.name for method in result.methods)]
     click.echo(f"  {'run':<12}{'load [N]':>9}" + "".join(f"{name:>17}" for name in names))
     for run in result.runs:
-        told = [run, *(method.prediction(run.name) for method in result.methods)]
-        click.echo(f"  {run.name:<12}{run.load:>9.4g}" + "".join(f"{_speeds(one):>17}" for one in told))
+        speeds = [_speeds(source) for source in (run, *(method.prediction(run.name) for method in result.methods))]
+        click.echo(f"  {run.name:<12}{run.load:>9.4g}" + "".join(f"{text:>17}" for text in speeds))
     for method in result.methods:
         if method.rank is not None:
             chi2 = "" if method.chi2_per_datum is None else f", chi2 per datum {method.chi2_per_datum:.2f}"
@@ -76,12 +76,12 @@ def _echo_run_ups(result: RunUpResult) -> None:
     _echo_findings([result.findings], "rotors")
 
 
-def _speeds(one: MeasuredRun | RunPrediction | None) -> str:
-    known = () if one is None else (one.critical_speed, one.threshold)
-    return " / ".join("-" if speed is None else f"{speed.value * 30 / math.pi:.0f}" for speed in known) or "-"
+def _speeds(source: MeasuredRun | RunPrediction | None) -> str:
+    speeds = () if source is None else (source.critical_speed, source.threshold)
+    return " / ".join("-" if speed is None else f"{speed.value * 30 / math.pi:.0f}" for speed in speeds) or "-"
 
 
-def _found(value: float | str | None) -> str:
+def _outcome_value(value: float | str | None) -> str:
     return "nothing" if value is None else value if isinstance(value, str) else f"{value:.6g}"
 
 
@@ -111,12 +111,12 @@ def _parameter_line(parameter: Parameter) -> str:
 
 
 def _echo_findings(carriers: list[tuple[Finding, ...]], what: str) -> None:
-    """Each kind of warning once, with the number of fits or tests that carry it, then the notes, each in full up to a number."""
-    seen: dict[str, dict[int, str]] = {}
+    """Each kind of warning once, with the number of fits or tests it concerns, then the notes up to a maximum number."""
+    by_code: dict[str, dict[int, str]] = {}
     for number, findings in enumerate(carriers):
         for finding in of_level(WARNING, findings):
-            seen.setdefault(finding.code, {}).setdefault(number, finding.message)
-    for code, messages in seen.items():
+            by_code.setdefault(finding.code, {}).setdefault(number, finding.message)
+    for code, messages in by_code.items():
         times = "" if len(carriers) == 1 else f" (in {len(messages)} of {len(carriers)} {what}; the first:)"
         click.echo(f"  {_coloured('warning', 'yellow')} {code}{times}: {next(iter(messages.values()))}")
     notes = list(dict.fromkeys(finding for findings in carriers for finding in of_level(NOTE, findings)))

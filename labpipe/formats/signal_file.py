@@ -16,7 +16,7 @@ from labpipe.errors import ConfigError
 
 
 def write_signal(path: Path, samples: FloatArray, sample_rate: float) -> None:
-    """Write samples [V] by the file's ending; a WAV file is scaled to its full range. ConfigError for other endings."""
+    """Write *samples* (n_sample,) [V] in the format of the suffix; a WAV file is scaled to full range. ConfigError for other suffixes."""
     suffix = path.suffix.lower()
     device = path.exists() and not path.is_file() and not path.is_dir()
     if suffix not in (".csv", ".parquet", ".wav") and not device:
@@ -33,7 +33,7 @@ def write_signal(path: Path, samples: FloatArray, sample_rate: float) -> None:
 
 
 def _write_wav(path: Path, samples: FloatArray, sample_rate: float) -> None:
-    """32-bit float WAV whose peak is 1; the file's rate is a whole number of hertz."""
+    """32-bit float WAV with peak 1; the file's rate is a whole number of hertz."""
     if sample_rate != round(sample_rate):
         raise ConfigError(f"a WAV file cannot hold the sampling rate {sample_rate:g} Hz", hint="choose a whole number of hertz")
     wavfile.write(path, round(sample_rate), (samples / np.max(np.abs(samples))).astype(np.float32))

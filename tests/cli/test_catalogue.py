@@ -248,7 +248,7 @@ def test_trends_on_the_terminal_as_csv_and_as_report(line: Path, labpipe) -> Non
     assert len((line / "t.csv").read_text().splitlines()) == 5
     assert "Campaign" in (line / "t.html").read_text()
     ended = labpipe("trend", line, "-p", "k", "--over", "preload", "--where", "preload < 250 N")
-    assert "no trend can be told" in ended.out
+    assert "no trend can be computed" in ended.out
 
 
 @pytest.mark.parametrize(
@@ -256,7 +256,7 @@ def test_trends_on_the_terminal_as_csv_and_as_report(line: Path, labpipe) -> Non
     [
         (["--over", "speed"], "no test has the amount 'speed'"),
         (["--over", "preload", "--where", "preload > 9 kN"], "no test has the amount 'preload'"),
-        (["--over", "date", "--since", "2030-01-01"], "no result is left by these filters"),
+        (["--over", "date", "--since", "2030-01-01"], "no result matches these filters"),
         (["--over", "preload", "-o", "x.docx"], "no report format for the ending '.docx'"),
     ],
 )

@@ -41,7 +41,7 @@ def rows(folder: Path) -> list[dict[str, float]]:
 def test_a_run_up_by_its_tacho(project: Path, labpipe) -> None:
     out = project / "out"
     ended = labpipe("orders", project / "run.csv", "-r", project / "rig.yaml", "--tacho", "n", "-o", out)
-    assert ended.code == 0 and "stretches of 20 revolutions" in ended.out, ended
+    assert ended.code == 0 and "segments of 20 revolutions" in ended.out, ended
     found = rows(out)
     assert found[0]["speed_hz"] < 22 and found[-1]["speed_hz"] > 38
     # E|dX|^2 = 4 s^2 / n; with s = 0.5 um and about 1300 samples a stretch 0.028 um; f and b have 1 / sqrt 2 of it.
