@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,7 @@ class PressureField:
     thickness: FloatArray
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class BearingCoefficients:
     """Stiffness and damping (n_dof, n_dof): force in the row's dof per displacement or velocity in the column's [SI units].
 
@@ -52,6 +52,7 @@ class BearingCoefficients:
     stiffness: FloatArray
     damping: FloatArray
     rest: tuple[Amount, ...] = ()
+    _: KW_ONLY
     element_state: Mapping[str, FloatArray] = field(default_factory=dict)
     lowest: FloatArray | None = None
     highest: FloatArray | None = None

@@ -228,7 +228,7 @@ def identifiability_findings(fit: LoopFit) -> list[Finding]:
 def fit_statement(fit: LoopFit) -> str:
     """Goodness of fit of all lines as a sentence."""
     chance_of = f"chi² per degree of freedom {fit.chi2_reduced:.3f}, p = {fit.chi2_p:.2g}"
-    statement = f"All {fit.lines} lines against the loop{' with its fit unknowns' if fit.parameters else ''}: {chance_of}."
+    statement = f"All {fit.lines} lines against the loop{' with its fitted unknowns' if fit.parameters else ''}: {chance_of}."
     if fit.parameters and not fit.determined:
         statement += f" {' and '.join(fit.alike)} cannot be told apart, so none is given."
     return statement

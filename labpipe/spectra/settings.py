@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 from labpipe.errors import ConfigError
 from labpipe.records.settings import setting
@@ -66,11 +66,12 @@ class ImpactSettings:
                 raise ConfigError(f"'{length}' must be positive")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class FrfSettings:
     """How recordings become a frequency response; times in s, frequencies in Hz."""
 
     excitation: str = setting("choice", "kind of excitation", choices=EXCITATIONS)
+    _: KW_ONLY
     period: float | None = setting("value", "length of one period of a periodic excitation", unit="s", default=None)
     skip: int = setting("integer", "transient periods dropped at the start (periodic)", default=1)
     smooth: int = setting("integer", "noise is averaged over this many lines to either side (periodic)", default=5)

@@ -109,7 +109,7 @@ def test_results_are_chosen_by_the_conditions_of_any_test(campaign: Path) -> Non
 @pytest.mark.parametrize(
     ("asked", "what"),
     [
-        ({"where": ("preload 400 N",)}, "is no condition"),
+        ({"where": ("preload 400 N",)}, "is not a condition"),
         ({"where": ("preloat = 400 N",)}, "did you mean 'preload'?"),
         ({"where": ("preload = 400 mm",)}, "is in N, not in m"),
         ({"where": ("direction = 4 N",)}, "is in words, not in N"),
