@@ -1,4 +1,4 @@
-"""YAML in which every key and value knows its line and column; duplicate keys are refused.
+"""YAML in which every key and value has its line and column; duplicate keys are refused.
 
 A parsed file is a tree of Marked nodes: a mapping is ``dict[str, Marked]`` in document order, a list ``list[Marked]``, a scalar
 the plain Python value. The tree is edited by ``--set`` and read by the configuration, which reports faults at the marks.
@@ -17,7 +17,7 @@ from labpipe.errors import ConfigError, ConfigErrors
 
 @dataclass
 class Marked:
-    """A YAML node: its content, and where it stands (1-based line and column, file)."""
+    """A YAML node: its content and its place (file, 1-based line and column)."""
 
     content: Any
     where: str
@@ -26,7 +26,7 @@ class Marked:
 
     @property
     def place(self) -> str:
-        """Where a fault of this entry is reported: at its key, or at the node itself (list entries, the whole file)."""
+        """Place at which a fault of this entry is reported: its key, or the node itself (list entries, the whole file)."""
         return self.key_where or self.where
 
     def plain(self) -> Any:
@@ -49,7 +49,7 @@ _Loader.yaml_implicit_resolvers = {
 
 
 def load_marked(path: Path) -> Marked:
-    """The marked tree of a YAML file; ConfigError with the place where it cannot be read."""
+    """The marked tree of a YAML file; ConfigError with the place of a fault."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
@@ -64,7 +64,7 @@ def load_marked(path: Path) -> Marked:
 
 
 def parse_marked(text: str, name: str) -> Marked:
-    """The marked tree of YAML *text*; *name* stands for the file in messages."""
+    """The marked tree of YAML *text*; *name* is the file's name in messages."""
     try:
         loader = _Loader(text)
         node = loader.get_single_node()
@@ -76,10 +76,10 @@ def parse_marked(text: str, name: str) -> Marked:
         raise ConfigError(f"not valid YAML: {str(error).splitlines()[0]}", where=name) from None
     if node is None:
         raise ConfigError("the file is empty", where=name)
-    twice: list[ConfigError] = []
-    tree = _marked(node, name, frozenset(), twice)
-    if twice:
-        raise ConfigErrors(twice)
+    duplicates: list[ConfigError] = []
+    tree = _marked(node, name, frozenset(), duplicates)
+    if duplicates:
+        raise ConfigErrors(duplicates)
     return tree
 
 
@@ -87,19 +87,19 @@ def _place(mark: yaml.Mark, name: str) -> str:
     return f"{name}:{mark.line + 1}:{mark.column + 1}"
 
 
-def _marked(node: yaml.Node, name: str, above: frozenset[int], twice: list[ConfigError]) -> Marked:
+def _marked(node: yaml.Node, name: str, above: frozenset[int], duplicates: list[ConfigError]) -> Marked:
     where = _place(node.start_mark, name)
     if id(node) in above:
         raise ConfigError("an alias refers to the node that contains it", where=where)
     above = above | {id(node)}
     if isinstance(node, yaml.MappingNode):
-        return Marked(_mapping(node, name, above, twice), where)
+        return Marked(_mapping(node, name, above, duplicates), where)
     if isinstance(node, yaml.SequenceNode):
-        return Marked([_marked(item, name, above, twice) for item in node.value], where)
+        return Marked([_marked(item, name, above, duplicates) for item in node.value], where)
     return Marked(_scalar(node), where, text=str(node.value))
 
 
-def _mapping(node: yaml.MappingNode, name: str, above: frozenset[int], twice: list[ConfigError]) -> dict[str, Marked]:
+def _mapping(node: yaml.MappingNode, name: str, above: frozenset[int], duplicates: list[ConfigError]) -> dict[str, Marked]:
     entries: dict[str, Marked] = {}
     for key_node, value_node in node.value:
         where = _place(key_node.start_mark, name)
@@ -107,9 +107,9 @@ def _mapping(node: yaml.MappingNode, name: str, above: frozenset[int], twice: li
             raise ConfigError("a key must be a plain name", where=where)
         key = str(key_node.value)
         if key in entries:
-            twice.append(ConfigError(f"{key}: the key stands twice", where=where, hint=f"first at {entries[key].key_where}"))
+            duplicates.append(ConfigError(f"{key}: the key appears twice", where=where, hint=f"first at {entries[key].key_where}"))
             continue
-        entries[key] = _marked(value_node, name, above, twice)
+        entries[key] = _marked(value_node, name, above, duplicates)
         entries[key].key_where = where
     return entries
 
@@ -132,7 +132,7 @@ def _scalar(node: yaml.Node) -> Any:
 
 
 def set_entry(root: Marked, assignment: str) -> None:
-    """Apply ``key.sub=value`` (the value is YAML) to the tree; list entries go by number. ConfigError if it cannot be."""
+    """Apply ``key.sub=value`` (the value is YAML) to the tree; list entries by number. ConfigError where it is impossible."""
     path, equals, text = assignment.partition("=")
     where = f"--set {assignment}"
     if not equals or not path.strip():
@@ -151,7 +151,7 @@ def set_entry(root: Marked, assignment: str) -> None:
 
 
 def _plain_or_yaml(text: str, where: str) -> Marked:
-    """The value as YAML, or as plain text where it begins with a sign such as '>=' that YAML keeps for itself."""
+    """The value as YAML, or as plain text where it begins with a sign such as '>=' that is reserved in YAML."""
     if not text.strip() or text.lstrip()[0] in "><%@`&*!|":
         return Marked(text.strip(), where, where, text.strip())
     value = parse_marked(text, where)
@@ -160,16 +160,18 @@ def _plain_or_yaml(text: str, where: str) -> Marked:
 
 
 def _keys(path: str) -> list[str]:
-    """The keys of a dotted path; the rules below accept and expect are keys with dots in them themselves."""
+    """The keys of a dotted path; rules under accept and expect are keys with dots themselves."""
     section, _, rest = path.partition(".")
     return [section, rest] if section in ("accept", "expect") and rest else path.split(".")
 
 
 def _descend(owner: Marked, key: str, where: str) -> Marked:
     if isinstance(owner.content, list):
-        return owner.content[_index(owner, key, where)]
+        item: Marked = owner.content[_index(owner, key, where)]
+        return item
     if isinstance(owner.content, dict):
-        return owner.content.setdefault(key, Marked({}, where, where))
+        entry: Marked = owner.content.setdefault(key, Marked({}, where, where))
+        return entry
     raise ConfigError(f"'{key}' cannot be set inside a plain value", where=where)
 
 

@@ -140,12 +140,13 @@ def _simple_unit(symbol: str) -> Unit:
 
 
 def nearest_unit(symbol: str) -> str:
-    """The hint for a unit nobody knows: "did you mean 'um'?", or an empty text."""
-    known = [*_BASE, *_FIXED, *(p + b for p in _PREFIX for b in ("m", "N", "g", "s", "A", "V", "Hz", "Pa"))]
-    same_case = [k for k in known if k.lower() == symbol.lower()]
-    one_letter = [k for k in known if len(k) == len(symbol) > 1 and sum(a != b for a, b in zip(k, symbol, strict=True)) == 1]
+    """The hint for an unknown unit: "did you mean 'um'?", or an empty text."""
+    symbols = [*_BASE, *_FIXED, *(p + b for p in _PREFIX for b in ("m", "N", "g", "s", "A", "V", "Hz", "Pa"))]
+    same_case = [k for k in symbols if k.lower() == symbol.lower()]
+    one_letter = [k for k in symbols if len(k) == len(symbol) > 1 and sum(a != b for a, b in zip(k, symbol, strict=True)) == 1]
     same_start = [k for k in one_letter if k[0] == symbol[0]]
-    near = same_case or difflib.get_close_matches(symbol, known, 1, 0.75) or same_start or difflib.get_close_matches(symbol, known, 1, 0.5)
+    similar, alike = (difflib.get_close_matches(symbol, symbols, 1, cutoff) for cutoff in (0.75, 0.5))
+    near = same_case or similar or same_start or alike
     return f"did you mean '{near[0]}'?" if near else ""
 
 
@@ -241,12 +242,12 @@ def _angle_per_period(unit: Unit, target: Unit) -> float:
 
 
 def check_dimension(text: str, unit: Unit, si_unit: str) -> None:
-    """Raise UnitError unless *unit* (written as *text*) measures the same thing as *si_unit*; Hz and rad/s do."""
-    wanted = parse_unit(si_unit).dimension
-    if unit.dimension == wanted:
+    """UnitError unless *unit* (written as *text*) has the dimension of *si_unit*; Hz and rad/s are interchangeable."""
+    dimension = parse_unit(si_unit).dimension
+    if unit.dimension == dimension:
         return
     periods = {_dimension(s=-1), _dimension(s=-1, rad=1)}
-    if unit.dimension in periods and wanted in periods:
+    if unit.dimension in periods and dimension in periods:
         return
     raise UnitError(f"'{text}' has the wrong dimension, {si_unit} is needed", _example(si_unit))
 
@@ -266,7 +267,7 @@ DISPLAY_UNITS = {"N/m": "kN/m", "m": "um", "rad": "deg", "1": "1"}
 
 
 def display_unit(si_unit: str, size: float | None = None) -> str:
-    """The unit in which people read values given in *si_unit*; soft springs, of a *size* below 100 N/m, stay in N/m."""
+    """The display unit of values in *si_unit*; soft springs, of a *size* below 100 N/m, stay in N/m."""
     if si_unit == "N/m" and size is not None and abs(size) < SOFT:
         return si_unit
     return DISPLAY_UNITS.get(si_unit, si_unit)

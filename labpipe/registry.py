@@ -1,4 +1,4 @@
-"""Choice is a visible table: name -> "module:attribute", extended by entry points, with the nearest known name on a miss."""
+"""Choice is a visible table: name -> "module:attribute", extended by entry points, with the nearest known name for an unknown one."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from typing import Any
 from labpipe.errors import ConfigError
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
-    """The hint for a name nobody knows: the nearest known name, or all of them."""
-    names = [str(k) for k in known]
+def nearest(name: str, choices: Iterable[str]) -> str:
+    """The hint for an unknown name: the nearest known name, or all of them."""
+    names = [str(choice) for choice in choices]
     near = difflib.get_close_matches(name, names, 1, 0.6) or [k for k in names if k.lower() == name.lower()]
     return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(names) or 'none'}"
 
 
 @functools.cache
 def _added(kind: str) -> tuple[EntryPoint, ...]:
-    """What other packages add to a table; looked up once, since it reads the metadata of every installed package."""
+    """Entries of other packages; cached, since it reads the metadata of every installed package."""
     return tuple(entry_points(group=group_of(kind)))
 
 
@@ -46,7 +46,7 @@ class Registry:
         return (*self._table, *added)
 
     def load(self, name: str) -> Any:
-        """The object of that name; ConfigError with the nearest known name if there is none."""
+        """The object of that name; ConfigError with the nearest known name for an unknown one."""
         if name in self._table:
             module, _, attribute = self._table[name].partition(":")
             return getattr(import_module(module), attribute)

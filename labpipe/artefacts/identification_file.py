@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labpipe import __version__
+from labpipe.arrays import ComplexArray
 from labpipe.artefacts.fit_entry import finding_entries, findings_of, fit_entry, read_fit
 from labpipe.artefacts.json_file import write_json
 from labpipe.artefacts.typed_json import entry_of, record_of
@@ -27,8 +27,6 @@ from labpipe.sections import section, sections
 SCHEMA = "labpipe/identification/2"
 READ_SCHEMAS = ("labpipe/identification/1", SCHEMA)
 NAME = "identification.json"
-
-ComplexArray = NDArray[np.complexfloating]
 
 
 def write_identification(path: Path, identification: Identification) -> None:

@@ -10,8 +10,8 @@ from types import TracebackType
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.parquet import HEADER_KEY, batches, open_parquet, read_header
 from labpipe.artefacts.read_ahead import read_ahead
@@ -35,7 +35,7 @@ class RecordingWriter:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._writer.close()
 
-    def write(self, block: NDArray[np.float64]) -> None:
+    def write(self, block: FloatArray) -> None:
         """Append a block (n, n_channel) [SI]."""
         arrays = [pa.array(column) for column in np.ascontiguousarray(block.T)]
         self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
@@ -63,11 +63,11 @@ class StoredRecording:
     findings: tuple[Finding, ...]
     header: Header
 
-    def blocks(self, n_sample: int) -> Iterator[NDArray[np.float64]]:
+    def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]."""
         return read_ahead(self._blocks_in_turn(n_sample))
 
-    def _blocks_in_turn(self, n_sample: int) -> Iterator[NDArray[np.float64]]:
+    def _blocks_in_turn(self, n_sample: int) -> Iterator[FloatArray]:
         names = [channel.name for channel in self.channels]
         for batch in batches(self.path, names, n_sample):
             yield np.column_stack([batch.column(name).to_numpy(zero_copy_only=False) for name in names])

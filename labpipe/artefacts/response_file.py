@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.parquet import HEADER_KEY, open_parquet, read_header
 from labpipe.records.response import FrequencyResponse, Port
@@ -23,7 +23,7 @@ _BY_ELEMENT = {"coherence": ":coh", "partial_coherence": ":partial_coh", "distor
 
 def write_response(path: Path, response: FrequencyResponse, header: Header) -> None:
     """Write the response; *header* gets its contents and findings from the response."""
-    columns: dict[str, NDArray[np.float64]] = {"frequency_hz": response.frequency}
+    columns: dict[str, FloatArray] = {"frequency_hz": response.frequency}
     for o, output in enumerate(response.outputs):
         for i, port in enumerate(response.inputs):
             columns[f"{output.label}/{port.label}:re"] = response.matrix[:, o, i].real
@@ -98,11 +98,11 @@ def read_response(path: Path) -> FrequencyResponse:
     )
 
 
-def _matrix(columns: dict[str, NDArray[np.float64]], pairs: list[list[str]], suffix: str) -> NDArray[np.float64]:
+def _matrix(columns: dict[str, FloatArray], pairs: list[list[str]], suffix: str) -> FloatArray:
     return np.stack([np.stack([columns[pair + suffix] for pair in row], -1) for row in pairs], 1)
 
 
-def _covariance(columns: dict[str, NDArray[np.float64]], n: int) -> NDArray[np.complex128] | None:
+def _covariance(columns: dict[str, FloatArray], n: int) -> ComplexArray | None:
     """The Hermitian covariance from its stored upper triangle."""
     if "cov:0:0:re" not in columns:
         return None

@@ -1,4 +1,4 @@
-"""The bending shaft in series with its bearing: what of a measured radial stiffness is the bearing's.
+"""Bending shaft in series with its bearing: the bearing's share of a measured radial stiffness.
 
 R. J. W. Knaapen (1997), chapter 3: 1/k_total = 1/k_bearing + 1/k_shaft for radial coefficients; tilts and axial ones need no correction.
 """
@@ -63,7 +63,7 @@ class BendingShaft:
 
 @dataclass(frozen=True)
 class SeriesCorrection:
-    """A bearing's stiffness freed of the shaft's bending [N/m], its 95 % interval, and by what the measured relative error has grown."""
+    """A bearing's stiffness without the shaft's bending [N/m], its 95 % interval, and the amplification of the relative error."""
 
     bearing: Uncertain
     ci95: tuple[float, float]
@@ -73,8 +73,8 @@ class SeriesCorrection:
 def without_shaft(total: Uncertain, shaft: Uncertain) -> SeriesCorrection:
     """k_b = 1 / (1/k_total - 1/k_shaft); s_b/k_b = (k_b/k_total) s_total/k_total combined with (k_b/k_shaft) s_shaft/k_shaft.
 
-    The interval is formed on the compliance, which is linear in what was measured to a good approximation, and turned over: it is
-    wider upwards, and open (infinite) where the measurement cannot tell the bearing from rigid. Raises FitError for k_total >= k_shaft.
+    The interval is formed on the compliance, which is nearly linear in the measured stiffness, and inverted: it is wider upwards, and
+    open (infinite) where the measurement is compatible with a rigid bearing. Raises FitError for k_total >= k_shaft.
     """
     if not (total.value > 0 and shaft.value > 0):
         raise FitError("a stiffness in series must be above zero", hint="check the fit and the shaft")
@@ -84,17 +84,17 @@ def without_shaft(total: Uncertain, shaft: Uncertain) -> SeriesCorrection:
             hint="two springs in series are softer than either: check the shaft's stiffness",
         )
     compliance = 1 / total.value - 1 / shaft.value
-    doubt = float(np.hypot(total.std_error / total.value**2, shaft.std_error / shaft.value**2))
+    std_error = float(np.hypot(total.std_error / total.value**2, shaft.std_error / shaft.value**2))
     bearing = 1 / compliance
-    least = compliance - NORMAL_95 * doubt
-    ci95 = (1 / (compliance + NORMAL_95 * doubt), 1 / least if least > 0 else np.inf)
-    return SeriesCorrection(Uncertain(bearing, bearing**2 * doubt), ci95, bearing / total.value)
+    least = compliance - NORMAL_95 * std_error
+    ci95 = (1 / (compliance + NORMAL_95 * std_error), 1 / least if least > 0 else np.inf)
+    return SeriesCorrection(Uncertain(bearing, bearing**2 * std_error), ci95, bearing / total.value)
 
 
 def damping_without_shaft(damping: Uncertain, total: Uncertain, shaft: Uncertain) -> Uncertain:
     """c_b = c_total (k_b / k_total)^2 [N s/m] for w c << k and a shaft without losses; all three uncertainties to first order.
 
-    The damper sits in the bearing and sees only the part k_total / k_b of the measured motion: (k_total + j w c_total) in series.
+    The damper is in the bearing, whose motion is k_total / k_b of the measured one: (k_total + j w c_total) in series.
     """
     stiffness = without_shaft(total, shaft).bearing.value
     factor = (stiffness / total.value) ** 2

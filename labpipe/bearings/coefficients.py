@@ -1,13 +1,13 @@
-"""Stiffness and damping of a bearing at its load and speed, and the rest position of its journal."""
+"""Result of a bearing model of any kind: stiffness and damping at its load and speed, and its equilibrium position."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.records.arrays import frozen_array
 from labpipe.records.finding import Finding
 
@@ -16,7 +16,7 @@ TILTS = ("bx", "by", "bz")
 
 @dataclass(frozen=True)
 class Amount:
-    """One number of the rest position: its name, value in the SI unit, and that unit."""
+    """A number of the equilibrium: its name, its value in the SI unit, and that unit."""
 
     name: str
     value: float
@@ -30,34 +30,35 @@ class PressureField:
     thickness (n_theta,) [m]: of the film.
     """
 
-    theta: NDArray[np.floating]
-    axial: NDArray[np.floating]
-    pressure: NDArray[np.floating]
-    thickness: NDArray[np.floating]
+    theta: FloatArray
+    axial: FloatArray
+    pressure: FloatArray
+    thickness: FloatArray
 
 
 @dataclass(frozen=True)
 class BearingCoefficients:
     """Stiffness and damping (n_dof, n_dof): force in the row's dof per displacement or velocity in the column's [SI units].
 
-    rest: the rest position; element_state: further arrays of it by name; lowest, highest: stiffness over one ball passage, where a
-    bearing has one; notes: further numbers about the model; shaft: of the rigid shaft on the bearing, where the file describes one;
-    shares: what each element of a control loop adds to the direct coefficients; poles: of the closed loop [rad/s]; words: verdicts by name;
-    film: the pressure of an oil film, where there is one.
+    rest: equilibrium position; element_state: arrays per rolling element by name; lowest, highest: stiffness over one ball passage
+    (rolling bearings); notes: further numbers of the model; shaft: results of the rigid shaft on the bearing, if the file describes one;
+    shares: contribution of each element of a control loop to the direct coefficients; poles: of the closed loop [rad/s]; words: verdicts
+    by name; film: pressure of an oil film (journal bearings).
     """
 
     dofs: tuple[str, ...]
-    stiffness: NDArray[np.floating]
-    damping: NDArray[np.floating]
+    stiffness: FloatArray
+    damping: FloatArray
     rest: tuple[Amount, ...] = ()
-    element_state: Mapping[str, NDArray[np.floating]] = field(default_factory=dict)
-    lowest: NDArray[np.floating] | None = None
-    highest: NDArray[np.floating] | None = None
+    _: KW_ONLY
+    element_state: Mapping[str, FloatArray] = field(default_factory=dict)
+    lowest: FloatArray | None = None
+    highest: FloatArray | None = None
     notes: tuple[Amount, ...] = ()
     shaft: tuple[Amount, ...] = ()
     findings: tuple[Finding, ...] = ()
     shares: tuple[Amount, ...] = ()
-    poles: NDArray[np.complexfloating] | None = None
+    poles: ComplexArray | None = None
     words: Mapping[str, str] = field(default_factory=dict)
     film: PressureField | None = None
 
@@ -73,11 +74,11 @@ class BearingCoefficients:
         return ("N/m", "N/rad", "N.m/rad")[tilts]
 
     @property
-    def relative(self) -> NDArray[np.floating]:
-        """K_ij / sqrt(|K_ii K_jj|): what couples, whatever the units; zero where a diagonal term is zero."""
+    def relative(self) -> FloatArray:
+        """Relative coupling K_ij / sqrt(|K_ii K_jj|), (n_dof, n_dof) [1]; zero where a diagonal term is zero."""
         diagonal = np.sqrt(np.abs(np.diag(self.stiffness)))
         scale = np.outer(diagonal, diagonal)
-        relative: NDArray[np.floating] = np.divide(self.stiffness, scale, out=np.zeros_like(scale), where=scale > 0)
+        relative: FloatArray = np.divide(self.stiffness, scale, out=np.zeros_like(scale), where=scale > 0)
         return relative
 
     def lateral(self, y: str, z: str) -> BearingCoefficients:

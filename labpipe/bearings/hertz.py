@@ -1,4 +1,4 @@
-"""Hertz's contact of balls and rollers with their tracks: the stiffness constant K_n of Q = K_n delta^n from geometry and material.
+"""Hertzian contact of balls and rollers with their raceways: stiffness constant K_n of Q = K_n delta^n from geometry and material.
 
 K. L. Johnson, Contact Mechanics (1985), eqs. 4.26-4.32; T. A. Harris, Rolling Bearing Analysis (2001), chapters 2 and 6.
 """
@@ -56,7 +56,7 @@ class BallGeometry:
 
     @property
     def groove_distance(self) -> float:
-        """A0 = (f_i + f_o - 1) D [m]: distance of the groove centres when the ball just touches both tracks."""
+        """A0 = (f_i + f_o - 1) D [m]: distance of the groove centres at zero contact load."""
         return (self.inner_conformity + self.outer_conformity - 1) * self.ball_diameter
 
     @property
@@ -64,7 +64,7 @@ class BallGeometry:
         """r = d/2 + (f_i - 1/2) D cos a0 [m]: radius on which the inner groove's centres lie."""
         return self.pitch_diameter / 2 + (self.inner_conformity - 0.5) * self.ball_diameter * float(np.cos(self.contact_angle))
 
-    @lru_cache(maxsize=64)  # noqa: B019 (frozen and small; a sweep asks for one geometry thousands of times)
+    @lru_cache(maxsize=64)  # noqa: B019 (frozen and small; a sweep uses one geometry thousands of times)
     def stiffness_constant(self, rings: Material = STEEL, balls: Material = STEEL) -> float:
         """K_n [N/m^1.5] of inner and outer contact in series: K_n = (K_i^(-2/3) + K_o^(-2/3))^(-3/2)."""
         contacts = (self._contact(1, self.inner_conformity, rings, balls), self._contact(-1, self.outer_conformity, rings, balls))

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.coefficients import BearingCoefficients
 from labpipe.bearings.journal_equilibrium import FilmState, film_at, film_equilibrium
 from labpipe.bearings.journal_film import Film
@@ -22,16 +22,14 @@ DEFAULT_MESH = FilmMesh(120, 30)
 MOST_CELLS_AROUND = 960
 WIDEST_GROOVE = 2 * np.pi / 3
 
-Array = NDArray[np.floating]
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class JournalBearing:
-    """A plain bearing; every length in [m], *clearance* radial, viscosity [Pa s].
+    """A plain journal bearing; lengths in [m], *clearance* radial, viscosity [Pa s].
 
-    wear_depth [m] is the deepest wear, wear_angle [rad] its place from the bottom, positive with the spin. cavitation_pressure
-    [Pa] is against the ambient pressure at both ends, zero or negative. groove_width [rad]: of each of two axial grooves at the
-    horizontal split, over the whole length and at ambient pressure; zero for none. ConfigError where a value has no meaning.
+    wear_depth [m]: largest wear; wear_angle [rad]: its place from the bottom, positive with the spin. cavitation_pressure [Pa] relative
+    to the ambient pressure at both ends, zero or negative. groove_width [rad]: of each of two axial grooves at the horizontal split, over
+    the whole length and at ambient pressure; zero for none. ConfigError for impossible values.
     """
 
     diameter: float
@@ -69,7 +67,7 @@ class JournalBearing:
         return 6 * self.viscosity * speed * (self.diameter / (2 * self.clearance)) ** 2
 
     def force_scale(self, speed: float) -> float:
-        """6 mu Omega (R / c)^2 R L [N]: the unit of force of the dimensionless film."""
+        """6 mu Omega (R / c)^2 R L [N]: unit of the dimensionless film force."""
         return self.pressure_scale(speed) * self.diameter / 2 * self.length
 
     def at(self, point: OperatingPoint) -> BearingCoefficients:
@@ -85,10 +83,10 @@ class JournalBearing:
 
 @dataclass(frozen=True)
 class JournalEquilibrium:
-    """A journal carried by its film: *load* (2,) [N] on the journal in y and z, *speed* [rad/s].
+    """Equilibrium of a journal on its oil film: *load* (2,) [N] on the journal in y and z, *speed* [rad/s].
 
-    stiffness [N/m] and damping [N s/m] (2, 2) in the order yy yz; zy zz. *state* holds the dimensionless film, from which a
-    neighbouring equilibrium starts. error: estimated mesh error of the coefficients, part of the largest; None when not asked for.
+    stiffness [N/m] and damping [N s/m] (2, 2) in the order yy yz; zy zz. *state* holds the dimensionless film, start value of a
+    neighbouring equilibrium. error: estimated mesh error of the coefficients relative to the largest; None where it was not estimated.
     """
 
     bearing: JournalBearing
@@ -99,8 +97,8 @@ class JournalEquilibrium:
     error: float | None = None
 
     @property
-    def position(self) -> Array:
-        """Displacement of the journal's centre from the bearing's (2,) [m]."""
+    def position(self) -> FloatArray:
+        """Displacement of the journal's centre from the bearing's, (2,) [m]."""
         return self.state.displacement * self.bearing.clearance
 
     @property
@@ -120,34 +118,34 @@ class JournalEquilibrium:
         return self.bearing.force_scale(self.speed) / (6 * np.pi * float(np.hypot(*self.load)))
 
     @property
-    def stiffness(self) -> Array:
+    def stiffness(self) -> FloatArray:
         """K = -dF/dx [N/m], (2, 2)."""
         return self.state.stiffness * (self.bearing.force_scale(self.speed) / self.bearing.clearance)
 
     @property
-    def damping(self) -> Array:
+    def damping(self) -> FloatArray:
         """C = -dF/dx' [N s/m], (2, 2), symmetric."""
         return self.state.damping * (self.bearing.force_scale(self.speed) / (self.bearing.clearance * self.speed))
 
     @property
-    def theta(self) -> Array:
+    def theta(self) -> FloatArray:
         """Angles of the cells [rad], (n_theta,)."""
         return self.bearing.film(self.speed, self.mesh).grid.centre
 
     @property
-    def axial(self) -> Array:
+    def axial(self) -> FloatArray:
         """Axial positions of the cells from mid width [m], (n_axial,)."""
         return ((np.arange(self.mesh.across) + 0.5) / self.mesh.across - 0.5) * self.bearing.length
 
     @property
-    def pressure(self) -> Array:
+    def pressure(self) -> FloatArray:
         """Pressure against ambient [Pa], (n_theta, n_axial)."""
         half = self.state.pressure * self.bearing.pressure_scale(self.speed)
         return np.concatenate([half[:, ::-1], half], axis=1)
 
     @property
-    def film_thickness(self) -> Array:
-        """Thickness of the film [m], (n_theta,)."""
+    def film_thickness(self) -> FloatArray:
+        """Film thickness [m], (n_theta,)."""
         return self.bearing.film(self.speed, self.mesh).thickness(self.state.displacement)[0] * self.bearing.clearance
 
 
@@ -158,21 +156,23 @@ def journal_equilibrium(
     mesh: FilmMesh = DEFAULT_MESH,
     near: JournalEquilibrium | None = None,
 ) -> JournalEquilibrium:
-    """Where the journal runs under a static *load* (2,) [N] in y and z, at *speed* [rad/s], with its coefficients.
+    """Static equilibrium and coefficients under a *load* (2,) [N] in y and z, at *speed* [rad/s].
 
-    *near*: an equilibrium of a similar bearing on the same mesh, to start from. ConfigError for a load of zero, FitError when
-    there is no equilibrium.
+    *near*: an equilibrium of a similar bearing on the same mesh as start value. ConfigError for a load of zero, FitError when there is
+    no equilibrium.
     """
     if not 0 < np.hypot(*load) < np.inf:
-        raise ConfigError("a journal bearing needs a load to find its place", hint="give the static load in newtons")
+        raise ConfigError("a journal bearing needs a load for its equilibrium", hint="give the static load in newtons")
     start = near.state if near is not None and near.mesh == mesh else None
     scaled = np.asarray(load, np.float64) / bearing.force_scale(speed)
     state = film_equilibrium(bearing.film(speed, mesh), scaled, start)
     return JournalEquilibrium(bearing, speed, (float(load[0]), float(load[1])), mesh, state)
 
 
-def film_force(bearing: JournalBearing, position: Array, velocity: Array, speed: float, mesh: FilmMesh = DEFAULT_MESH) -> Array:
-    """Force of the film on the journal (2,) [N] at a *position* (2,) [m] and *velocity* (2,) [m/s]; nothing is linearised."""
+def film_force(
+    bearing: JournalBearing, position: FloatArray, velocity: FloatArray, speed: float, mesh: FilmMesh = DEFAULT_MESH
+) -> FloatArray:
+    """Force of the film on the journal (2,) [N] at a *position* (2,) [m] and *velocity* (2,) [m/s], without linearisation."""
     displacement = np.asarray(position) / bearing.clearance
     state = film_at(bearing.film(speed, mesh), displacement, np.asarray(velocity) / (bearing.clearance * speed))
     return state.force * bearing.force_scale(speed)
@@ -181,10 +181,10 @@ def film_force(bearing: JournalBearing, position: Array, velocity: Array, speed:
 def converged_equilibrium(
     bearing: JournalBearing, load: tuple[float, float], speed: float, tolerance: float = 0.01, mesh: FilmMesh = DEFAULT_MESH
 ) -> JournalEquilibrium:
-    """The equilibrium on the coarsest mesh, from *mesh* doubled up, whose coefficients err by less than *tolerance* (of the largest).
+    """The equilibrium on the coarsest mesh, starting from *mesh* and doubling, with a coefficient error below *tolerance*.
 
-    The error is estimated as a third of the change from half the cells each way (second order) and stated in the result.
-    FitError when the finest mesh allowed is not enough, ConfigError for a first mesh that cannot be halved.
+    The error, relative to the largest coefficient, is estimated as a third of the change from half the cells each way (second order).
+    FitError when the finest mesh is not sufficient, ConfigError for a first mesh that cannot be halved.
     """
     half = mesh.halved()
     if half is None:

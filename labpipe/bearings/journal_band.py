@@ -1,8 +1,8 @@
 """Banded Cholesky factors of the film's equations.
 
-The cells are numbered across first, so the band is one column of cells wide. Around the journal the film closes on itself: where
-whole columns are cavitated the ring is cut there and they are left out; a film without such a column is folded, columns
-0, n - 1, 1, n - 2, ..., which closes the ring within a band of two columns.
+The cells are numbered in axial direction first, so the band is one column of cells wide. The film is periodic around the journal:
+where whole columns are cavitated, the ring is cut there and they are left out; a film without such a column is folded, columns
+0, n - 1, 1, n - 2, ..., which keeps the periodic ring within a band of two columns.
 """
 
 from __future__ import annotations
@@ -10,34 +10,35 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.bearings.journal_film import FilmEquations
 from labpipe.errors import FitError
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class FactoredFilm:
-    """Columns of cells that are solved, in their order, the factors of their equations, and the diagonal of all cells."""
+    """Factored equations of a film, dimensionless [-]: columns (n_column,) solved, in order, and banded factors (n_band, n_cell).
 
-    columns: NDArray[np.intp]
-    factors: Array
-    diagonal: Array
+    diagonal (n_theta, n_half): of all cells.
+    """
 
-    def solve(self, sides: Array) -> Array:
-        """(A + diagonal)^-1 for right-hand sides (n_side, n_theta, n_half); in columns left out the diagonal is all there is."""
+    columns: IntArray
+    factors: FloatArray
+    diagonal: FloatArray
+
+    def solve(self, sides: FloatArray) -> FloatArray:
+        """(A + diagonal)^-1 times right-hand sides (n_side, n_theta, n_half) [-], same shape; only the diagonal in cavitated columns."""
         solved, _ = lapack.dpbtrs(self.factors, sides[:, self.columns].reshape(sides.shape[0], -1).T, lower=1)
         full = sides / self.diagonal
         full[:, self.columns] = solved.T.reshape(sides.shape[0], self.columns.size, -1)
         return full
 
 
-def factored(equations: FilmEquations, curvature: Array) -> FactoredFilm:
-    """Factor A + diagonal; *curvature* (n_half, n_half) of the grid. FitError when the film is not positive definite."""
-    cavitated: NDArray[np.bool_] = np.all(equations.cavitated, axis=1)
+def factored(equations: FilmEquations, curvature: FloatArray) -> FactoredFilm:
+    """Cholesky factors of A + diagonal; *curvature* (n_half, n_half) [-] of the grid. FitError when it is not positive definite."""
+    cavitated: BoolArray = np.all(equations.cavitated, axis=1)
     columns = _open_ring(cavitated)
     columns, band = _folded_band(equations) if columns is None else (columns, _open_band(equations, columns))
     diagonal = _diagonal(equations, curvature)
@@ -49,13 +50,13 @@ def factored(equations: FilmEquations, curvature: Array) -> FactoredFilm:
     return FactoredFilm(columns, factors, diagonal)
 
 
-def _diagonal(equations: FilmEquations, curvature: Array) -> Array:
+def _diagonal(equations: FilmEquations, curvature: FloatArray) -> FloatArray:
     around = equations.around + np.roll(equations.around, 1)
     return around[:, None] + equations.across[:, None] * np.diagonal(curvature) + equations.diagonal
 
 
-def _open_ring(cavitated: NDArray[np.bool_]) -> NDArray[np.intp] | None:
-    """Columns from the end of the longest cavitated arc to its start; None when no column is wholly cavitated."""
+def _open_ring(cavitated: BoolArray) -> IntArray | None:
+    """Columns from the end of the longest cavitated arc to its start; None when no column is completely cavitated."""
     film = np.flatnonzero(~cavitated)
     if film.size in (0, cavitated.size):
         return None
@@ -65,7 +66,7 @@ def _open_ring(cavitated: NDArray[np.bool_]) -> NDArray[np.intp] | None:
     return (first + np.arange(cavitated.size + 1 - arcs[longest])) % cavitated.size
 
 
-def _open_band(equations: FilmEquations, columns: NDArray[np.intp]) -> Array:
+def _open_band(equations: FilmEquations, columns: IntArray) -> FloatArray:
     """(n_column, n_half, n_half + 1), the lower band of every cell."""
     n_half = equations.diagonal.shape[1]
     band = np.zeros((columns.size, n_half, n_half + 1))
@@ -73,7 +74,7 @@ def _open_band(equations: FilmEquations, columns: NDArray[np.intp]) -> Array:
     return band
 
 
-def _folded_band(equations: FilmEquations) -> tuple[NDArray[np.intp], Array]:
+def _folded_band(equations: FilmEquations) -> tuple[IntArray, FloatArray]:
     n, n_half = equations.diagonal.shape
     columns = np.empty(n, np.intp)
     columns[0::2], columns[1::2] = np.arange(n // 2), np.arange(n - 1, n // 2 - 1, -1)

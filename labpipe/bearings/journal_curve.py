@@ -1,6 +1,6 @@
-"""Coefficients of an unworn journal bearing as smooth functions of its Sommerfeld number alone, from the project's Reynolds solution.
+"""Coefficients of an unworn journal bearing as smooth functions of its Sommerfeld number, from the finite-volume Reynolds solution.
 
-At a given L / D and groove, K c / W, C c Omega / W, eccentricity and attitude depend on S = mu N L D / W (R / c)^2 only. Here x lies
+At a given L / D and groove, K c / W, C c Omega / W, eccentricity and attitude depend on S = mu N L D / W (R / c)^2 only. x points
 along the static load and y a quarter turn further with the spin: k_xy is force in x per displacement in y.
 """
 
@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.journal import JournalBearing, JournalEquilibrium, journal_equilibrium
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.errors import FitError
 
-# Cells of 1.25 deg: an edge of a 20 deg groove falls between two of them.
+# Cells of 1.25 deg: an edge of a 20 deg groove lies between two cells.
 CURVE_MESH = FilmMesh(288, 40)
 LOWEST_SOMMERFELD = 0.008
 HIGHEST_SOMMERFELD = 30.0
@@ -25,22 +25,20 @@ NODES = 96
 # x = -z (the load of the tabulated bearing acts downwards), y = y.
 TO_LOAD_FRAME = np.array([[0.0, -1.0], [1.0, 0.0]])
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class ScaledCoefficients:
-    """stiffness K c / W and damping C c Omega / W, (..., 2, 2) in the order xx xy; yx yy, and their slopes by ln S."""
+    """Stiffness K c / W and damping C c Omega / W [-], (..., 2, 2) in the order xx xy; yx yy, and their derivatives by ln S."""
 
-    stiffness: Array
-    damping: Array
-    stiffness_slope: Array
-    damping_slope: Array
+    stiffness: FloatArray
+    damping: FloatArray
+    stiffness_slope: FloatArray
+    damping_slope: FloatArray
 
 
 @dataclass(frozen=True)
 class JournalCurve:
-    """All of a bearing's coefficients over ln S, with length over diameter and *groove_width* [rad] fixed; made by `journal_curve`.
+    """Coefficients over ln S at fixed length over diameter and *groove_width* [rad]; made by `journal_curve`.
 
     spline: K c / W (4), C c Omega / W (4), eccentricity ratio, attitude [rad]; slope: its derivative.
     """
@@ -50,18 +48,18 @@ class JournalCurve:
     spline: BSpline
     slope: BSpline
 
-    def coefficients(self, sommerfeld: Array) -> ScaledCoefficients:
-        """At Sommerfeld numbers (...); FitError outside the table."""
+    def coefficients(self, sommerfeld: FloatArray) -> ScaledCoefficients:
+        """Scaled coefficients [-] at Sommerfeld numbers (...) [-]; FitError outside the table."""
         place = self._place(sommerfeld)
-        values, slopes = (found(place)[..., :8].reshape(*place.shape, 2, 2, 2) for found in (self.spline, self.slope))
+        values, slopes = (spline(place)[..., :8].reshape(*place.shape, 2, 2, 2) for spline in (self.spline, self.slope))
         return ScaledCoefficients(values[..., 0, :, :], values[..., 1, :, :], slopes[..., 0, :, :], slopes[..., 1, :, :])
 
-    def rest(self, sommerfeld: Array) -> tuple[Array, Array]:
-        """Eccentricity ratio [-] and attitude [rad] from the load with the spin, (...) each."""
+    def rest(self, sommerfeld: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Eccentricity ratio [-] and attitude [rad] from the load with the spin, same shape as *sommerfeld*; FitError outside the table."""
         values = self.spline(self._place(sommerfeld))
         return values[..., 8], values[..., 9]
 
-    def _place(self, sommerfeld: Array) -> Array:
+    def _place(self, sommerfeld: FloatArray) -> FloatArray:
         number = np.asarray(sommerfeld, np.float64)
         if not np.all((number >= LOWEST_SOMMERFELD) & (number <= HIGHEST_SOMMERFELD)):
             raise FitError(
@@ -71,16 +69,16 @@ class JournalCurve:
         return np.log(number)
 
 
-def sommerfeld_number(bearing: JournalBearing, load: Array, speed: Array) -> Array:
-    """S = mu N L D / W (R / c)^2 [-] at loads [N] and speeds [rad/s], N in revolutions per second."""
+def sommerfeld_number(bearing: JournalBearing, load: FloatArray, speed: FloatArray) -> FloatArray:
+    """S = mu N L D / W (R / c)^2 [-] at loads [N] and speeds [rad/s] of the same shape, N in revolutions per second."""
     scale = bearing.viscosity * bearing.length * bearing.diameter * (bearing.diameter / (2 * bearing.clearance)) ** 2 / (2 * np.pi)
     return np.asarray(scale * np.asarray(speed) / np.asarray(load))
 
 
 @lru_cache(maxsize=8)
 def journal_curve(length_over_diameter: float, groove_width: float = 0.0, mesh: FilmMesh = CURVE_MESH, nodes: int = NODES) -> JournalCurve:
-    """The curve of a bearing by its *length_over_diameter* and *groove_width* [rad]; kept, since one costs two seconds."""
-    bearing = JournalBearing(1.0, length_over_diameter, 1e-3, 1.0, groove_width=groove_width)
+    """The curve of a bearing by its *length_over_diameter* and *groove_width* [rad]; cached, since it takes two seconds."""
+    bearing = JournalBearing(diameter=1.0, length=length_over_diameter, clearance=1e-3, viscosity=1.0, groove_width=groove_width)
     places = np.linspace(np.log(HIGHEST_SOMMERFELD), np.log(LOWEST_SOMMERFELD), nodes)
     rows = []
     near: JournalEquilibrium | None = None
@@ -92,8 +90,8 @@ def journal_curve(length_over_diameter: float, groove_width: float = 0.0, mesh: 
     return JournalCurve(length_over_diameter, groove_width, spline, spline.derivative())
 
 
-def _row(found: JournalEquilibrium, weight: float) -> Array:
-    """What the curve holds of one equilibrium at a speed of 1 rad/s."""
-    scale = found.bearing.clearance / weight
-    turned = (TO_LOAD_FRAME @ matrix @ TO_LOAD_FRAME.T * scale for matrix in (found.stiffness, found.damping))
-    return np.concatenate([*(matrix.ravel() for matrix in turned), [found.eccentricity_ratio, found.attitude]])
+def _row(equilibrium: JournalEquilibrium, weight: float) -> FloatArray:
+    """The spline's values at one equilibrium at 1 rad/s."""
+    scale = equilibrium.bearing.clearance / weight
+    turned = (TO_LOAD_FRAME @ matrix @ TO_LOAD_FRAME.T * scale for matrix in (equilibrium.stiffness, equilibrium.damping))
+    return np.concatenate([*(matrix.ravel() for matrix in turned), [equilibrium.eccentricity_ratio, equilibrium.attitude]])

@@ -1,53 +1,51 @@
-"""Static equilibrium of the journal in its film: pressures and displacement by one Newton iteration, dimensionless."""
+"""Static equilibrium of the journal on its film: Newton's method for pressures and displacement together, dimensionless."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.journal_band import FactoredFilm, factored
 from labpipe.bearings.journal_film import Film, film_equations
 from labpipe.bearings.journal_mesh import interpolation
 from labpipe.errors import FitError
 
-# Largest change of displacement (over clearance), or of pressure (over the highest), in the last step.
+# Largest change of displacement (over clearance), or of pressure (over its maximum), in the last step.
 TOLERANCE = 1e-7
 ROUGH_TOLERANCE = 1e-3
 MOST_STEPS = 40
 MOST_HALVINGS = 6
-# A step may close the film at most by this part of its thickness.
+# Largest share of the film thickness that one step may close.
 LARGEST_CLOSING = 0.7
-# Thinnest film over clearance that is followed.
+# Least film thickness over clearance.
 THINNEST = 1e-6
 # First guess: this eccentricity ratio in the direction of the load.
 FIRST_ECCENTRICITY = 0.3
 NO_EQUILIBRIUM = "no equilibrium of the journal in its oil film was found"
 CHECK_LOAD = "the load may be too high for the film; check load, viscosity, speed and clearance"
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class FilmState:
-    """The journal in its film: displacement (2,), pressure (n_theta, n_half), force on the journal (2,), Newton steps taken.
+    """State of the film, dimensionless [-]: displacement (2,), pressure (n_theta, n_half), force on the journal (2,), Newton steps.
 
     stiffness = -dF/de and damping = -dF/d(e'/Omega), (2, 2), from the factors of the last step.
     """
 
-    displacement: Array
-    pressure: Array
-    force: Array
-    stiffness: Array
-    damping: Array
+    displacement: FloatArray
+    pressure: FloatArray
+    force: FloatArray
+    stiffness: FloatArray
+    damping: FloatArray
     steps: int
 
 
-def film_equilibrium(film: Film, load: Array, near: FilmState | None = None) -> FilmState:
-    """Where the film's force balances *load* (2,), over 6 mu Omega (R/c)^2 R L; *near*: the state of a similar film on the same mesh.
+def film_equilibrium(film: Film, load: FloatArray, near: FilmState | None = None) -> FilmState:
+    """Equilibrium with a *load* (2,) [-] over 6 mu Omega (R/c)^2 R L; *near*: state of a similar film on the same mesh.
 
-    Without one, or where it proves too far, coarser meshes find the neighbourhood. FitError when no equilibrium is found.
+    Without *near*, or where Newton's method fails from it, coarser meshes give the start value. FitError when there is no equilibrium.
     """
     if near is not None:
         try:
@@ -57,7 +55,7 @@ def film_equilibrium(film: Film, load: Array, near: FilmState | None = None) -> 
     return _balanced(film, load, *_first_guess(film, load), TOLERANCE)
 
 
-def _first_guess(film: Film, load: Array) -> tuple[Array, Array]:
+def _first_guess(film: Film, load: FloatArray) -> tuple[FloatArray, FloatArray]:
     coarse = film.coarser()
     if coarse is None:
         return FIRST_ECCENTRICITY * load / np.hypot(*load), _ambient(film)
@@ -66,8 +64,8 @@ def _first_guess(film: Film, load: Array) -> tuple[Array, Array]:
     return state.displacement, around @ state.pressure @ across
 
 
-def _rough_state(film: Film, load: Array, halvings: int) -> FilmState:
-    """The state on a coarse mesh; where Newton's method fails from afar, from the state under half the load."""
+def _rough_state(film: Film, load: FloatArray, halvings: int) -> FilmState:
+    """The state on a coarse mesh; where Newton's method fails, started from the state under half the load."""
     try:
         return _balanced(film, load, *_first_guess(film, load), ROUGH_TOLERANCE)
     except FitError:
@@ -77,11 +75,11 @@ def _rough_state(film: Film, load: Array, halvings: int) -> FilmState:
     return _balanced(film, load, lighter.displacement, lighter.pressure, ROUGH_TOLERANCE)
 
 
-def _ambient(film: Film) -> Array:
+def _ambient(film: Film) -> FloatArray:
     return np.zeros((film.mesh.around, film.mesh.across // 2))
 
 
-def _balanced(film: Film, load: Array, displacement: Array, pressure: Array, tolerance: float) -> FilmState:
+def _balanced(film: Film, load: FloatArray, displacement: FloatArray, pressure: FloatArray, tolerance: float) -> FilmState:
     still = np.zeros(2)
     for step in range(1, MOST_STEPS + 1):
         equations = film_equations(film, displacement, still, pressure)
@@ -98,8 +96,11 @@ def _balanced(film: Film, load: Array, displacement: Array, pressure: Array, tol
     raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)
 
 
-def film_at(film: Film, displacement: Array, velocity: Array, near: FilmState | None = None) -> FilmState:
-    """The film of a journal held at *displacement* (2,) and moving with *velocity* (2,) over c Omega."""
+def film_at(film: Film, displacement: FloatArray, velocity: FloatArray, near: FilmState | None = None) -> FilmState:
+    """State of the film at *displacement* (2,) [-] over c and *velocity* (2,) [-] over c Omega.
+
+    FitError when Newton's method does not converge.
+    """
     pressure = _ambient(film) if near is None else near.pressure
     for step in range(1, MOST_STEPS + 1):
         equations = film_equations(film, displacement, velocity, pressure)
@@ -109,16 +110,16 @@ def film_at(film: Film, displacement: Array, velocity: Array, near: FilmState | 
         if np.max(np.abs(changes[0])) <= TOLERANCE * np.max(np.abs(pressure)):
             force, slopes = (film.force_weights @ field.sum(axis=-1).T for field in (pressure, changes[1:]))
             return FilmState(displacement, pressure, force, -slopes, _damping(film, factors), step)
-    raise FitError("the pressure in the oil film was not found", hint="check displacement and wear")
+    raise FitError("the pressure in the oil film did not converge", hint="check displacement and wear")
 
 
-def _damping(film: Film, factors: FactoredFilm) -> Array:
+def _damping(film: Film, factors: FactoredFilm) -> FloatArray:
     """-dF/d(e'/Omega): the squeeze term 2 dh/d(Omega t) through the same factors; symmetric, because they are."""
     squeeze = np.broadcast_to(2 * film.grid.at_centre[:, :, None], (2, film.mesh.around, film.mesh.across // 2))
     return film.force_weights @ factors.solve(squeeze).sum(axis=2).T
 
 
-def _allowed_part(film: Film, displacement: Array, change: Array) -> float:
+def _allowed_part(film: Film, displacement: FloatArray, change: FloatArray) -> float:
     _, face = film.thickness(displacement)
     if np.min(face) < THINNEST:
         raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)

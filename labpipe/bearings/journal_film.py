@@ -1,16 +1,16 @@
-"""The Reynolds equation of a journal bearing on finite volumes, and its exact linearisation; everything here is dimensionless.
+"""The Reynolds equation of a journal bearing by finite volumes and its exact linearisation; all quantities dimensionless.
 
-Lengths over the radial clearance c, angles theta around and zeta = 2 z / L across, pressures over 6 mu Omega (R / c)^2:
+Lengths over the radial clearance c, angle theta around and zeta = 2 z / L in axial direction, pressures over 6 mu Omega (R / c)^2:
 
     d/dtheta (h^3 dp/dtheta) + (D / L)^2 d/dzeta (h^3 dp/dzeta) = dh/dtheta + 2 dh/d(Omega t)
 
-The film carries no less than its cavitation pressure: with gap = p - p_cav and surplus = A p + dh/dtheta + 2 dh/d(Omega t), A the
+The pressure is never below the cavitation pressure: with gap = p - p_cav and surplus = A p + dh/dtheta + 2 dh/d(Omega t), A the
 discrete operator, gap >= 0, surplus >= 0 and gap * surplus = 0 in every cell (complementarity). A front that jumps from cell to
-cell makes stiffness and damping rough functions of load, wear depth and angle. Therefore the equivalent
-gap = max(0, gap - c * surplus) uses a maximum rounded over a width that is proportional to the diverging wedge and to the square
-of the mesh, so that the front crosses about two cells gradually; away from it the equations hold exactly.
+cell makes stiffness and damping rough functions of load, wear depth and angle. Therefore the equivalent condition
+gap = max(0, gap - c * surplus) uses a maximum rounded over a width proportional to the diverging wedge and to the square of the
+mesh, so that the front crosses about two cells gradually; away from it the equations hold exactly.
 
-Axial grooves over the whole length hold the ambient pressure: the film before and after them is parted.
+Axial grooves over the whole length are at ambient pressure and separate the film before them from that after them.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.bearings.journal_mesh import FilmGrid, FilmMesh, film_grid
 from labpipe.bearings.journal_wear import mean_worn_depth
 
@@ -27,25 +27,23 @@ from labpipe.bearings.journal_wear import mean_worn_depth
 # Together they make coefficients smooth to .1 % over the angle of wear at 120 x 30 cells and move them by less than .6 %.
 COMPLIANCE = 2.0
 ROUNDING = 0.8
-# Wedge below which a film counts as converging, against that of the journal's displacement.
+# Wedge below which a film counts as converging, relative to that of the journal's displacement.
 LEAST_WEDGE = 0.02
 # Slope of the rounded maximum where it is zero: keeps the equations of cavitated cells finite.
 LEAST_SLOPE = 1e-9
-# Diagonal that holds a cell in a groove at ambient pressure.
+# Diagonal that fixes a cell in a groove at ambient pressure.
 GROOVE_DIAGONAL = 1e12
 # Shortest distance from a cell's centre to the edge of a groove, in cells: keeps the flow into the groove finite.
 LEAST_DISTANCE = 0.05
 
-Array = NDArray[np.floating]
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Film:
-    """A film to be solved: *slenderness* D / L, wear *depth* at *angle* [rad] from the bottom, cavitation pressure (<= 0).
+    """A film: *slenderness* D / L, wear *depth* over clearance at *angle* [rad] from the bottom, cavitation pressure (<= 0).
 
-    worn_centre, worn_face (n_theta,): added thickness at cell centres and faces; groove [rad]: width of each of two axial grooves at
-    the horizontal split, zero for none; grooved, opening (n_theta,): cells in a groove, and what the distance to its edge makes of
-    the conductance of the face after each cell.
+    worn_centre, worn_face (n_theta,) [-]: added thickness at cell centres and faces; groove [rad]: width of each of two axial grooves at
+    the horizontal split, zero for none; grooved (n_theta,): cells in a groove; opening (n_theta,): conductance factor of the face after
+    each cell for the distance to the groove's edge.
     """
 
     mesh: FilmMesh
@@ -54,55 +52,67 @@ class Film:
     depth: float
     angle: float
     cavitation: float
-    worn_centre: Array
-    worn_face: Array
+    worn_centre: FloatArray
+    worn_face: FloatArray
     groove: float
-    grooved: NDArray[np.bool_]
-    opening: Array
+    grooved: BoolArray
+    opening: FloatArray
 
     @classmethod
     def of(
         cls, mesh: FilmMesh, slenderness: float, depth: float = 0.0, angle: float = 0.0, cavitation: float = 0.0, groove: float = 0.0
     ) -> Film:
-        """The film over a bore worn by *depth* (over clearance) at *angle* [rad] from the bottom, with or without grooves."""
+        """The film over a bore with wear *depth* (over clearance) at *angle* [rad] from the bottom, with or without grooves."""
         grid = film_grid(mesh)
         centre, face = (mean_worn_depth(theta, depth, angle, mesh.arc) for theta in (grid.centre, grid.face))
         grooved, opening = _grooves(grid, mesh.arc, groove)
-        return cls(mesh, grid, slenderness, depth, angle, cavitation, centre, face, groove, grooved, opening)
+        return cls(
+            mesh=mesh,
+            grid=grid,
+            slenderness=slenderness,
+            depth=depth,
+            angle=angle,
+            cavitation=cavitation,
+            worn_centre=centre,
+            worn_face=face,
+            groove=groove,
+            grooved=grooved,
+            opening=opening,
+        )
 
     def coarser(self) -> Film | None:
-        """The same film on half the cells each way, None where that is too coarse to help."""
+        """The same film with half the cells each way, None where that is too coarse."""
         mesh = self.mesh.halved()
         return None if mesh is None else Film.of(mesh, self.slenderness, self.depth, self.angle, self.cavitation, self.groove)
 
-    def thickness(self, displacement: Array) -> tuple[Array, Array]:
-        """h at cell centres and at faces, (n_theta,); *displacement* (2,) of the journal in y and z."""
+    def thickness(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Film thickness h [-] at cell centres and at faces, (n_theta,); *displacement* (2,) [-] of the journal in y and z."""
         return 1 + self.worn_centre + displacement @ self.grid.at_centre, 1 + self.worn_face + displacement @ self.grid.at_face
 
     @property
-    def force_weights(self) -> Array:
-        """Force on the journal = weights @ pressures summed across, (2, n_theta), over 6 mu Omega (R/c)^2 R L."""
+    def force_weights(self) -> FloatArray:
+        """Weights (2, n_theta) [-]: force on the journal = weights @ axial sums of pressure, over 6 mu Omega (R/c)^2 R L."""
         return self.grid.at_centre * (self.mesh.arc * self.mesh.strip)
 
 
 @dataclass(frozen=True)
 class FilmEquations:
-    """One Newton step: (A + diagonal) dp = -residual - by_displacement @ de - by_velocity @ dv.
+    """One Newton step, dimensionless [-]: (A + diagonal) dp = -residual - by_displacement @ de - by_velocity @ dv.
 
-    around, across (n_theta,): conductances of faces and across the width; diagonal, residual (n_theta, n_half);
+    around, across (n_theta,): conductances of faces and in axial direction; diagonal, residual (n_theta, n_half);
     by_displacement (2, n_theta, n_half); cavitated (n_theta, n_half): cells at the cavitation pressure.
     """
 
-    around: Array
-    across: Array
-    diagonal: Array
-    residual: Array
-    by_displacement: Array
-    cavitated: NDArray[np.bool_]
+    around: FloatArray
+    across: FloatArray
+    diagonal: FloatArray
+    residual: FloatArray
+    by_displacement: FloatArray
+    cavitated: BoolArray
 
 
-def film_equations(film: Film, displacement: Array, velocity: Array, pressure: Array) -> FilmEquations:
-    """The equations linearised at a pressure field (n_theta, n_half), a displacement (2,) and a velocity (2,) over c Omega."""
+def film_equations(film: Film, displacement: FloatArray, velocity: FloatArray, pressure: FloatArray) -> FilmEquations:
+    """The equations linearised at a pressure field (n_theta, n_half), a displacement (2,) and a velocity (2,) over c Omega [-]."""
     grid, arc = film.grid, film.mesh.arc
     centre, face = film.thickness(displacement)
     around, across = film.opening * face**3 / arc**2, film.slenderness**2 * centre**3
@@ -118,8 +128,8 @@ def film_equations(film: Film, displacement: Array, velocity: Array, pressure: A
     wider = ROUNDING / 2 * (1 + wedge / root) * grid.wedge - width * thicker
 
     gap = pressure - film.cavitation
-    held = gap - compliance[:, None] * surplus
-    largest, slope, by_width = rounded_maximum(held, (compliance * width)[:, None])
+    argument = gap - compliance[:, None] * surplus
+    largest, slope, by_width = rounded_maximum(argument, (compliance * width)[:, None])
     in_flow = 1 / (slope * compliance[:, None])
     by_width = by_width / slope
     by_displacement = np.empty((2, *pressure.shape))
@@ -133,19 +143,19 @@ def film_equations(film: Film, displacement: Array, velocity: Array, pressure: A
 
 
 def _hold_ambient(
-    grooved: NDArray[np.bool_], pressure: Array, diagonal: Array, residual: Array, by_displacement: Array, cavitated: NDArray[np.bool_]
+    grooved: BoolArray, pressure: FloatArray, diagonal: FloatArray, residual: FloatArray, by_displacement: FloatArray, cavitated: BoolArray
 ) -> None:
-    """Turn the equations of the cells in grooves into p = 0, whatever the journal does; in place."""
+    """Replace the equations of cells in grooves by p = 0, in place."""
     diagonal[grooved] = GROOVE_DIAGONAL
     residual[grooved] = GROOVE_DIAGONAL * pressure[grooved]
     by_displacement[:, grooved] = 0
     cavitated[grooved] = True
 
 
-def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[NDArray[np.bool_], Array]:
-    """Cells in the grooves at theta = 0 and 180 deg, and conductances of the faces: one over the distance to the edge, in cells."""
+def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[BoolArray, FloatArray]:
+    """Cells in the grooves at theta = 0 and 180 deg, and conductance factors of the faces: 1 / distance to the edge [cells]."""
     from_split = np.abs(np.mod(grid.centre + np.pi / 2, np.pi) - np.pi / 2)
-    grooved: NDArray[np.bool_] = from_split < groove / 2
+    grooved: BoolArray = from_split < groove / 2
     distance = np.maximum((from_split - groove / 2) / arc, LEAST_DISTANCE)
     after = np.roll(grooved, -1)
     opening = np.ones_like(grid.centre)
@@ -154,10 +164,10 @@ def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[NDArray[np.bool
     return grooved, opening
 
 
-def rounded_maximum(x: Array, width: Array) -> tuple[Array, Array, Array]:
-    """max(0, x), exact outside +-*width* and twice continuously differentiable; its slopes by x (at least LEAST_SLOPE) and by width.
+def rounded_maximum(x: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """max(0, x) [-], exact outside +-*width* and twice continuously differentiable; its derivatives by x (>= LEAST_SLOPE) and by width.
 
-    With t = (x + width) / (2 width): 2 width (t^3 - t^4 / 2), slope t^2 (3 - 2 t).
+    x (n_theta, n_half), *width* (n_theta, 1) [-]. With t = (x + width) / (2 width): 2 width (t^3 - t^4 / 2), slope t^2 (3 - 2 t).
     """
     t = np.clip((x + width) / (2 * width), 0, 1)
     area, slope = t**3 * (1 - t / 2), t * t * (3 - 2 * t)
@@ -165,7 +175,7 @@ def rounded_maximum(x: Array, width: Array) -> tuple[Array, Array, Array]:
     return largest, np.maximum(slope, LEAST_SLOPE), 2 * area + slope * (1 - 2 * t)
 
 
-def _out(flow: Array) -> Array:
+def _out(flow: FloatArray) -> FloatArray:
     """Net outflow of every cell from the flows over the faces after them, axis 0 around."""
     out = np.empty_like(flow)
     np.subtract(flow[1:], flow[:-1], out=out[1:])

@@ -1,4 +1,4 @@
-"""Journal bearings as a kind of bearing: what their file holds, and from it to coefficients."""
+"""Journal bearings as a kind of bearing: settings of their file, and coefficients from them."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class Wear(Settings):
     """Wear of the bushing after Dufrane: an arc of larger radius."""
 
     depth: float = setting("value", "deepest wear", unit="m", default=0.0)
-    angle: float = setting("value", "place of the deepest wear from the bottom, positive with the spin", unit="rad", default=0.0)
+    angle: float = setting("value", "angle of the deepest wear from the bottom, positive with the spin", unit="rad", default=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class JournalSettings(Settings):
-    """A plain bearing without its load and speed, as a rotor file names it."""
+    """A journal bearing without load and speed, as in a rotor file."""
 
     kind: str = setting("choice", "which kind of bearing", choices=(JOURNAL,))
     name: str = setting("text", "name of the bearing", default="")
@@ -43,10 +43,17 @@ class JournalSettings(Settings):
         self.bearing()
 
     def bearing(self) -> JournalBearing:
-        """The bearing; ConfigError where data are impossible."""
-        wear = self.wear
-        sizes = (self.diameter, self.length, self.clearance, self.viscosity)
-        return JournalBearing(*sizes, wear.depth, wear.angle, self.cavitation_pressure, self.groove_width)
+        """The bearing; ConfigError for impossible values."""
+        return JournalBearing(
+            diameter=self.diameter,
+            length=self.length,
+            clearance=self.clearance,
+            viscosity=self.viscosity,
+            wear_depth=self.wear.depth,
+            wear_angle=self.wear.angle,
+            cavitation_pressure=self.cavitation_pressure,
+            groove_width=self.groove_width,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,13 +70,13 @@ class JournalFile(JournalSettings):
         if not self.speed > 0:
             raise ConfigError(f"speed: an oil film needs a speed above zero, not {self.speed:g} Hz")
         if not np.hypot(self.load, self.side_load) > 0:
-            raise ConfigError("load: a journal bearing needs a load to find its place", hint="for example load: 58.82 N")
+            raise ConfigError("load: a journal bearing needs a load for its equilibrium", hint="for example load: 58.82 N")
         if not 1e-4 <= self.accuracy <= 0.5:
             raise ConfigError("accuracy: must lie between 0.01 % and 50 %")
 
 
 def journal_coefficients(settings: Sequence[JournalFile]) -> list[BearingCoefficients]:
-    """The coefficients of every settings, in their order, each on the coarsest mesh that is accurate enough."""
+    """The coefficients of all settings, in order, each on the coarsest mesh of sufficient accuracy."""
     return [_coefficients(entry) for entry in settings]
 
 
@@ -77,7 +84,9 @@ def _coefficients(settings: JournalFile) -> BearingCoefficients:
     load = (settings.side_load, -settings.load)
     state = converged_equilibrium(settings.bearing(), load, 2 * np.pi * settings.speed, settings.accuracy)
     film = PressureField(state.theta, state.axial, state.pressure, state.film_thickness)
-    return BearingCoefficients(DOFS, state.stiffness, state.damping, _rest(state), notes=_notes(state), film=film)
+    return BearingCoefficients(
+        dofs=DOFS, stiffness=state.stiffness, damping=state.damping, rest=_rest(state), notes=_notes(state), film=film
+    )
 
 
 def _rest(state: JournalEquilibrium) -> tuple[Amount, ...]:
@@ -95,7 +104,7 @@ def _rest(state: JournalEquilibrium) -> tuple[Amount, ...]:
 
 
 def _notes(state: JournalEquilibrium) -> tuple[Amount, ...]:
-    """The mesh that was used and its estimated error, of the largest coefficient."""
+    """The mesh and its estimated error relative to the largest coefficient."""
     assert state.error is not None
     return (
         Amount("cells_around", float(state.mesh.around), "1"),

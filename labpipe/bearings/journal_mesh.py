@@ -1,4 +1,4 @@
-"""Cells of the oil film: equal arcs around the journal, and one half of the width cut into equal strips (the film is symmetric)."""
+"""Cells of the oil film: equal arcs around the journal, equal strips over half the width (the film is symmetric)."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 
 FEWEST_AROUND = 24
@@ -39,31 +39,31 @@ class FilmMesh:
         return 2 / self.across
 
     def halved(self) -> FilmMesh | None:
-        """The mesh with half the cells each way, rounded to even numbers; None where that would be too coarse to help."""
+        """The mesh with half the cells each way, rounded to even numbers; None where that is too coarse."""
         around, across = (2 * ((n + 2) // 4) for n in (self.around, self.across))
         return FilmMesh(around, max(across, FEWEST_ACROSS)) if around >= FEWEST_AROUND else None
 
 
 @dataclass(frozen=True)
 class FilmGrid:
-    """What the equations need of a mesh, with n_theta cells around and n_half across half the width.
+    """Geometry of a mesh with n_theta cells around and n_half across half the width.
 
     centre, face (n_theta,): angles of cells and of the faces after them [rad]; at_centre, at_face, wedge (2, n_theta): derivative
-    of film thickness over clearance, and of its slope, by the journal's displacement over clearance in y and z;
+    of film thickness over clearance, and of its slope, by the journal's displacement over clearance in y and z [-];
     curvature (n_half, n_half): minus the second difference across the width, symmetric at mid width, zero pressure at the edge.
     """
 
-    centre: NDArray[np.floating]
-    face: NDArray[np.floating]
-    at_centre: NDArray[np.floating]
-    at_face: NDArray[np.floating]
-    wedge: NDArray[np.floating]
-    curvature: NDArray[np.floating]
+    centre: FloatArray
+    face: FloatArray
+    at_centre: FloatArray
+    at_face: FloatArray
+    wedge: FloatArray
+    curvature: FloatArray
 
 
 @lru_cache(maxsize=16)
 def film_grid(mesh: FilmMesh) -> FilmGrid:
-    """The grid of a mesh; kept, since an identification asks for the same one thousands of times."""
+    """The grid of a mesh; cached, since an identification uses the same one thousands of times."""
     centre = (np.arange(mesh.around) + 0.5) * mesh.arc
     face = (np.arange(mesh.around) + 1.0) * mesh.arc
     at_centre = -np.stack([np.cos(centre), np.sin(centre)])
@@ -75,7 +75,7 @@ def film_grid(mesh: FilmMesh) -> FilmGrid:
     return grid
 
 
-def _curvature(mesh: FilmMesh) -> NDArray[np.floating]:
+def _curvature(mesh: FilmMesh) -> FloatArray:
     n_half = mesh.across // 2
     curvature = 2 * np.eye(n_half) - np.eye(n_half, k=1) - np.eye(n_half, k=-1)
     curvature[0, 0], curvature[-1, -1] = 1, 3
@@ -83,11 +83,11 @@ def _curvature(mesh: FilmMesh) -> NDArray[np.floating]:
 
 
 @lru_cache(maxsize=16)
-def interpolation(coarse: FilmMesh, fine: FilmMesh) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Matrices (a, b) with pressures on the fine mesh = a @ pressures @ b; linear, closed around the journal."""
-    at = (np.arange(fine.around) + 0.5) * coarse.around / fine.around - 0.5
-    before = np.floor(at).astype(int)
-    part = at - before
+def interpolation(coarse: FilmMesh, fine: FilmMesh) -> tuple[FloatArray, FloatArray]:
+    """Matrices a (n_fine, n_coarse), b (n_coarse, n_fine) [1] of fine pressures = a @ coarse @ b; linear, periodic around the journal."""
+    position = (np.arange(fine.around) + 0.5) * coarse.around / fine.around - 0.5
+    before = np.floor(position).astype(int)
+    part = position - before
     around = np.zeros((fine.around, coarse.around))
     np.add.at(around, (np.arange(fine.around), before % coarse.around), 1 - part)
     np.add.at(around, (np.arange(fine.around), (before + 1) % coarse.around), part)
@@ -95,5 +95,5 @@ def interpolation(coarse: FilmMesh, fine: FilmMesh) -> tuple[NDArray[np.floating
     return around, across
 
 
-def _strips(mesh: FilmMesh) -> NDArray[np.floating]:
+def _strips(mesh: FilmMesh) -> FloatArray:
     return (np.arange(mesh.across // 2) + 0.5) * mesh.strip

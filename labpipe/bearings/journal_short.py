@@ -1,18 +1,16 @@
-"""The short journal bearing (Ocvirk): closed forms for a film that is narrow, L / D well below one half, and cavitates over one half.
+"""Short journal bearing (Ocvirk): closed forms for a narrow film, L / D well below one half, cavitated over one half.
 
-The circumferential pressure gradient is left out; the film carries where it converges. Frame of `journal`, load along -z.
+The circumferential pressure gradient is neglected; the film carries where it converges. Frame of `journal`, load along -z.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.journal import JournalBearing
 from labpipe.errors import ConfigError
-
-Array = NDArray[np.floating]
 
 
 def short_bearing_load(bearing: JournalBearing, eccentricity_ratio: float, speed: float) -> float:
@@ -28,12 +26,12 @@ def short_bearing_load(bearing: JournalBearing, eccentricity_ratio: float, speed
 def short_bearing_equilibrium(bearing: JournalBearing, load: float, speed: float) -> tuple[float, float]:
     """Eccentricity ratio [-] and attitude angle [rad] under a *load* [N] at *speed* [rad/s]; tan = pi sqrt(1 - e^2) / (4 e)."""
     if not load > 0:
-        raise ConfigError("a journal bearing needs a load to find its place", hint="give the static load in newtons")
+        raise ConfigError("a journal bearing needs a load for its equilibrium", hint="give the static load in newtons")
     e = float(brentq(lambda ratio: short_bearing_load(bearing, ratio, speed) / load - 1, 1e-9, 1 - 1e-9, xtol=1e-14))
     return e, float(np.arctan2(np.pi * np.sqrt(1 - e**2), 4 * e))
 
 
-def short_bearing_coefficients(bearing: JournalBearing, load: float, speed: float) -> tuple[Array, Array]:
+def short_bearing_coefficients(bearing: JournalBearing, load: float, speed: float) -> tuple[FloatArray, FloatArray]:
     """Stiffness [N/m] and damping [N s/m], (2, 2) in the order yy yz; zy zz, under a *load* [N] along -z.
 
     Friswell et al., Dynamics of Rotating Machines (2010), chapter 5.

@@ -1,9 +1,9 @@
 """Coefficients of a worn journal bearing as a smooth table over wear and operating point, with exact derivatives.
 
-An identification asks for coefficients thousands of times. A bearing of given L / D under a load of fixed direction has, scaled,
-K c / W and C c Omega / W that depend on sqrt(depth / c), the angle of wear, ln S (Sommerfeld) and p_cav L D / W only; the table is a
-tensor product of cubic splines over them. The root of the depth spreads shallow wear; the splines are even in it, so that at
-zero depth the angle has no influence and the derivative by depth vanishes.
+An identification evaluates coefficients thousands of times. A bearing of given L / D under a load of fixed direction has scaled
+coefficients K c / W and C c Omega / W that depend on sqrt(depth / c), the wear angle, ln S (Sommerfeld) and p_cav L D / W only; the
+table is a tensor product of cubic splines over these. The root of the depth resolves shallow wear; the splines are even in it, so
+that at zero depth the angle has no influence and the derivative by depth vanishes.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import NdBSpline, make_interp_spline
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.journal import DEFAULT_MESH, JournalBearing, JournalEquilibrium, journal_equilibrium
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.errors import ConfigError, FitError
@@ -24,18 +24,15 @@ from labpipe.errors import ConfigError, FitError
 AXES = ("wear depth", "wear angle", "Sommerfeld number", "cavitation pressure")
 # In the order of the derivatives.
 PARAMETERS = ("wear_depth", "wear_angle", "viscosity", "clearance", "cavitation_pressure")
-# Root of depth over clearance below which the limit of the derivative at zero depth is taken.
+# Root of depth over clearance below which the limit of the derivative at zero depth applies.
 LEAST_ROOT = 1e-4
 
-Array = NDArray[np.floating]
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TableRange:
     """Ranges and numbers of nodes: depth from zero to *depth* [m], angle +-*angle* [rad], viscosity by a factor up and down, clearance
     likewise, cavitation pressures down to *cavitation_pressure* [Pa] (zero: no axis). A factor of 1 on both: no Sommerfeld axis.
-
-    Slopes by depth turn sharply where the film parts in two before and behind the wear, hence the many nodes.
+    Derivatives by depth change sharply where the wear divides the film into two, hence the many nodes.
     """
 
     depth: float = 50e-6
@@ -58,7 +55,7 @@ class TableRange:
 
     @property
     def sommerfeld_factor(self) -> float:
-        """S goes with mu / c^2."""
+        """Factor of S = mu / c^2 from those of viscosity and clearance."""
         return self.viscosity_factor * self.clearance_factor**2
 
 
@@ -66,52 +63,52 @@ class TableRange:
 class TableCoefficients:
     """stiffness [N/m], damping [N s/m], (2, 2); their derivatives by PARAMETERS in SI units, (5, 2, 2) each."""
 
-    stiffness: Array
-    damping: Array
-    stiffness_slopes: Array
-    damping_slopes: Array
+    stiffness: FloatArray
+    damping: FloatArray
+    stiffness_slopes: FloatArray
+    damping_slopes: FloatArray
 
 
 @dataclass(frozen=True)
 class JournalTable:
-    """Scaled coefficients K c / W and C c Omega / W over the axes in use; made by `journal_table`.
+    """Scaled coefficients K c / W and C c Omega / W [-] over the active axes; made by `journal_table`.
 
-    active: numbers of the AXES with more than one node; low, high (4,): ranges, equal where there is one node; spline: K, then C.
+    active: indices of the AXES with more than one node; low, high (4,): ranges, equal where there is one node; spline: K, then C.
     """
 
     bearing: JournalBearing
     load: tuple[float, float]
     active: tuple[int, ...]
-    low: Array
-    high: Array
+    low: FloatArray
+    high: FloatArray
     spline: NdBSpline
 
     def coefficients(self, bearing: JournalBearing, speed: float, size: float | None = None) -> TableCoefficients:
-        """Coefficients of a bearing whose wear, viscosity, clearance or cavitation pressure differ from the table's own.
+        """Coefficients of a bearing whose wear, viscosity, clearance or cavitation pressure differ from the table's.
 
-        *size* [N] of the load, in the table's direction, the table's own unless given; *speed* [rad/s]. FitError outside the table.
+        *size* [N] of the load, in the table's direction, by default the table's; *speed* [rad/s]. FitError outside the table.
         """
         weight = float(np.hypot(*self.load)) if size is None else size
         point, slopes = _place(bearing, weight, speed)
-        at = self._inside(point)
-        values = self.spline(at)[0]
+        inside = self._inside(point)
+        values = self.spline(inside)[0]
         by_axis = np.zeros((len(AXES), 8))
         for number, axis in enumerate(self.active):
-            by_axis[axis] = self.spline(at, nu=[int(n == number) for n in range(len(self.active))])[0]
+            by_axis[axis] = self.spline(inside, nu=[int(n == number) for n in range(len(self.active))])[0]
         scale = weight / bearing.clearance * np.repeat([1, 1 / speed], 4)
         by_parameter = (slopes @ by_axis) * scale
         by_parameter[PARAMETERS.index("clearance")] -= values * scale / bearing.clearance
         split = (values * scale).reshape(2, 2, 2), by_parameter.reshape(-1, 2, 2, 2)
         return TableCoefficients(split[0][0], split[0][1], split[1][:, 0], split[1][:, 1])
 
-    def _inside(self, point: Array) -> Array:
+    def _inside(self, point: FloatArray) -> FloatArray:
         slack = 1e-9 * (1 + np.abs(self.high))
         for axis in np.flatnonzero((point < self.low - slack) | (point > self.high + slack)):
             raise FitError(f"the {AXES[axis]} lies outside the table of bearing coefficients", hint="make the table wider")
         return np.clip(point, self.low, self.high)[None, list(self.active)]
 
 
-def _place(bearing: JournalBearing, weight: float, speed: float) -> tuple[Array, Array]:
+def _place(bearing: JournalBearing, weight: float, speed: float) -> tuple[FloatArray, FloatArray]:
     """Coordinates (4,) in the table and their derivatives by PARAMETERS, (5, 4)."""
     c, mu = bearing.clearance, bearing.viscosity
     root = float(np.sqrt(bearing.wear_depth / c))
@@ -136,7 +133,7 @@ def journal_table(
 ) -> JournalTable:
     """The table of a *bearing* under a *load* (2,) [N] at *speed* [rad/s]; its wear and cavitation pressure are not used.
 
-    *workers* processes share the work; one process makes the same table.
+    *workers*: number of processes, without influence on the result.
     """
     ranges = ranges or TableRange()
     nodes = _nodes(bearing, float(np.hypot(*load)), speed, ranges)
@@ -150,21 +147,23 @@ def journal_table(
     return _fitted(bearing, load, nodes, np.moveaxis(values, 3, 1))
 
 
-def _nodes(bearing: JournalBearing, weight: float, speed: float, ranges: TableRange) -> tuple[Array, Array, Array, Array]:
+def _nodes(
+    bearing: JournalBearing, weight: float, speed: float, ranges: TableRange
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     mean_pressure = weight / (bearing.length * bearing.diameter)
-    own = np.log(bearing.force_scale(speed) / (6 * np.pi * weight))
+    centre = np.log(bearing.force_scale(speed) / (6 * np.pi * weight))
     half = np.log(ranges.sommerfeld_factor)
     deepest = np.sqrt(ranges.depth * ranges.clearance_factor / bearing.clearance)
     return (
         np.linspace(0, deepest, ranges.n_depth),
         np.linspace(-ranges.angle, ranges.angle, ranges.n_angle),
-        np.linspace(own - half, own + half, ranges.n_sommerfeld) if half > 0 else np.array([own]),
+        np.linspace(centre - half, centre + half, ranges.n_sommerfeld) if half > 0 else np.array([centre]),
         np.linspace(ranges.cavitation_pressure / mean_pressure, 0, ranges.n_cavitation) if ranges.cavitation_pressure else np.zeros(1),
     )
 
 
-def _line(line: tuple[JournalBearing, tuple[float, float], float, FilmMesh, float, Array, float, float]) -> Array:
-    """Scaled coefficients (n_angle, 8) along the angle of wear, each equilibrium started from the one before."""
+def _line(line: tuple[JournalBearing, tuple[float, float], float, FilmMesh, float, FloatArray, float, float]) -> FloatArray:
+    """Scaled coefficients (n_angle, 8) along the wear angle, each equilibrium started from the previous one."""
     bearing, load, speed, mesh, root, angles, log_sommerfeld, cavitation = line
     weight = float(np.hypot(*load))
     viscosity = bearing.viscosity * np.exp(log_sommerfeld) * 6 * np.pi * weight / bearing.force_scale(speed)
@@ -185,7 +184,7 @@ def _line(line: tuple[JournalBearing, tuple[float, float], float, FilmMesh, floa
     return np.broadcast_to(rows, (angles.size, 8)) if root == 0 else np.array(rows)
 
 
-def _fitted(bearing: JournalBearing, load: tuple[float, float], nodes: tuple[Array, ...], values: Array) -> JournalTable:
+def _fitted(bearing: JournalBearing, load: tuple[float, float], nodes: tuple[FloatArray, ...], values: FloatArray) -> JournalTable:
     """Splines through *values* (n_depth, n_angle, n_sommerfeld, n_cavitation, 8), reflected at zero depth."""
     active = tuple(axis for axis in range(len(AXES)) if nodes[axis].size > 1)
     values = values.reshape(*(nodes[axis].size for axis in active), 8)

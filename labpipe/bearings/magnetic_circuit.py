@@ -1,18 +1,18 @@
-"""The magnet of a homopolar hybrid magnetic bearing as a reluctance network: force-current factor and negative stiffness."""
+"""Magnet of a homopolar hybrid magnetic bearing as a reluctance network: force-current factor and negative stiffness."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, setting
 
 MU_0 = 4e-7 * np.pi
 RINGS = 2
-# Poles of one ring stand in +x, -x, +y, -y; the coils of +x and -x carry the control current with and against the bias.
+# Poles of one ring in +x, -x, +y, -y; the coils of +x and -x carry the control current with and against the bias.
 ALONG_X = np.array([1.0, -1.0, 0.0, 0.0])
 ASSUMPTIONS = (
     "four poles per ring in two rings, coils on every pole, opposite coils in series",
@@ -33,7 +33,7 @@ class Magnet(Settings):
     bias_current: float = setting("value", "steady current that adds to the permanent magnet's flux", unit="A", default=0.0)
     coercivity: float = setting("value", "coercivity H_c of the permanent-magnet ring", unit="A/m", default=0.0)
     magnet_length: float = setting("value", "length of the permanent-magnet ring along its magnetisation", unit="m", default=0.0)
-    magnet_area: float | None = setting("value", "area of the ring; without it its reluctance is left out", unit="m^2", default=None)
+    magnet_area: float | None = setting("value", "area of the ring; by default its reluctance is neglected", unit="m^2", default=None)
     recoil: float = setting("value", "relative recoil permeability of the permanent magnet", unit="1", default=1.05)
     iron_path: float = setting("value", "length of the iron path of one pole", unit="m", default=0.0)
     iron_permeability: float = setting("value", "relative permeability of the iron", unit="1", default=4000.0)
@@ -70,17 +70,17 @@ class MagnetFactors:
     bias_flux_density: float
 
 
-def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> NDArray[np.floating]:
+def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> FloatArray:
     """Flux of the four poles of one ring with the rotor at *displacement* [m] in x and the control *current* [A], (4,) [Wb].
 
-    Both rings are alike, so each has half of the permanent magnet: phi_j = P_j (U + N i_j), P_j = mu_0 A / (g_j + l_iron), and
+    Both rings are equal, so each has half of the permanent magnet: phi_j = P_j (U + N i_j), P_j = mu_0 A / (g_j + l_iron), and
     H_c l_m = R_m sum_j phi_j + 2 U.
     """
     permeance = MU_0 * magnet.pole_area / (magnet.gap + magnet.iron_length - ALONG_X * displacement)
     coils = magnet.turns * (magnet.bias_current + ALONG_X * current)
     source = magnet.coercivity * magnet.magnet_length
     potential = (source - magnet.magnet_reluctance * (permeance @ coils)) / (RINGS + magnet.magnet_reluctance * permeance.sum())
-    fluxes: NDArray[np.floating] = permeance * (potential + coils)
+    fluxes: FloatArray = permeance * (potential + coils)
     return fluxes
 
 
@@ -93,7 +93,7 @@ def magnet_force(magnet: Magnet, displacement: float, current: float) -> float:
 def magnet_factors(magnet: Magnet) -> MagnetFactors:
     """k_i = 4 phi_0 N / g', k_n = 4 phi_0^2 / (mu_0 A g') of the centred rotor; g' = g + l_iron, phi_0 the bias flux of a pole.
 
-    What moves the rotor by x or drives i changes no flux of the whole ring to first order, so the permanent magnet acts by phi_0 alone.
+    Neither x nor i changes the total flux of the ring to first order, so the permanent magnet acts through phi_0 alone.
     """
     length = magnet.gap + magnet.iron_length
     bias = float(pole_fluxes(magnet, 0.0, 0.0)[0])

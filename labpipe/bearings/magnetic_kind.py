@@ -1,4 +1,4 @@
-"""Magnetic bearings as a kind of bearing: what their file holds, and from it to stiffness, damping, poles and sensitivity."""
+"""Magnetic bearings as a kind of bearing: settings of their file, and stiffness, damping, poles and sensitivity from them."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from labpipe.arrays import ComplexArray
 from labpipe.bearings.coefficients import Amount, BearingCoefficients
 from labpipe.bearings.kinds import BearingKind, frequency_hz, synchronous
 from labpipe.bearings.magnetic_circuit import ASSUMPTIONS, Magnet, magnet_factors
-from labpipe.bearings.magnetic_loop import Complex, ControlLoop, dynamic_stiffness, inferred_negative_stiffness, stiffness_shares
+from labpipe.bearings.magnetic_loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness, stiffness_shares
 from labpipe.bearings.magnetic_stability import PADE_ORDER, Levitated, SensitivityPeak, closed_loop_poles, sensitivity_peak, unstable_poles
 from labpipe.errors import ConfigError
 from labpipe.records.finding import Finding
@@ -24,9 +25,9 @@ DOFS = ("x", "y")
 
 @dataclass(frozen=True, kw_only=True)
 class MagneticFile(Settings):
-    """A magnetic-bearing file: the loop, the magnet by its geometry or its factors, and the frequency that is asked for.
+    """A magnetic-bearing file: the control loop, the magnet by its geometry or its factors, and the frequency of the motion.
 
-    One of static_stiffness (from which the bias field's pull is inferred), negative_stiffness and magnet must be there.
+    One of static_stiffness (from which the negative stiffness is inferred), negative_stiffness and magnet is required.
     """
 
     kind: str = setting("choice", "which kind of bearing", choices=(MAGNETIC,))
@@ -41,38 +42,38 @@ class MagneticFile(Settings):
     )
     negative_stiffness: float | None = setting("value", "pull of the bias field per displacement, k_n", unit="N/m", default=None)
     static_stiffness: float | None = setting("value", "stiffness of the closed loop at rest; k_n is inferred", unit="N/m", default=None)
-    inferred: tuple[str, ...] = setting("names", "entries neither published nor measured; told with the result", default=())
+    inferred: tuple[str, ...] = setting("names", "entries neither published nor measured; stated with the result", default=())
 
     def __post_init__(self) -> None:
         if not self.mass > 0:
             raise ConfigError(f"mass: must be above zero, not {self.mass:g} kg")
         if self.frequency is None and self.speed is None:
             raise ConfigError("frequency: is missing, and there is no speed", hint="for example frequency: 50 Hz")
-        if not self.asked > 0:
-            raise ConfigError(f"frequency: must be above zero, not {self.asked:g} Hz")
+        if not self.motion_frequency > 0:
+            raise ConfigError(f"frequency: must be above zero, not {self.motion_frequency:g} Hz")
         self._check_inferred()
         if self.negative_stiffness is not None and self.static_stiffness is not None:
-            raise ConfigError("static_stiffness: negative_stiffness says it already", hint="leave one of them out")
+            raise ConfigError("static_stiffness: negative_stiffness is given as well", hint="leave one of them out")
         if self.negative_stiffness is None and self.static_stiffness is None and self.magnet is None:
             raise ConfigError("negative_stiffness: is missing", hint="or give static_stiffness, or the geometry as magnet")
 
     def _check_inferred(self) -> None:
-        """ConfigError for an inferred entry that no magnetic bearing has."""
-        known = [name for owner in (MagneticFile, ControlLoop, Magnet) for name in settings_of(owner)]
+        """ConfigError for an inferred entry that is no entry of a magnetic bearing."""
+        entries = [name for owner in (MagneticFile, ControlLoop, Magnet) for name in settings_of(owner)]
         for name in self.inferred:
-            if name not in known:
-                raise ConfigError(f"inferred: '{name}' is no entry of a magnetic bearing", hint=nearest(name, known))
+            if name not in entries:
+                raise ConfigError(f"inferred: '{name}' is no entry of a magnetic bearing", hint=nearest(name, entries))
 
     @property
-    def asked(self) -> float:
+    def motion_frequency(self) -> float:
         """The frequency of the motion [Hz]."""
         return float(self.speed or 0.0) if self.frequency is None else self.frequency
 
     def levitated(self) -> Levitated:
-        """Loop, negative stiffness and mass, whichever of them were given."""
+        """Control loop, negative stiffness and mass, from whichever entries the file has."""
         factors = None if self.magnet is None else magnet_factors(self.magnet)
-        given = self.force_per_current if factors is None or self.force_per_current is not None else factors.force_per_current
-        loop = self.loop if given is None else replace(self.loop, force_per_current=given)
+        factor = self.force_per_current if factors is None or self.force_per_current is not None else factors.force_per_current
+        loop = self.loop if factor is None else replace(self.loop, force_per_current=factor)
         if self.static_stiffness is not None:
             return Levitated(loop, inferred_negative_stiffness(loop, self.static_stiffness), self.mass)
         if self.negative_stiffness is not None:
@@ -81,47 +82,47 @@ class MagneticFile(Settings):
         return Levitated(loop, factors.negative_stiffness, self.mass)
 
     def assumptions(self) -> str:
-        """What the result rests on, the inferred values named."""
-        said = ["both directions alike, without coupling", f"poles: delay by Pade approximation of order {PADE_ORDER}"]
+        """Assumptions of the result, with the inferred values named."""
+        assumptions = ["both directions alike, without coupling", f"poles: delay by Pade approximation of order {PADE_ORDER}"]
         if self.static_stiffness is not None:
-            said.append("negative stiffness inferred from the static stiffness")
+            assumptions.append("negative stiffness inferred from the static stiffness")
         if self.inferred:
-            said.append(f"inferred, neither published nor measured: {', '.join(self.inferred)}")
+            assumptions.append(f"inferred, neither published nor measured: {', '.join(self.inferred)}")
         if self.magnet is not None:
-            said.extend(ASSUMPTIONS)
-        return "; ".join(said)
+            assumptions.extend(ASSUMPTIONS)
+        return "; ".join(assumptions)
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Stability of one setting: poles [rad/s], how many are unstable with the exact delay, and the sensitivity's peak."""
+    """Stability of one setting: poles (n_pole,) [rad/s], number of unstable ones with the exact delay, and the sensitivity's peak."""
 
-    poles: Complex
+    poles: ComplexArray
     unstable: int
     peak: SensitivityPeak
 
 
 @lru_cache(maxsize=32)
 def verdict(plant: Levitated) -> Verdict:
-    """Poles and sensitivity; kept, as a sweep over frequency asks for them at every value."""
+    """Poles and sensitivity; cached, since a sweep over frequency needs them at every value."""
     return Verdict(closed_loop_poles(plant), unstable_poles(plant), sensitivity_peak(plant))
 
 
 def magnetic_coefficients(settings: Sequence[MagneticFile]) -> list[BearingCoefficients]:
-    """The coefficients of every settings, in their order."""
+    """The coefficients of all settings, in order."""
     return [_coefficients(entry) for entry in settings]
 
 
 def _coefficients(settings: MagneticFile) -> BearingCoefficients:
-    plant, omega = settings.levitated(), 2 * np.pi * np.array([settings.asked])
+    plant, omega = settings.levitated(), 2 * np.pi * np.array([settings.motion_frequency])
     stability = verdict(plant)
     (total,) = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
-    # An unstable loop has no steady response, so its |S| says nothing.
+    # An unstable loop has no steady response, so its |S| has no meaning.
     zone = {"sensitivity_zone": stability.peak.zone} if stability.unstable == 0 else {}
     return BearingCoefficients(
-        DOFS,
-        total.real * np.eye(2),
-        total.imag / omega[0] * np.eye(2),
+        dofs=DOFS,
+        stiffness=total.real * np.eye(2),
+        damping=total.imag / omega[0] * np.eye(2),
         notes=_notes(settings, plant, stability),
         shares=_shares(plant, omega),
         poles=stability.poles,
@@ -141,7 +142,7 @@ def _shares(plant: Levitated, omega: np.ndarray[tuple[int], np.dtype[np.float64]
 def _notes(settings: MagneticFile, plant: Levitated, stability: Verdict) -> tuple[Amount, ...]:
     static = dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real
     notes = [
-        Amount("frequency", settings.asked, "Hz"),
+        Amount("frequency", settings.motion_frequency, "Hz"),
         Amount("static_stiffness", float(static), "N/m"),
         Amount("negative_stiffness", plant.negative_stiffness, "N/m"),
         Amount("force_per_current", plant.loop.force_per_current, "N/A"),
@@ -153,18 +154,18 @@ def _notes(settings: MagneticFile, plant: Levitated, stability: Verdict) -> tupl
 
 
 def stability_findings(stability: Verdict) -> tuple[Finding, ...]:
-    """An unstable loop, its poles listed; poles that the approximated delay moves across; a sensitivity beyond zone B."""
+    """Warnings: an unstable loop with its poles; poles unstable only by the approximated delay; a sensitivity beyond zone B."""
     right = stability.poles[stability.poles.real > 0]
     if stability.unstable:
         listed = ", ".join(f"{pole.real:.4g} {pole.imag:+.4g}j" for pole in right)
         return (Finding("unstable-loop", f"the loop is unstable: {stability.unstable} poles grow; at {listed} rad/s (delay approximated)"),)
-    found = []
+    warnings = []
     if right.size:
-        found.append(Finding("delay-approximation", "the approximated delay gives poles that grow, the exact one gives none"))
+        warnings.append(Finding("delay-approximation", "the approximated delay gives poles that grow, the exact one gives none"))
     if stability.peak.zone in ("C", "D"):
         peak = f"sensitivity reaches {stability.peak.value:.3g} at {stability.peak.frequency:.3g} Hz: zone {stability.peak.zone}"
-        found.append(Finding("sensitivity", f"{peak} of ISO 14839-3, not fit for long operation"))
-    return tuple(found)
+        warnings.append(Finding("sensitivity", f"{peak} of ISO 14839-3, not fit for long operation"))
+    return tuple(warnings)
 
 
 MAGNETIC_KIND = BearingKind(

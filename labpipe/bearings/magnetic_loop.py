@@ -1,26 +1,24 @@
-"""Position control of a magnetic bearing: stiffness and damping that its loop gives at each frequency, and which element gives them."""
+"""Position control of a magnetic bearing: stiffness and damping of its loop over frequency, and each element's share."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, setting
 
-Complex = NDArray[np.complexfloating]
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ControlLoop(Settings):
     """The position control of one bearing: G(s) = (k_p + k_d s / (1 + s T_d) + k_i / (1 + s T_i)) e^{-s tau} / (1 + s / w_a).
 
-    Gains as printed by Lim et al. (2009), table 1, but for the sign of k_i. With the printed +0.25 the lag takes damping away below
-    21 Hz whatever the gains before and behind it (c = -301 N.s/m per bearing at 2 Hz) and the rotor alone is unstable; subtracted,
-    it lets a steady load go as zero-power levitation does: stiffness rises from its static value and damping is positive.
-    Delay: one sampling interval of 20 kHz for computing, half of one for holding. Bandwidth and sign are our own choice.
+    Gains as printed by Lim et al. (2009), table 1, except for the sign of k_i. With the printed +0.25 the lag reduces damping below
+    21 Hz for any other gains (c = -301 N.s/m per bearing at 2 Hz) and the rotor alone is unstable; with -0.25 a static load is
+    released as in zero-power levitation: stiffness rises from its static value and damping is positive.
+    Delay: one sampling interval of 20 kHz for computation, half of one for the hold. Bandwidth and sign are a choice of this project.
     """
 
     proportional: float = setting("value", "proportional gain k_p", unit="1", default=1.0)
@@ -55,9 +53,9 @@ class ControlLoop(Settings):
         return tuple(1 / (2 * np.pi * limit) for limit in limits)
 
 
-def controller_terms(loop: ControlLoop, omega: NDArray[np.floating]) -> dict[str, Complex]:
+def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
     """The three terms of the PID by name at *omega* [rad/s], each (n_line,) [1]."""
-    s: Complex = 1j * omega
+    s: ComplexArray = 1j * omega
     return {
         "proportional": np.full(omega.shape, loop.proportional, np.complex128),
         "derivative": loop.derivative * s / (1 + s * loop.derivative_time),
@@ -65,18 +63,18 @@ def controller_terms(loop: ControlLoop, omega: NDArray[np.floating]) -> dict[str
     }
 
 
-def chain_factors(loop: ControlLoop, omega: NDArray[np.floating]) -> dict[str, Complex]:
-    """What the signal passes besides the PID, by name: delay, amplifier and probe, each (n_line,) [1]."""
-    s: Complex = 1j * omega
+def chain_factors(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
+    """Factors of the loop besides the PID, by name: delay, amplifier and probe, each (n_line,) [1]."""
+    s: ComplexArray = 1j * omega
     factors = {"delay": np.exp(-s * loop.delay)}
     for name, corner in zip(("amplifier", "sensor"), loop.corners, strict=False):
         factors[name] = 1 / (1 + s * corner)
     return factors
 
 
-def controller(loop: ControlLoop, omega: NDArray[np.floating]) -> Complex:
+def controller(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
     """G(jw) of PID, delay, amplifier and probe, (n_line,) [1]; see ControlLoop."""
-    total: Complex = np.sum(list(controller_terms(loop, omega).values()), axis=0)
+    total: ComplexArray = np.sum(list(controller_terms(loop, omega).values()), axis=0)
     for factor in chain_factors(loop, omega).values():
         total = total * factor
     return total
@@ -88,23 +86,23 @@ def loop_stiffness(loop: ControlLoop) -> float:
 
 
 def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
-    """Pull of the bias field per displacement that leaves the *static* stiffness at rest, k_n = K G(0) - k_0 [N/m]."""
+    """Negative stiffness of the bias field from the *static* stiffness, k_n = K G(0) - k_0 [N/m]."""
     return loop_stiffness(loop) * loop.at_rest - static
 
 
-def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: NDArray[np.floating]) -> Complex:
+def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
     """K_eq(w) + j w C_eq(w) = K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m]."""
     return loop_stiffness(loop) * controller(loop, omega) - negative_stiffness
 
 
-def stiffness_shares(loop: ControlLoop, negative_stiffness: float, omega: NDArray[np.floating]) -> dict[str, Complex]:
-    """What each element adds to K_eq + j w C_eq, by name, each (n_line,) [N/m]; their sum is dynamic_stiffness.
+def stiffness_shares(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> dict[str, ComplexArray]:
+    """Contribution of each element to K_eq + j w C_eq, by name, each (n_line,) [N/m]; their sum is dynamic_stiffness.
 
-    The terms of the PID as if the chain were ideal; then what each element of the chain, in the order delay, amplifier, probe, changes
-    of what comes in; the bias field's pull, -k_n.
+    The terms of the PID with an ideal chain; then the change by each element of the chain, in the order delay, amplifier, probe; the
+    negative stiffness of the bias field, -k_n.
     """
     shares = {name: loop_stiffness(loop) * term for name, term in controller_terms(loop, omega).items()}
-    total: Complex = np.sum(list(shares.values()), axis=0)
+    total: ComplexArray = np.sum(list(shares.values()), axis=0)
     for name, factor in chain_factors(loop, omega).items():
         shares[name] = total * (factor - 1)
         total = total * factor

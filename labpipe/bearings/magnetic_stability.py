@@ -7,14 +7,14 @@ from math import factorial
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 
-from labpipe.bearings.magnetic_loop import Complex, ControlLoop, controller, dynamic_stiffness, loop_stiffness
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.bearings.magnetic_loop import ControlLoop, controller, dynamic_stiffness, loop_stiffness
 
 PADE_ORDER = 4
 # Upper ends of the zones A, B, C of ISO 14839-3, peak of |S|; D lies above. 3 is 9.5 dB.
 ZONES = (("A", 3.0), ("B", 4.0), ("C", 5.0))
-# Frequencies that are searched: far below any lag, and up to where the standard ends, three times the speed or 2 kHz.
+# Frequencies searched [Hz]: from far below any lag to the upper limit of the standard, three times the speed or 2 kHz.
 SEARCH = (1e-3, 2000.0, 20_001)
 TURNING = (1e-5, 1e7, 400_001)
 
@@ -47,7 +47,7 @@ def pade(delay: float, order: int = PADE_ORDER) -> tuple[Polynomial, Polynomial]
 
 
 def characteristic_polynomial(plant: Levitated, time: float, order: int = PADE_ORDER) -> Polynomial:
-    """(m s^2 - k_n) den(s) + K num(s) with the delay by Pade, over s * *time* so that the coefficients are of one size."""
+    """(m s^2 - k_n) den(s) + K num(s) with the delay by Pade, in s * *time* so that the coefficients are of equal magnitude."""
     loop = plant.loop
     differentiator, lag = Polynomial([1.0, loop.derivative_time / time]), Polynomial([1.0, loop.lag_time / time])
     ahead, behind = pade(loop.delay / time, order if loop.delay > 0 else 0)
@@ -59,32 +59,32 @@ def characteristic_polynomial(plant: Levitated, time: float, order: int = PADE_O
     return rotor * denominator + loop_stiffness(loop) * pid * ahead
 
 
-def closed_loop_poles(plant: Levitated, order: int = PADE_ORDER) -> Complex:
+def closed_loop_poles(plant: Levitated, order: int = PADE_ORDER) -> ComplexArray:
     """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation of *order*."""
     time = 1e-3
     poles = np.asarray(characteristic_polynomial(plant, time, order).roots(), np.complex128) / time
-    ordered: Complex = poles[np.lexsort((np.abs(poles.imag), -poles.real))]
+    ordered: ComplexArray = poles[np.lexsort((np.abs(poles.imag), -poles.real))]
     return ordered
 
 
 def unstable_poles(plant: Levitated) -> int:
-    """Number of poles in the right half-plane with the exact delay, Z = 1 - (turn of D(jw) over w = 0 ... inf) / pi.
+    """Number of poles in the right half-plane with the exact delay, Z = 1 - (phase change of D(jw) over w = 0 ... inf) / pi.
 
-    Argument principle on D(s) = K G(s) - k_n + m s^2, whose elements are stable by themselves.
+    Argument principle for D(s) = K G(s) - k_n + m s^2, whose elements are stable.
     """
     omega = 2 * np.pi * np.geomspace(*TURNING)
     dynamic = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega) - plant.mass * omega**2
     angle = np.unwrap(np.angle(dynamic))
-    # From rest, where D is real, to where the mass alone is left and D is real and negative.
+    # From 0 Hz, where D is real, to the frequencies where the mass dominates and D is real and negative.
     start, end = (0.0 if dynamic[0].real > 0 else np.pi), angle[-1]
     first = start + np.angle(dynamic[0] * np.exp(-1j * start))
     return round(1 - float(end - angle[0] + first - start) / np.pi)
 
 
-def sensitivity(plant: Levitated, omega: NDArray[np.floating]) -> Complex:
+def sensitivity(plant: Levitated, omega: FloatArray) -> ComplexArray:
     """S(jw) = 1 / (1 + L) with the loop L = K G / (-m w^2 - k_n), (n_line,) [1]; ISO 14839-3."""
-    rotor: Complex = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
-    ratio: Complex = rotor / (rotor + loop_stiffness(plant.loop) * controller(plant.loop, omega))
+    rotor: ComplexArray = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
+    ratio: ComplexArray = rotor / (rotor + loop_stiffness(plant.loop) * controller(plant.loop, omega))
     return ratio
 
 
@@ -94,7 +94,7 @@ def zone_of(peak: float) -> str:
 
 
 def sensitivity_peak(plant: Levitated) -> SensitivityPeak:
-    """The largest |S| from rest to 2 kHz and its zone; meaningful for a stable loop only."""
+    """The largest |S| from 0 Hz to 2 kHz and its zone; meaningful for a stable loop only."""
     frequency = np.concatenate([[0.0], np.geomspace(*SEARCH)])
     size = np.abs(sensitivity(plant, 2 * np.pi * frequency))
     place = int(np.argmax(size))

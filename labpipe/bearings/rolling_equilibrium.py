@@ -1,7 +1,7 @@
-"""Where the rings of a rolling bearing come to rest under prescribed loads and displacements: Newton's method on the load potential.
+"""Equilibrium of a rolling bearing under prescribed loads and displacements: Newton's method on the load potential.
 
 The potential Phi(q) = sum_j K_n delta_j^(n+1) / (n+1) - f . q is convex (delta is a convex function of q for balls, linear for rollers),
-so a line search makes the solution independent of its start; loose elements, clearance and zero contact angle need no special care.
+so a line search makes the solution independent of its start; loose elements, clearance and zero contact angle need no special case.
 """
 
 from __future__ import annotations
@@ -10,14 +10,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from labpipe.bearings.rolling import DOFS, Contacts, ElementFrame, Matrix, RollingBearing, contacts, load_sum, stiffness_sum
+from labpipe.arrays import BoolArray, FloatArray
+from labpipe.bearings.rolling import DOFS, Contacts, ElementFrame, RollingBearing, contacts, load_sum, stiffness_sum
 from labpipe.bearings.rolling_limits import check_carried, check_request, explain_failure
 from labpipe.bearings.rolling_newton import Problem, solve
 from labpipe.errors import ConfigError
 
-# Load cases solved together: enough to keep numpy's overhead small, few enough to stay in the cache.
+# Load cases solved together: many enough for a small overhead of numpy, few enough for the cache.
 CASES_AT_ONCE = 512
 
 
@@ -25,27 +26,27 @@ CASES_AT_ONCE = 512
 class Equilibrium:
     """The state of n_case load cases.
 
-    displacement (n_case, 5) [m, rad]; load (n_case, 5) [N, N m], of the inner ring, held ones included; stiffness K = dF/dq
+    displacement (n_case, 5) [m, rad]; load (n_case, 5) [N, N m] on the inner ring, reactions of fixed dofs included; stiffness K = dF/dq
     (n_case, 5, 5); contacts: deflection, load and direction of every element; angles psi_j (n_case, z) [rad]; free: names of the dofs
-    whose load was prescribed.
+    with prescribed load.
     """
 
     bearing: RollingBearing
-    displacement: Matrix
-    load: Matrix
-    stiffness: Matrix
+    displacement: FloatArray
+    load: FloatArray
+    stiffness: FloatArray
     contacts: Contacts
-    angles: Matrix
+    angles: FloatArray
     free: tuple[str, ...]
 
     @property
-    def contact_angle(self) -> Matrix:
+    def contact_angle(self) -> FloatArray:
         """Loaded contact angles a_j (n_case, z) [rad]."""
-        angles: Matrix = np.arctan2(self.contacts.sin, self.contacts.cos)
+        angles: FloatArray = np.arctan2(self.contacts.sin, self.contacts.cos)
         return angles
 
     @property
-    def mirrored(self) -> NDArray[np.bool_]:
+    def mirrored(self) -> BoolArray:
         """Load cases (n_case,) in which an element of an angular-contact bearing carries at the opposite contact angle.
 
         The equations allow it; a bearing with one shoulder does not.
@@ -54,14 +55,14 @@ class Equilibrium:
         return np.any(opposite & (self.contacts.load > 1e-9 * self.contacts.load.max(axis=1, keepdims=True)), axis=1)
 
     @property
-    def determinate(self) -> NDArray[np.bool_]:
+    def determinate(self) -> BoolArray:
         """Load cases (n_case,) whose position is unique: the stiffness of the free dofs is not singular."""
         index = [DOFS.index(name) for name in self.free]
         if not index:
             return np.ones(len(self.load), dtype=bool)
         scale = np.array([1, 1, 1, 1 / self.bearing.pitch_radius, 1 / self.bearing.pitch_radius])
         eigenvalues = np.linalg.eigvalsh((self.stiffness * np.outer(scale, scale))[:, index][:, :, index])
-        unique: NDArray[np.bool_] = eigenvalues[:, 0] > 1e-10 * eigenvalues[:, -1]
+        unique: BoolArray = eigenvalues[:, 0] > 1e-10 * eigenvalues[:, -1]
         return unique
 
 
@@ -69,35 +70,37 @@ def equilibrium(
     bearing: RollingBearing,
     loads: ArrayLike = (0.0, 0.0, 0.0, 0.0, 0.0),
     displacements: ArrayLike = (0.0, 0.0, 0.0, 0.0, 0.0),
-    held: Sequence[str] = (),
+    fixed_dofs: Sequence[str] = (),
     cage_angle: ArrayLike = 0.0,
 ) -> Equilibrium:
-    """The rest position of the bearing: F_i(q) = f_i for every dof but the *held* ones, where q_i is given.
+    """The equilibrium of the bearing: F_i(q) = f_i for every dof except *fixed_dofs*, where q_i is given.
 
-    *loads* (5,) or (n_case, 5) [N, N m]; *displacements* (5,) or (n_case, 5) [m, rad], used where *held* names the dof (of x y z bx by);
-    *cage_angle* scalar or (n_case,) [rad], angle of the first element from x. Raises ConfigError for a load the bearing's kind cannot
-    carry or displacements beyond the model's reach, FitError naming the load case when no rest position exists.
+    *loads* (5,) or (n_case, 5) [N, N m]; *displacements* (5,) or (n_case, 5) [m, rad], used for the dofs named in *fixed_dofs* (x y z
+    bx by); *cage_angle* scalar or (n_case,) [rad], angle of the first element from x. Raises ConfigError for a load that this kind of
+    bearing cannot carry or displacements beyond the model's reach, FitError naming the load case when there is no equilibrium.
     """
-    f, q = (np.atleast_2d(np.asarray(each, np.float64)) for each in (loads, displacements))
+    f, q = (np.atleast_2d(np.asarray(values, np.float64)) for values in (loads, displacements))
     cage = np.asarray(cage_angle, np.float64)
-    check_request(bearing, f, q, held, cage)
+    check_request(bearing, f, q, fixed_dofs, cage)
     n_case = max(len(f), len(q), cage.size)
     if np.all(cage == cage.flat[0]):
-        cage = cage.reshape(-1)[0]  # elements placed alike in all cases: one frame for all
-    f, q = (np.broadcast_to(each, (n_case, len(DOFS))) for each in (f, q))
+        cage = cage.reshape(-1)[0]  # one frame for all cases
+    f, q = (np.broadcast_to(values, (n_case, len(DOFS))) for values in (f, q))
     parts = []
     for start in range(0, n_case, CASES_AT_ONCE):
         part = slice(start, start + CASES_AT_ONCE)
-        own_cage = cage[part] if cage.ndim else cage
-        parts.append(_state(bearing, _solve_part(bearing, f, q, held, own_cage, part), held, own_cage))
+        part_cage = cage[part] if cage.ndim else cage
+        parts.append(_state(bearing, _solve_part(bearing, f, q, fixed_dofs, part_cage, part), fixed_dofs, part_cage))
     return _joined(parts)
 
 
-def _solve_part(bearing: RollingBearing, f: Matrix, q: Matrix, held: Sequence[str], cage: Matrix, part: slice) -> Matrix:
-    """Displacements of a part of the load cases; tilts are counted in metres at the pitch radius meanwhile."""
+def _solve_part(
+    bearing: RollingBearing, f: FloatArray, q: FloatArray, fixed_dofs: Sequence[str], cage: FloatArray, part: slice
+) -> FloatArray:
+    """Displacements of a part of the load cases; tilts are solved in metres at the pitch radius."""
     scale = np.array([1, 1, 1, bearing.pitch_radius, bearing.pitch_radius])
     frame = ElementFrame.at(bearing.angles(cage), 1.0)
-    free = np.array([name not in held for name in DOFS])
+    free = np.array([name not in fixed_dofs for name in DOFS])
     problem = Problem(bearing, frame, np.where(free, f[part] / scale, 0.0), np.flatnonzero(free))
     u, solved = solve(problem, np.where(free, 0.0, q[part] * scale))
     if not solved.all():
@@ -105,13 +108,13 @@ def _solve_part(bearing: RollingBearing, f: Matrix, q: Matrix, held: Sequence[st
     return u / scale
 
 
-def _state(bearing: RollingBearing, displacement: Matrix, held: Sequence[str], cage: Matrix) -> Equilibrium:
+def _state(bearing: RollingBearing, displacement: FloatArray, fixed_dofs: Sequence[str], cage: FloatArray) -> Equilibrium:
     angles = bearing.angles(cage)
     frame = ElementFrame.at(angles, bearing.pitch_radius)
     at = contacts(bearing, displacement, frame)
-    free = tuple(name for name in DOFS if name not in held)
-    placed = np.broadcast_to(angles, at.load.shape)
-    return Equilibrium(bearing, displacement, load_sum(at, frame), stiffness_sum(at, frame), at, placed, free)
+    free = tuple(name for name in DOFS if name not in fixed_dofs)
+    case_angles = np.broadcast_to(angles, at.load.shape)
+    return Equilibrium(bearing, displacement, load_sum(at, frame), stiffness_sum(at, frame), at, case_angles, free)
 
 
 def _joined(parts: Sequence[Equilibrium]) -> Equilibrium:
@@ -122,8 +125,11 @@ def _joined(parts: Sequence[Equilibrium]) -> Equilibrium:
     return Equilibrium(parts[0].bearing, contacts=at, free=parts[0].free, **joined)
 
 
-def load_vector(**loads: float) -> Matrix:
-    """(Fx, Fy, Fz, Mx, My) from named loads: load_vector(y=-24, z=427); names x y z mx my."""
+def load_vector(**loads: float) -> FloatArray:
+    """(Fx, Fy, Fz, Mx, My) from named loads, (5,) [N, N m]: load_vector(y=-24, z=427); names x y z mx my.
+
+    ConfigError for another name.
+    """
     names = ("x", "y", "z", "mx", "my")
     unknown = [name for name in loads if name not in names]
     if unknown:

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.bearings.coefficients import Amount, BearingCoefficients
 from labpipe.bearings.kinds import Bearing, BearingKind, OperatingPoint, not_on_rotor
 from labpipe.bearings.passage import ball_passage
-from labpipe.bearings.rolling import DOFS, Matrix
+from labpipe.bearings.rolling import DOFS
 from labpipe.bearings.rolling_equilibrium import Equilibrium, equilibrium
 from labpipe.bearings.rolling_settings import LOAD_OF_DOF, BallBearingSettings, RollerBearingSettings, RollingSettings
 from labpipe.bearings.rolling_shaft import modes, sdof_stiffness, theoretical_response
@@ -24,35 +24,35 @@ LOAD_UNITS = ("N", "N", "N", "N.m", "N.m")
 
 
 def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
-    """Coefficients of every settings, in their order; those of one bearing and the same held dofs are solved together."""
+    """Coefficients of all settings, in order; those of one bearing with the same fixed dofs are solved together."""
     groups: dict[object, list[int]] = {}
     for number, entry in enumerate(settings):
-        groups.setdefault((entry.bearing(), entry.held), []).append(number)
-    found: dict[int, BearingCoefficients] = {}
+        groups.setdefault((entry.bearing(), entry.fixed_dofs), []).append(number)
+    coefficients: dict[int, BearingCoefficients] = {}
     for numbers in groups.values():
-        found.update(zip(numbers, _group([settings[n] for n in numbers]), strict=True))
-    return [found[number] for number in range(len(settings))]
+        coefficients.update(zip(numbers, _group([settings[n] for n in numbers]), strict=True))
+    return [coefficients[number] for number in range(len(settings))]
 
 
 @dataclass(frozen=True)
 class _Solved:
-    """The load cases of one bearing, with what is derived for all of them at once."""
+    """The load cases of one bearing with their derived quantities."""
 
     state: Equilibrium
-    contact_angle: Matrix
-    mirrored: NDArray[np.bool_]
-    determinate: NDArray[np.bool_]
-    lowest: Matrix
-    highest: Matrix
+    contact_angle: FloatArray
+    mirrored: BoolArray
+    determinate: BoolArray
+    lowest: FloatArray
+    highest: FloatArray
 
 
 def _group(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
     first = settings[0]
-    bearing, held = first.bearing(), first.held
+    bearing, fixed_dofs = first.bearing(), first.fixed_dofs
     loads = np.array([[getattr(entry.loads, load) or 0.0 for load in LOAD_OF_DOF.values()] for entry in settings])
     moves = np.array([[getattr(entry.displacements, dof) or 0.0 for dof in DOFS] for entry in settings])
-    state = equilibrium(bearing, loads, moves, held, np.array([entry.cage_angle for entry in settings]))
-    passage = ball_passage(bearing, loads, moves, held)
+    state = equilibrium(bearing, loads, moves, fixed_dofs, np.array([entry.cage_angle for entry in settings]))
+    passage = ball_passage(bearing, loads, moves, fixed_dofs)
     solved = _Solved(state, state.contact_angle, state.mirrored, state.determinate, passage.lowest, passage.highest)
     return [_case(entry, solved, case) for case, entry in enumerate(settings)]
 
@@ -61,26 +61,26 @@ def _case(settings: RollingSettings, solved: _Solved, case: int) -> BearingCoeff
     state = solved.state
     k, at = state.stiffness[case], state.contacts
     return BearingCoefficients(
-        DOFS,
-        k,
-        settings.damping_factor * k,
-        _rest(state, case),
-        {
+        dofs=DOFS,
+        stiffness=k,
+        damping=settings.damping_factor * k,
+        rest=_rest(state, case),
+        element_state={
             "element_angle": state.angles[case],
             "element_load": at.load[case],
             "element_deflection": at.deflection[case],
             "contact_angle": solved.contact_angle[case],
         },
-        solved.lowest[case],
-        solved.highest[case],
-        _notes(settings),
-        _shaft(settings, k),
-        tuple(_findings(solved, case)),
+        lowest=solved.lowest[case],
+        highest=solved.highest[case],
+        notes=_notes(settings),
+        shaft=_shaft(settings, k),
+        findings=tuple(_findings(solved, case)),
     )
 
 
 def _rest(state: Equilibrium, case: int) -> tuple[Amount, ...]:
-    """Displacements, loads of the inner ring, and how many elements carry."""
+    """Displacements, loads of the inner ring, and the number of loaded elements."""
     rest = [Amount(name, float(q), unit) for name, q, unit in zip(DOFS, state.displacement[case], UNITS, strict=True)]
     names = [f"load_{name}" for name in LOAD_OF_DOF.values()]
     rest += [Amount(name, float(f), unit) for name, f, unit in zip(names, state.load[case], LOAD_UNITS, strict=True)]
@@ -88,44 +88,44 @@ def _rest(state: Equilibrium, case: int) -> tuple[Amount, ...]:
 
 
 def _notes(settings: RollingSettings) -> tuple[Amount, ...]:
-    """The stiffness constant that was used, beside Hertz's from the geometry."""
+    """The stiffness constant of the model, and Hertz's from the geometry."""
     bearing, hertz = settings.bearing(), settings.hertz_constant()
     unit = "N/m^1.5" if bearing.is_ball else "N/m^(10/9)"
-    used = Amount("stiffness_constant", bearing.stiffness_constant, unit)
-    return (used,) if hertz is None else (used, Amount("stiffness_constant_hertz", hertz, unit))
+    constant = Amount("stiffness_constant", bearing.stiffness_constant, unit)
+    return (constant,) if hertz is None else (constant, Amount("stiffness_constant_hertz", hertz, unit))
 
 
-def _shaft(settings: RollingSettings, stiffness: Matrix) -> tuple[Amount, ...]:
-    """Natural frequencies and damping ratios of the shaft, and what one-dof fits of its direct transfer functions find beside K_ii."""
+def _shaft(settings: RollingSettings, stiffness: FloatArray) -> tuple[Amount, ...]:
+    """Natural frequencies and damping ratios of the shaft, and the results of one-dof fits of its direct transfer functions."""
     if settings.shaft is None:
         return ()
-    found = modes(settings.shaft.body, stiffness)
-    amounts = [Amount(f"f_{n + 1}", float(f), "Hz") for n, f in enumerate(found.frequency)]
+    shaft_modes = modes(settings.shaft.body, stiffness)
+    amounts = [Amount(f"f_{n + 1}", float(f), "Hz") for n, f in enumerate(shaft_modes.frequency)]
     if settings.damping_factor > 0:
-        amounts += [Amount(f"zeta_{n + 1}", float(zeta), "1") for n, zeta in enumerate(found.damping_ratio(settings.damping_factor))]
+        amounts += [Amount(f"zeta_{n + 1}", float(zeta), "1") for n, zeta in enumerate(shaft_modes.damping_ratio(settings.damping_factor))]
     fitted = sdof_stiffness(settings.shaft.body, stiffness)
     units = ("N/m", "N/m", "N/m", "N.m/rad", "N.m/rad")
     return (*amounts, *(Amount(f"sdof_k_{dof}", float(k), unit) for dof, k, unit in zip(DOFS, fitted, units, strict=True)))
 
 
-def rolling_response(settings: RollingSettings, found: BearingCoefficients) -> FrequencyResponse | None:
+def rolling_response(settings: RollingSettings, coefficients: BearingCoefficients) -> FrequencyResponse | None:
     """The theoretical transfer matrix of the file's shaft on the bearing; None where there is no shaft."""
     if settings.shaft is None:
         return None
     frequency = np.linspace(*settings.shaft.band, settings.shaft.lines)
-    return theoretical_response(settings.shaft.body, found.stiffness, frequency, settings.damping_factor)
+    return theoretical_response(settings.shaft.body, coefficients.stiffness, frequency, settings.damping_factor)
 
 
 def _findings(solved: _Solved, case: int) -> list[Finding]:
-    found = []
+    warnings = []
     if solved.mirrored[case]:
         message = "elements carry at the opposite contact angle, across the groove: a bearing with one shoulder cannot carry this load"
-        found.append(Finding("mirrored", message))
+        warnings.append(Finding("mirrored", message))
     if not solved.determinate[case]:
         number = int(np.sum(solved.state.contacts.load[case] > 0))
         message = f"{number} of {solved.state.bearing.elements} elements carry: the rest position is not unique, the stiffness is singular"
-        found.append(Finding("indeterminate", message))
-    return found
+        warnings.append(Finding("indeterminate", message))
+    return warnings
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class RollingOnRotor:
 @lru_cache(maxsize=128)
 def _on_rotor(settings: RollingSettings, load_y: float, load_z: float) -> BearingCoefficients:
     (whole,) = rolling_coefficients([replace(settings, loads=replace(settings.loads, x=load_y, y=load_z))])
-    free = [number for number, dof in enumerate(DOFS) if dof not in ("x", "y", *settings.held)]
+    free = [number for number, dof in enumerate(DOFS) if dof not in ("x", "y", *settings.fixed_dofs)]
     k, a = whole.stiffness, [DOFS.index("x"), DOFS.index("y")]
     coupling = np.linalg.lstsq(k[np.ix_(free, free)], k[np.ix_(free, a)], rcond=None)[0] if free else np.zeros((0, 2))
     stiffness = k[np.ix_(a, a)] - k[np.ix_(a, free)] @ coupling

@@ -1,4 +1,4 @@
-"""Which loads a rolling bearing can carry, and what is said when it cannot."""
+"""Limits of the rolling-bearing model: loads that a bearing cannot carry, and their error messages."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.bearings.rolling import DOFS, Contacts, Matrix, RollingBearing
+from labpipe.arrays import FloatArray
+from labpipe.bearings.rolling import DOFS, Contacts, RollingBearing
 from labpipe.errors import ConfigError, FitError
 from labpipe.registry import nearest
 
@@ -14,9 +15,14 @@ LOADS = ("x", "y", "z", "mx", "my")
 UNITS = ("N", "N", "N", "N m", "N m")
 
 
-def check_request(bearing: RollingBearing, loads: Matrix, displacements: Matrix, held: Sequence[str], cage_angle: Matrix) -> None:
-    """ConfigError where the question itself is wrong: shapes, numbers that are none, dofs that rollers leave without support."""
-    for name in held:
+def check_request(
+    bearing: RollingBearing, loads: FloatArray, displacements: FloatArray, fixed_dofs: Sequence[str], cage_angle: FloatArray
+) -> None:
+    """ConfigError for an ill-posed request: wrong shapes, missing numbers, dofs without support by rollers.
+
+    loads (n_case, 5) [N, N m], displacements (n_case, 5) [m, rad], cage_angle scalar or (n_case,) [rad].
+    """
+    for name in fixed_dofs:
         if name not in DOFS:
             raise ConfigError(f"no displacement '{name}'", hint=nearest(name, DOFS))
     if loads.shape[-1] != len(DOFS) or displacements.shape[-1] != len(DOFS):
@@ -29,24 +35,24 @@ def check_request(bearing: RollingBearing, loads: Matrix, displacements: Matrix,
         if not np.all(np.isfinite(values)):
             raise ConfigError(f"a {what} is not a finite number")
     if not bearing.is_ball:
-        _check_rollers(bearing, loads, held)
+        _check_rollers(bearing, loads, fixed_dofs)
 
 
-def _check_rollers(bearing: RollingBearing, loads: Matrix, held: Sequence[str]) -> None:
-    """Rollers at a fixed contact angle resist three motions (two at 0 deg): the others must be held."""
-    loose = [name for name in ("bx", "by") if name not in held]
+def _check_rollers(bearing: RollingBearing, loads: FloatArray, fixed_dofs: Sequence[str]) -> None:
+    """Rollers at a fixed contact angle resist three motions (two at 0 deg): the other dofs must be fixed."""
+    loose = [name for name in ("bx", "by") if name not in fixed_dofs]
     if loose:
         raise ConfigError(
             f"rollers at a fixed contact angle leave the tilt {loose[0]} without support", hint=f"hold it: displacements.{loose[0]}"
         )
-    if bearing.contact_angle == 0 and "z" not in held:
+    if bearing.contact_angle == 0 and "z" not in fixed_dofs:
         if np.any(loads[:, 2] != 0):
             raise ConfigError("rollers at contact angle 0 carry no axial load", hint="remove loads.z, or give a contact angle")
         raise ConfigError("rollers at contact angle 0 leave z without support", hint="hold it: displacements.z")
 
 
 def check_carried(bearing: RollingBearing, at: Contacts) -> None:
-    """FitError where an element is pressed in so far that Hertz's contact no longer describes it, or carries from within."""
+    """FitError where the deflection exceeds the range of Hertzian contact, or the contact angle exceeds 90 deg."""
     beyond = at.deflection > bearing.reach
     if np.any(beyond):
         case, element = (int(n) for n in np.argwhere(beyond)[0])
@@ -63,8 +69,8 @@ def check_carried(bearing: RollingBearing, at: Contacts) -> None:
         )
 
 
-def explain_failure(bearing: RollingBearing, loads: Matrix, case: int) -> None:
-    """Raise the FitError of a load case without a rest position."""
+def explain_failure(bearing: RollingBearing, loads: FloatArray, case: int) -> None:
+    """Raise the FitError of a load case without equilibrium; *loads* (n_case, 5) [N, N m]."""
     acting = ", ".join(f"{name} {amount:.4g} {unit}" for name, amount, unit in zip(LOADS, loads[case], UNITS, strict=True) if amount)
     hint = "the load does not press the elements onto their tracks" if not bearing.is_ball else "check the size of the loads"
     raise FitError(f"{_case(case, len(loads))}no rest position: the bearing cannot carry {acting or 'no load'}", hint=hint)

@@ -1,4 +1,4 @@
-"""What a ball-bearing or roller-bearing file holds."""
+"""Settings of ball-bearing and roller-bearing files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Loads(Settings):
 
 @dataclass(frozen=True)
 class Displacements(Settings):
-    """Displacements of the inner ring that are held instead of the load in their direction."""
+    """Fixed displacements of the inner ring, in place of the load in their direction."""
 
     x: float | None = setting("value", "radial displacement in x", unit="m", default=None)
     y: float | None = setting("value", "radial displacement in y", unit="m", default=None)
@@ -39,7 +39,7 @@ class Displacements(Settings):
     by: float | None = setting("value", "tilt about y", unit="rad", default=None)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BallGeometrySettings(Settings):
     """Balls and grooves, from which Hertz's theory gives the stiffness constant."""
 
@@ -90,9 +90,9 @@ class ShaftSettings(Settings):
         return RigidShaft(self.mass, self.inertia_x, self.inertia_x if self.inertia_y is None else self.inertia_y)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RollingSettings(Settings, ABC):
-    """What balls and rollers have in common."""
+    """Settings common to ball and roller bearings."""
 
     kind: str = setting("choice", "which kind of bearing", choices=(BALL, ROLLER))
     elements: int = setting("integer", "number of rolling elements")
@@ -102,8 +102,8 @@ class RollingSettings(Settings, ABC):
     cage_angle: float = setting("value", "angle of the first element from x", unit="rad", default=0.0)
     damping_factor: float = setting("value", "beta of the stiffness-proportional damping C = beta K", unit="s", default=0.0)
     pitch_radius: float | None = setting("value", "radius of the groove centres (balls) or roller centres", unit="m", default=None)
-    loads: Loads = setting("section", "loads; what is not given is zero", section=Loads, default=Loads())
-    displacements: Displacements = setting("section", "held displacements", section=Displacements, default=Displacements())
+    loads: Loads = setting("section", "loads; zero by default", section=Loads, default=Loads())
+    displacements: Displacements = setting("section", "fixed displacements", section=Displacements, default=Displacements())
 
     shaft: ShaftSettings | None = setting("section", "a rigid shaft on the bearing", section=ShaftSettings, default=None)
 
@@ -116,22 +116,22 @@ class RollingSettings(Settings, ABC):
         self.bearing()
 
     @property
-    def held(self) -> tuple[str, ...]:
-        """The dofs whose displacement is given."""
+    def fixed_dofs(self) -> tuple[str, ...]:
+        """The dofs with given displacement."""
         return tuple(dof for dof in LOAD_OF_DOF if getattr(self.displacements, dof) is not None)
 
     @abstractmethod
     def bearing(self) -> RollingBearing:
-        """The bearing; ConfigError where data are missing or impossible."""
+        """The bearing; ConfigError for missing or impossible values."""
 
     @abstractmethod
     def hertz_constant(self) -> float | None:
-        """K_n from geometry [N/m^n], or None where no geometry is given."""
+        """K_n from geometry [N/m^n], None without geometry."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BallBearingSettings(RollingSettings):
-    """A ball bearing: its constants, or the geometry they follow from; a constant that is given goes before the geometry's."""
+    """A ball bearing: its constants, or the geometry they follow from; an explicit constant takes precedence."""
 
     stiffness_constant: float | None = setting("value", "K_n of Q = K_n delta^1.5", unit="N/m^1.5", default=None)
     groove_distance: float | None = setting("value", "unloaded distance A0 of the groove centres", unit="m", default=None)
@@ -159,19 +159,19 @@ class BallBearingSettings(RollingSettings):
         return self.geometry.at(self.contact_angle).stiffness_constant(self.geometry.rings, self.geometry.balls)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RollerBearingSettings(RollingSettings):
-    """A roller bearing; tilts (and z at contact angle 0) are held at zero where neither load nor displacement is given."""
+    """A roller bearing; tilts (and z at contact angle 0) are fixed at zero where neither load nor displacement is given."""
 
     stiffness_constant: float | None = setting("value", "K_n of Q = K_n delta^(10/9)", unit="N/m^(10/9)", default=None)
     roller_length: float | None = setting("value", "effective length of a steel roller", unit="m", default=None)
 
     @property
-    def held(self) -> tuple[str, ...]:
+    def fixed_dofs(self) -> tuple[str, ...]:
         unsupported = ("bx", "by") if self.contact_angle else ("z", "bx", "by")
         silent = [dof for dof in unsupported if getattr(self.loads, LOAD_OF_DOF[dof]) is None]
-        given = super().held
-        return tuple(dof for dof in LOAD_OF_DOF if dof in given or dof in silent)
+        explicit = super().fixed_dofs
+        return tuple(dof for dof in LOAD_OF_DOF if dof in explicit or dof in silent)
 
     def bearing(self) -> RollingBearing:
         constant = needed("stiffness_constant", self.stiffness_constant, self.hertz_constant(), "roller_length")
@@ -181,9 +181,9 @@ class RollerBearingSettings(RollingSettings):
         return None if self.roller_length is None else roller_stiffness_constant(self.roller_length)
 
 
-def needed(name: str, given: float | None, derived: float | None, source: str = "geometry") -> float:
-    """The given amount, else the derived one; ConfigError where there is neither."""
-    amount = derived if given is None else given
+def needed(name: str, explicit: float | None, derived: float | None, source: str = "geometry") -> float:
+    """The explicit value, else the derived one; ConfigError where there is neither."""
+    amount = derived if explicit is None else explicit
     if amount is None:
         raise ConfigError(f"{name}: is missing", hint=f"give it, or {source} from which it follows" if name != "pitch_radius" else "")
     return amount

@@ -1,1 +1,1 @@
-"""Campaigns: fits of tests that differ in a condition, held against each other and against a theory."""
+"""Campaigns: comparison of fits of tests that differ in a condition, with each other and with a theory."""

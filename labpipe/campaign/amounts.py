@@ -1,4 +1,4 @@
-"""Results of comparisons as parameters with their doubt."""
+"""Results of comparisons as parameters with standard error and interval."""
 
 from __future__ import annotations
 
@@ -30,5 +30,5 @@ def relative_change(name: str, log: float, log_error: float, quantile: float) ->
 
 
 def chance(name: str, p_value: float | None) -> Parameter:
-    """A p-value; NaN where there was nothing to test with."""
+    """A p-value; NaN where no test was possible."""
     return Parameter(name, math.nan if p_value is None else p_value, "1", derived=True)

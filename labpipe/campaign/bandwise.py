@@ -1,4 +1,4 @@
-"""Two tests band by band: in which bands do their coefficients differ, corrected for the number of bands looked at (Holm 1979)."""
+"""Two tests band by band: bands with different coefficients, corrected for the number of bands (Holm 1979)."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.campaign.amounts import chance
 from labpipe.campaign.settings import CompareSettings
 from labpipe.distributions import student_quantile, student_tail
@@ -25,15 +25,15 @@ COEFFICIENTS = ("N/m", "N.s/m")
 
 @dataclass(frozen=True)
 class TwoTests:
-    """The fits of two tests, of the groups *names* in their order, and the settings of the fit."""
+    """The fits of two tests, of the groups *names* in order, and the settings of the fit."""
 
     names: tuple[str, str]
     fits: tuple[tuple[Fit, ...], tuple[Fit, ...]]
     settings: FitSettings
 
 
-def holm(p_values: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Corrected p-values (n,): the i-th smallest times n - i + 1, not below those before it; valid whatever depends on what."""
+def holm(p_values: FloatArray) -> FloatArray:
+    """Holm's corrected p-values (n,) [1]: the i-th smallest times n - i + 1, not below those before it; valid under any dependence."""
     order = np.argsort(p_values)
     steps = np.maximum.accumulate(p_values[order] * np.arange(p_values.size, 0, -1))
     corrected = np.empty_like(p_values)
@@ -42,10 +42,10 @@ def holm(p_values: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
-    """Every coefficient of every band that both tests have, the second group against the first.
+    """Comparison of all coefficients in the bands common to both tests, second group against first.
 
-    t = (b - a) / sqrt(s_a^2 + s_b^2) by Welch and Satterthwaite; the support's uncertainty is one and the same in both tests, so it is
-    no part of it. ConfigError for a parameter that is not there, FitError without a band in common.
+    t = (b - a) / sqrt(s_a^2 + s_b^2) by Welch and Satterthwaite; the uncertainty of the support is common to both tests and therefore
+    excluded. ConfigError for an unknown parameter, FitError without a common band.
     """
     names = _parameters(settings, tests)
     pairs = [(a, b, name) for name in names for a in tests.fits[0] for b in tests.fits[1] if a.band_hz == b.band_hz]
@@ -79,33 +79,33 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
 
 
 def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:
-    """The one that is asked for, or all coefficients."""
-    known = [p.name for p in tests.fits[0][0].parameters if p.unit in COEFFICIENTS and not p.derived]
-    if settings.parameter == ANY and ANY not in known:
-        return known
+    """The parameter of the settings, or all coefficients."""
+    names = [p.name for p in tests.fits[0][0].parameters if p.unit in COEFFICIENTS and not p.derived]
+    if settings.parameter == ANY and ANY not in names:
+        return names
     if settings.parameter == ANY:
-        return [name for name in known if name in ("k", "c")]
-    if settings.parameter not in known:
-        raise ConfigError(f"fit '{settings.fit}' has no '{settings.parameter}'", hint=nearest(settings.parameter, known))
+        return [name for name in names if name in ("k", "c")]
+    if settings.parameter not in names:
+        raise ConfigError(f"fit '{settings.fit}' has no '{settings.parameter}'", hint=nearest(settings.parameter, names))
     return [settings.parameter]
 
 
-def _own_error(parameter: Parameter, settings: FitSettings) -> float:
-    """Standard error without the support's part; enlarged where the residual exceeds the noise, since then the lines' weights matter."""
+def _random_error(parameter: Parameter, settings: FitSettings) -> float:
+    """Standard error without the support's share; enlarged where the residual exceeds the noise, since then the lines' weights matter."""
     error = parameter.std_error_inflated or parameter.std_error
     assert error is not None and parameter.std_error is not None
     support = settings.subtract
     if support is None:
         return error
     shared = support.stiffness if parameter.unit == "N/m" else support.damping
-    left = parameter.std_error**2 - (shared.std_error / settings.share) ** 2 * is_direct(parameter.name)
-    own = float(np.sqrt(left)) if left > 0 else parameter.std_error
-    return own * error / parameter.std_error
+    variance = parameter.std_error**2 - (shared.std_error / settings.share) ** 2 * is_direct(parameter.name)
+    random = float(np.sqrt(variance)) if variance > 0 else parameter.std_error
+    return random * error / parameter.std_error
 
 
 def _tested(a: Fit, b: Fit, name: str, settings: FitSettings) -> tuple[float, float]:
     """Two-sided p-value of a difference, and half the width of its 95 % interval."""
-    errors = np.array([_own_error(fit.parameter(name), settings) for fit in (a, b)])
+    errors = np.array([_random_error(fit.parameter(name), settings) for fit in (a, b)])
     total = float(np.hypot(*errors))
     dof = total**4 / float(np.sum(errors**4 / np.array([a.dof, b.dof])))
     t = (b.parameter(name).value - a.parameter(name).value) / total
@@ -113,7 +113,7 @@ def _tested(a: Fit, b: Fit, name: str, settings: FitSettings) -> tuple[float, fl
 
 
 def _band(test: str, a: Fit, b: Fit, name: str, reach: float, p_value: float) -> ComparedBand:
-    """The second group's value beside the first's; the ratio's interval holds the doubt of the difference."""
+    """The second group's value beside the first's; the ratio's interval is that of the difference."""
     old, new = a.parameter(name), b.parameter(name)
     assert new.ci95 is not None
     ends = sorted((1 + (new.value - old.value + sign * reach) / old.value) for sign in (-1, 1))
@@ -125,22 +125,22 @@ def _statement(
     tests: TwoTests, bands: Sequence[ComparedBand], differing: Sequence[ComparedBand], verdict: str, level: float, left_out: int
 ) -> str:
     first, second = tests.names
-    said = f"{second} against {first}: {len(differing)} of {len(bands)} coefficients of bands differ: {verdict}"
+    result = f"{second} against {first}: {len(differing)} of {len(bands)} coefficients of bands differ: {verdict}"
     corrected = f" (Holm's correction, together at most {100 * level:g} % false alarms)."
     listed = [f"{band.parameter} {band.band_hz[0]:g}-{band.band_hz[1]:g} Hz (p = {band.p_value:.2g})" for band in differing[:MOST_NAMED]]
     more = f" and {len(differing) - MOST_NAMED} more" if len(differing) > MOST_NAMED else ""
     named = f" They are {', '.join(listed)}{more}." if listed else ""
     missing = f" {left_out} have no standard error and are left out." if left_out else ""
-    return said + corrected + named + missing
+    return result + corrected + named + missing
 
 
 def two_tests(settings: CompareSettings, fits: Sequence[Fit], groups: Sequence[tuple[str, str]], fit_settings: FitSettings) -> TwoTests:
     """The fits of the two groups; *groups*: (test, its group). ConfigError for a group without a test or with several."""
     chosen = []
     for name in settings.groups:
-        own = [test for test, group in groups if group == name]
-        if len(own) != 1:
-            known = ", ".join(sorted({group for _, group in groups}))
-            raise ConfigError(f"{len(own)} tests have {settings.group}: {name}; one is compared with one", hint=f"known: {known}")
-        chosen.append(tuple(fit for fit in fits if fit.test == own[0]))
+        members = [test for test, group in groups if group == name]
+        if len(members) != 1:
+            names = ", ".join(sorted({group for _, group in groups}))
+            raise ConfigError(f"{len(members)} tests have {settings.group}: {name}; one is compared with one", hint=f"known: {names}")
+        chosen.append(tuple(fit for fit in fits if fit.test == members[0]))
     return TwoTests((settings.groups[0], settings.groups[1]), (chosen[0], chosen[1]), fit_settings)

@@ -10,7 +10,7 @@ from labpipe.campaign.bandwise import bandwise, two_tests
 from labpipe.campaign.components import repeatability
 from labpipe.campaign.difference import difference
 from labpipe.campaign.loop_view import View, checked_view
-from labpipe.campaign.observations import Campaign, condition_of, group_of, observed
+from labpipe.campaign.observations import Campaign, campaign_of, condition_of, group_of
 from labpipe.campaign.prediction import MagneticTheory, prediction
 from labpipe.campaign.ratio import rayleigh, stiffness_ratio
 from labpipe.campaign.reciprocal import reciprocal
@@ -32,7 +32,7 @@ Theory = Callable[[float, str], TheoryAt]
 
 @dataclass(frozen=True)
 class _Solved:
-    """The theory matched to every observation, and the curves of the first and the last."""
+    """The theory matched to every observation, and the curves of the first and the last one."""
 
     matched: list[Matched]
     overlays: tuple[Overlay, ...]
@@ -40,9 +40,9 @@ class _Solved:
 
 @dataclass(frozen=True)
 class Evidence:
-    """All that comparisons may look at: the tests' fits and responses, and with which settings the fits were made.
+    """Inputs of a comparison: fits and responses of the tests, and the settings of the fits.
 
-    *solved*: theories matched already, by fit, term and theory, since several comparisons ask for the same.
+    *solved*: cache of matched theories by fit, term and theory, since several comparisons use the same.
     """
 
     fits: tuple[Fit, ...]
@@ -51,46 +51,46 @@ class Evidence:
     solved: dict[tuple[str, str, TheorySettings], _Solved] = field(default_factory=dict)
 
     def campaign(self, settings: CompareSettings) -> Campaign:
-        return observed(settings, self.fits, {response.name: response.conditions for response in self.responses})
+        return campaign_of(settings, self.fits, {response.name: response.conditions for response in self.responses})
 
     def response(self, test: str) -> FrequencyResponse:
-        """The response of a test; ConfigError where it is not at hand."""
-        found = next((response for response in self.responses if response.name == test), None)
-        if found is None:
-            raise ConfigError(f"the response of test '{test}' is not at hand")
-        return found
+        """The response of a test; ConfigError where it is missing."""
+        response = next((response for response in self.responses if response.name == test), None)
+        if response is None:
+            raise ConfigError(f"the response of test '{test}' is missing")
+        return response
 
     def settings_of(self, fit: str) -> FitSettings:
         return next(settings for settings in self.fit_settings if settings.name == fit)
 
 
 def compare(settings: CompareSettings, evidence: Evidence, theory: Theory | MagneticTheory | None = None) -> Comparison:
-    """The comparison that the settings ask for; *theory* where they name one. LabpipeError where the tests cannot answer."""
+    """The comparison of the settings; *theory* where they name one. LabpipeError where the tests do not allow it."""
     return COMPARISONS[settings.kind](settings, evidence, theory)
 
 
 def _matched(campaign: Campaign, evidence: Evidence, theory: Theory) -> _Solved:
-    """FitError and ConfigError name the test."""
+    """The matched theory, from the cache; FitError and ConfigError name the test."""
     named = campaign.settings.theory
     assert named is not None
-    asked = (campaign.settings.fit, campaign.settings.term, named)
-    if asked not in evidence.solved:
-        evidence.solved[asked] = _newly_matched(campaign, evidence, theory, named)
-    return evidence.solved[asked]
+    key = (campaign.settings.fit, campaign.settings.term, named)
+    if key not in evidence.solved:
+        evidence.solved[key] = _newly_matched(campaign, evidence, theory, named)
+    return evidence.solved[key]
 
 
 def _newly_matched(campaign: Campaign, evidence: Evidence, theory: Theory, named: TheorySettings) -> _Solved:
     rig = Rig(named.shaft or Uncertain(float("inf")), named.arm)
-    found: dict[str, TheoryAt] = {}
+    theories: dict[str, TheoryAt] = {}
     matched, overlays = [], []
     last = len(campaign.observations) - 1
-    for number, each in enumerate(campaign.observations):
-        key = repr(each.condition)
-        found[key] = found.get(key) or theory(each.condition, campaign.condition_unit)
-        own = (each.fit, evidence.response(each.fit.test), evidence.settings_of(each.fit.name), found[key], rig)
-        matched.append(_named(each.fit.test, *own))
+    for number, observation in enumerate(campaign.observations):
+        key = repr(observation.condition)
+        theories[key] = theories.get(key) or theory(observation.condition, campaign.condition_unit)
+        inputs = (observation.fit, evidence.response(observation.fit.test), evidence.settings_of(observation.fit.name), theories[key], rig)
+        matched.append(_named(observation.fit.test, *inputs))
         if number in (0, last):
-            overlays.append(overlay(*own, matched[-1]))
+            overlays.append(overlay(*inputs, matched[-1]))
     return _Solved(matched, tuple(overlays))
 
 
@@ -146,17 +146,17 @@ def _prediction(settings: CompareSettings, evidence: Evidence, theory: MagneticT
 
 
 def _views(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory) -> list[View]:
-    """Every test of the fit with its bearing file, set to the test's condition where one is asked for."""
+    """All tests of the fit with their bearing file, its entry set to the test's condition where the settings name one."""
     named = [fit for fit in evidence.fits if fit.name == settings.fit]
     if not named:
         raise ConfigError(f"no fit '{settings.fit}' to compare", hint=nearest(settings.fit, {fit.name for fit in evidence.fits}))
-    found = []
+    views = []
     for test in dict.fromkeys(fit.test for fit in named):
         response = evidence.response(test)
         at = condition_of(settings, test, response.conditions) if settings.over else (None, "")
         fits = tuple(fit for fit in named if fit.test == test)
-        found.append(View(test, response, evidence.settings_of(settings.fit), fits, theory(*at)))
-    return found
+        views.append(View(test, response, evidence.settings_of(settings.fit), fits, theory(*at)))
+    return views
 
 
 def _bands(settings: CompareSettings, evidence: Evidence, _: Theory | None) -> Comparison:

@@ -1,4 +1,4 @@
-"""Repeatability: how much of the scatter lies within a setting, how much between settings (one-way random effects)."""
+"""Repeatability: scatter within and between settings (one-way random effects)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.campaign.amounts import chance, with_error
 from labpipe.campaign.observations import Campaign
 from labpipe.distributions import chi2_quantile, chi2_tail, f_quantile, f_tail, student_quantile
@@ -17,12 +18,12 @@ from labpipe.records.identification import Parameter
 TAIL = 0.025
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Components:
     """y_ij = mean + setting_i + repeat_ij: standard deviations *within* and *between* settings with 95 % intervals.
 
-    *between* is 0 where the settings scatter less than their repeats explain. p_value: chance of as large a scatter of settings
-    where there is none (F test). The mean's error is that of the settings' means, with *settings* - 1 degrees of freedom.
+    *between* is 0 where the settings scatter less than their repeats. p_value: probability of an equal or larger scatter of settings
+    without an effect of the setting (F test). The mean's error is that of the settings' means, with *settings* - 1 degrees of freedom.
     """
 
     mean: float
@@ -36,8 +37,8 @@ class Components:
     repeats: int
 
 
-def components(values: NDArray[np.floating], groups: NDArray[np.str_]) -> Components:
-    """Variance components of values (n,) that belong to groups (n,), by the analysis of variance.
+def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
+    """Variance components of values (n,) [any unit] in groups (n,), by the analysis of variance.
 
     within^2 = MSW; between^2 = (MSB - MSW) / n_0, n_0 = (N - sum n_i^2 / N) / (a - 1). Interval of within^2 by chi-square, of
     between^2 after Tukey (1951) and Williams (1962): SSB (1 - F_q / F) / (n_0 chi2_q) at both ends, exact to first order for equal n_i.
@@ -61,7 +62,17 @@ def components(values: NDArray[np.floating], groups: NDArray[np.str_]) -> Compon
     spread = (float(np.sqrt(within_sum / chi2_quantile(1 - TAIL, n - a))), float(np.sqrt(within_sum / chi2_quantile(TAIL, n - a))))
     part = float(np.sqrt(max((between - within) / n_0, 0.0)))
     error = float(np.sqrt(between / n))
-    return Components(float(np.mean(values)), error, float(np.sqrt(within)), spread, part, (low, high), _tail(f, a, n), a, n)
+    return Components(
+        mean=float(np.mean(values)),
+        mean_error=error,
+        within=float(np.sqrt(within)),
+        within_ci=spread,
+        between=part,
+        between_ci=(low, high),
+        p_value=_tail(f, a, n),
+        settings=a,
+        repeats=n,
+    )
 
 
 def _tail(f: float, a: int, n: int) -> float:
@@ -69,18 +80,20 @@ def _tail(f: float, a: int, n: int) -> float:
 
 
 def repeatability(campaign: Campaign) -> Comparison:
-    """Variance components of the parameter, and whether the fits' own standard errors explain the scatter within a setting."""
+    """Variance components of the parameter, and a test of the scatter within settings against the fits' standard errors."""
     values, settings = campaign.value, campaign.settings
-    found = components(values, np.array([each.group for each in campaign.observations]))
+    scatter = components(values, np.array([observation.group for observation in campaign.observations]))
     noise = float(np.sqrt(np.mean(campaign.std_error**2)))
-    ratio = (found.within / noise) ** 2
-    dof = found.repeats - found.settings
+    ratio = (scatter.within / noise) ** 2
+    dof = scatter.repeats - scatter.settings
     noise_p = chi2_tail(ratio * dof, dof)
-    verdict = "settings differ" if found.p_value < settings.level else "settings alike"
+    verdict = "settings differ" if scatter.p_value < settings.level else "settings alike"
     unit = campaign.unit
-    percent = [100 * part / abs(found.mean) for part in (found.within, found.between)]
-    said = f"{campaign.subject}: scatter within a setting {percent[0]:.3g} %, between settings {percent[1]:.3g} % (p = {found.p_value:.2g})"
-    explained = "is what the fits' standard errors say" if noise_p >= settings.level else "exceeds the fits' standard errors"
+    percent = [100 * part / abs(scatter.mean) for part in (scatter.within, scatter.between)]
+    result = (
+        f"{campaign.subject}: scatter within a setting {percent[0]:.3g} %, between settings {percent[1]:.3g} % (p = {scatter.p_value:.2g})"
+    )
+    explained = "agrees with the fits' standard errors" if noise_p >= settings.level else "exceeds the fits' standard errors"
     return Comparison(
         name=settings.name,
         kind="repeatability",
@@ -88,14 +101,14 @@ def repeatability(campaign: Campaign) -> Comparison:
         unit=unit,
         points=campaign.points(),
         amounts=(
-            with_error("mean", unit, found.mean, found.mean_error, student_quantile(1 - TAIL, found.settings - 1)),
-            Parameter("within", found.within, unit, ci95=found.within_ci),
-            Parameter("between", found.between, unit, ci95=found.between_ci, at_bound=found.between == 0),
+            with_error("mean", unit, scatter.mean, scatter.mean_error, student_quantile(1 - TAIL, scatter.settings - 1)),
+            Parameter("within", scatter.within, unit, ci95=scatter.within_ci),
+            Parameter("between", scatter.between, unit, ci95=scatter.between_ci, at_bound=scatter.between == 0),
             Parameter("noise", noise, unit, derived=True),
-            chance("p_value", found.p_value),
+            chance("p_value", scatter.p_value),
             chance("noise_p", noise_p),
         ),
         verdict=verdict,
-        statement=f"{said}: {verdict}; the scatter within {explained} (p = {noise_p:.2g}).",
+        statement=f"{result}: {verdict}; the scatter within {explained} (p = {noise_p:.2g}).",
         condition=settings.group,
     )

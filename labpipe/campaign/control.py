@@ -1,12 +1,12 @@
-"""Many results of one coefficient: control limits of single values, straight trends over conditions, and who differs from the rest."""
+"""Many results of one coefficient: control limits, straight trends over conditions, and outliers against the other results."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.campaign.weighted import WeightedFit, weighted_fit, weighted_mean
 from labpipe.distributions import normal_tail
 from labpipe.errors import FitError
@@ -14,13 +14,13 @@ from labpipe.errors import FitError
 # Mean of the range of two normal values in standard deviations, 2 / sqrt(pi).
 D2 = 2 / np.sqrt(np.pi)
 REACH = 3.0
-# Fewer values than this give limits that are uncertain themselves.
+# Number of values above which the limits themselves are accurate.
 SETTLED = 12
 
 
 @dataclass(frozen=True)
 class ControlLimits:
-    """Limits of an individuals chart: centre -+ 3 sigma, sigma = mean moving range / 1.128; *outside*: places of values beyond."""
+    """Limits of an individuals chart: centre -+ 3 sigma, sigma = mean moving range / 1.128; *outside*: indices of values beyond."""
 
     centre: float
     sigma: float
@@ -33,8 +33,8 @@ class ControlLimits:
         return "individuals (Shewhart) chart: mean ∓ 3 × mean moving range / 1.128"
 
 
-def control_limits(values: NDArray[np.floating]) -> ControlLimits:
-    """Limits of values (n,) in the order in which they came, from the ranges of neighbours only: a shift does not widen them.
+def control_limits(values: FloatArray) -> ControlLimits:
+    """Control limits of values (n,) [any unit] in order of time, from the ranges of neighbours: a shift does not widen them.
 
     sigma = mean |y_i - y_(i-1)| / d_2, d_2 = 2 / sqrt(pi). Montgomery, Introduction to Statistical Quality Control, sec. 6.4.
     FitError for fewer than three values.
@@ -48,21 +48,24 @@ def control_limits(values: NDArray[np.floating]) -> ControlLimits:
     return ControlLimits(centre, sigma, low, high, outside)
 
 
-def straight_trend(condition: NDArray[np.floating], values: NDArray[np.floating], errors: NDArray[np.floating]) -> WeightedFit:
-    """value = level + slope (x - mean x), weighted by the standard errors (n,); parameters (level, slope). FitError for < 3 values."""
+def straight_trend(condition: FloatArray, values: FloatArray, errors: FloatArray) -> WeightedFit:
+    """value = level + slope (x - mean x), weighted by the standard errors (n,) [unit of the values]; parameters (level, slope).
+
+    FitError for fewer than three values.
+    """
     if values.size < 3:
         raise FitError(f"{values.size} value(s) show no trend", hint="at least three are needed")
     return weighted_fit(np.column_stack([np.ones_like(condition), condition - np.mean(condition)]), values, errors)
 
 
-def from_the_rest(values: NDArray[np.floating], errors: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """(difference, p-value) (n,) of every value against the weighted mean of all others, by the stated errors alone.
+def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Difference (n,) [unit of the values] of every value from the weighted mean of all others, and p-values (n,) by the standard errors.
 
-    z_i = (y_i - m_i) / sqrt(s_i^2 + s_m^2); where the others scatter more than their errors say, theirs are enlarged (Birge).
-    Two values give one test, which is told of both. FitError for fewer than two.
+    z_i = (y_i - m_i) / sqrt(s_i^2 + s_m^2); where the others scatter more than their errors, these are enlarged (Birge). Two values give
+    one test with one result for both. FitError for fewer than two.
     """
     if values.size < 2:
-        raise FitError(f"{values.size} value(s) have nothing to be compared with", hint="at least two are needed")
+        raise FitError(f"{values.size} value(s) cannot be compared", hint="at least two are needed")
     differences, chances = np.empty(values.size), np.empty(values.size)
     for n in range(values.size):
         others = np.arange(values.size) != n

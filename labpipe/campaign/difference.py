@@ -1,10 +1,10 @@
-"""Do two groups of tests differ: up against down, before against after, paired where the condition is the same?"""
+"""Difference of two groups of tests: up against down, before against after, paired by condition."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.campaign.amounts import chance, relative_change
 from labpipe.campaign.observations import Campaign
 from labpipe.campaign.trend import power_fit
@@ -16,20 +16,20 @@ SAME = 1e-6
 
 
 def difference(campaign: Campaign) -> Comparison:
-    """Mean of ln(second / first) over the conditions at which both groups were tested, weighted, and its p-value.
+    """Weighted mean of ln(second / first) over the conditions common to both groups, and its p-value.
 
-    Each log carries the fit's relative error and n s_x / x, the error of setting the condition (n: exponent of the trend of all tests).
-    ConfigError where the groups have no condition in common.
+    The error of each logarithm is the fit's relative error combined with n s_x / x, the error of setting the condition (n: exponent of
+    the trend of all tests). ConfigError for groups without a common condition.
     """
     first, second = campaign.settings.groups
     logs, errors, shared = _paired(campaign, first, second)
-    found = weighted_mean(logs, errors)
-    change = relative_change("difference", float(found.values[0]), found.std_error(0), found.quantile)
-    p_value = found.p_of(0)
+    mean = weighted_mean(logs, errors)
+    change = relative_change("difference", float(mean.values[0]), mean.std_error(0), mean.quantile)
+    p_value = mean.p_of(0)
     verdict = "different" if p_value < campaign.settings.level else "no difference"
     assert change.ci95 is not None
     low, high = (100 * end for end in change.ci95)
-    said = f"{campaign.subject}: {second} against {first} {100 * change.value:+.2f} % (95 %: {low:+.2f} to {high:+.2f} %)"
+    result = f"{campaign.subject}: {second} against {first} {100 * change.value:+.2f} % (95 %: {low:+.2f} to {high:+.2f} %)"
     pairs = f"{shared} condition(s) tested both ways" if campaign.settings.over else "all tests"
     return Comparison(
         name=campaign.settings.name,
@@ -37,41 +37,41 @@ def difference(campaign: Campaign) -> Comparison:
         subject=campaign.subject,
         unit=campaign.unit,
         points=campaign.points(),
-        amounts=(change, chance("p_value", p_value), chance("scatter_p", found.p_value)),
+        amounts=(change, chance("p_value", p_value), chance("scatter_p", mean.p_value)),
         verdict=verdict,
-        statement=f"{said} from {pairs}: {verdict} (p = {p_value:.2g}).",
+        statement=f"{result} from {pairs}: {verdict} (p = {p_value:.2g}).",
         condition=campaign.settings.over,
         condition_unit=campaign.condition_unit,
     )
 
 
-def _paired(campaign: Campaign, first: str, second: str) -> tuple[NDArray[np.floating], NDArray[np.floating], int]:
-    """ln(second / first) and its error at every shared condition."""
+def _paired(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, FloatArray, int]:
+    """ln(second / first) and its error at every common condition."""
     logs, errors = np.log(campaign.value), _errors(campaign)
-    groups = np.array([each.group for each in campaign.observations])
+    groups = np.array([observation.group for observation in campaign.observations])
     for name in (first, second):
         if name not in groups:
             raise ConfigError(f"no test has {campaign.settings.group}: {name}", hint=f"known: {', '.join(sorted(set(groups)))}")
-    found = []
+    pairs = []
     for members in _strata(campaign):
-        one, other = members & (groups == first), members & (groups == second)
-        if np.any(one) and np.any(other):
-            means = [weighted_mean(logs[part], errors[part]) for part in (one, other)]
-            found.append((means[1].values[0] - means[0].values[0], np.hypot(means[0].std_error(0), means[1].std_error(0))))
-    if not found:
+        of_first, of_second = members & (groups == first), members & (groups == second)
+        if np.any(of_first) and np.any(of_second):
+            means = [weighted_mean(logs[part], errors[part]) for part in (of_first, of_second)]
+            pairs.append((means[1].values[0] - means[0].values[0], np.hypot(means[0].std_error(0), means[1].std_error(0))))
+    if not pairs:
         raise ConfigError(f"{first} and {second} were tested at no common '{campaign.settings.over}'", hint="leave `over` out")
-    return np.array([f[0] for f in found]), np.array([f[1] for f in found]), len(found)
+    return np.array([f[0] for f in pairs]), np.array([f[1] for f in pairs]), len(pairs)
 
 
-def _strata(campaign: Campaign) -> list[NDArray[np.bool_]]:
-    """Tests at the same condition; all of them where no condition pairs them."""
+def _strata(campaign: Campaign) -> list[BoolArray]:
+    """Tests at the same condition; all tests where no condition is named."""
     if not campaign.settings.over:
         return [np.ones(len(campaign.observations), bool)]
     x = campaign.condition
     return [np.abs(x - value) <= SAME * np.abs(value) for value in np.unique(x)]
 
 
-def _errors(campaign: Campaign) -> NDArray[np.floating]:
+def _errors(campaign: Campaign) -> FloatArray:
     """Relative errors of the values, with that of setting the condition."""
     relative, setting = campaign.relative, campaign.settings.setting_error
     if not setting:

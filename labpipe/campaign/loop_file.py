@@ -1,4 +1,4 @@
-"""Unknowns of a magnetic-bearing file by their names: what they are now, and the file with other values."""
+"""Unknowns of a magnetic-bearing file by name: their values in the file, and the file with other values."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MAGNET = {name: entry.unit for name, (entry, _) in settings_of(Magnet).items() 
 
 @dataclass(frozen=True)
 class Unknown:
-    """An entry of the file that is to be fitted: its *name* as written, *value* in the file and *unit* [SI]."""
+    """An entry of the file to be fitted: its *name* as written, *value* in the file and *unit* [SI]."""
 
     name: str
     value: float
@@ -28,42 +28,42 @@ class Unknown:
 
 
 def unknown(file: MagneticFile, name: str) -> Unknown:
-    """The unknown of that name; ConfigError where the file has no such entry, or none above or below zero to start from."""
+    """The unknown of that name; ConfigError where the file has no such entry, or zero as a start value."""
     field = ALIASES.get(name, name)
     if field == "static_stiffness":
-        found = None if file.static_stiffness is None else (file.static_stiffness, "N/m")
+        value_and_unit = None if file.static_stiffness is None else (file.static_stiffness, "N/m")
     elif field in FACTORS:
         plant = file.levitated()
-        found = (plant.loop.force_per_current, "N/A") if field == "force_per_current" else (plant.negative_stiffness, "N/m")
+        value_and_unit = (plant.loop.force_per_current, "N/A") if field == "force_per_current" else (plant.negative_stiffness, "N/m")
     elif field in _LOOP:
-        found = (getattr(file.loop, field), _LOOP[field])
+        value_and_unit = (getattr(file.loop, field), _LOOP[field])
     elif field in _MAGNET:
-        found = None if file.magnet is None else (getattr(file.magnet, field), _MAGNET[field])
+        value_and_unit = None if file.magnet is None else (getattr(file.magnet, field), _MAGNET[field])
     else:
-        known = list(dict.fromkeys([*ALIASES, *FACTORS, *_LOOP, *_MAGNET]))
-        raise ConfigError(f"estimate: '{name}' is no unknown of a magnetic bearing", hint=nearest(name, known))
-    if found is None or found[0] is None:
+        entries = list(dict.fromkeys([*ALIASES, *FACTORS, *_LOOP, *_MAGNET]))
+        raise ConfigError(f"estimate: '{name}' is no unknown of a magnetic bearing", hint=nearest(name, entries))
+    if value_and_unit is None or value_and_unit[0] is None:
         where = "static_stiffness" if field == "static_stiffness" else f"magnet: {{{field}: ...}}" if field in _MAGNET else f"loop.{field}"
         raise ConfigError(f"estimate: the bearing file has no '{name}'", hint=f"give it as {where}")
-    if found[0] == 0:
+    if value_and_unit[0] == 0:
         raise ConfigError(f"estimate: '{name}' is zero in the bearing file", hint="a value near the expected one is needed to start from")
-    return Unknown(name, float(found[0]), found[1])
+    return Unknown(name, float(value_and_unit[0]), value_and_unit[1])
 
 
 def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFile:
-    """The file with other values of its unknowns; ConfigError for values that cannot be (a gap below zero)."""
+    """The file with other values of its unknowns; ConfigError for impossible values (a negative gap)."""
     loop: dict[str, float] = {}
     magnet: dict[str, float] = {}
-    own: dict[str, float] = {}
+    factors: dict[str, float] = {}
     for name, value in values.items():
         field = ALIASES.get(name, name)
         if field in (*FACTORS, "static_stiffness"):
-            own[field] = value
+            factors[field] = value
         elif field in _LOOP:
             loop[field] = value
         else:
             magnet[field] = value
-    # A stated pull of the bias field takes the place of the one inferred from the static stiffness.
-    freed = {"static_stiffness": None} if "negative_stiffness" in own else {}
-    changed = replace(file, loop=replace(file.loop, **loop), **freed, **own)  # type: ignore[arg-type]
+    # An explicit negative stiffness replaces the one inferred from the static stiffness.
+    freed = {"static_stiffness": None} if "negative_stiffness" in factors else {}
+    changed = replace(file, loop=replace(file.loop, **loop), **freed, **factors)  # type: ignore[arg-type]
     return replace(changed, magnet=replace(file.magnet, **magnet)) if magnet and file.magnet is not None else changed  # type: ignore[arg-type]

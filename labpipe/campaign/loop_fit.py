@@ -1,4 +1,4 @@
-"""The unknowns of a control loop fitted to measured responses, and whether the loop as it is stated explains them."""
+"""Fit of a control loop's unknowns to measured responses, and goodness of fit of the loop."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.magnetic_kind import MagneticFile
-from labpipe.bearings.magnetic_loop import Complex
 from labpipe.campaign.amounts import chance, with_error
 from labpipe.campaign.loop_file import Unknown, unknown, with_unknowns
 from labpipe.errors import ConfigError, FitError
@@ -24,17 +23,17 @@ from labpipe.records.finding import Finding
 from labpipe.records.identification import Parameter
 
 STEP = 1e-5
-# Beyond this condition number of the scaled slopes, rounding decides what two unknowns are.
+# Condition number of the scaled Jacobian beyond which rounding determines the unknowns.
 UNDETERMINED = 1e6
 
 
-# The response that a file predicts on the measured lines, with the (stiffness, damping) of the support.
-Predict = Callable[[MagneticFile, tuple[float, float]], Complex]
+# Predicted response of a file on the measured lines, with the (stiffness, damping) of the support.
+Predict = Callable[[MagneticFile, tuple[float, float]], ComplexArray]
 
 
 @dataclass(frozen=True)
-class Held:
-    """A *measured* response that a loop is held against: what a *file* predicts for it, and the *support* beside the bearings."""
+class LoopObservation:
+    """A *measured* response of a loop, the prediction by a *file* on the same lines, and the *support* beside the bearings."""
 
     measured: Measured
     predict: Predict
@@ -42,12 +41,12 @@ class Held:
     support: Support = Support()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LoopFit:
-    """Unknowns with their doubt, how well the loop explains the lines, and whether the lines tell the unknowns apart.
+    """Unknowns with standard errors, goodness of fit, and identifiability.
 
-    *parameters*: unknowns, without doubt where *determined* is false; *correlations* (name, name, value); *chi2_reduced* with *chi2_p*
-    of the whole residual on *lines*; *condition_number* of the unknowns' scaled slopes; *alike*: the unknowns that cannot be told apart.
+    *parameters*: unknowns, without standard errors unless *determined*; *correlations* (name, name, value); *chi2_reduced* with *chi2_p*
+    of the residual on *lines*; *condition_number* of the scaled Jacobian; *alike*: unknowns that are not separately identifiable.
     """
 
     parameters: tuple[Parameter, ...]
@@ -64,8 +63,8 @@ class LoopFit:
         return self.condition_number < UNDETERMINED
 
     @property
-    def known(self) -> bool:
-        """Whether there are unknowns, and values of them that can be used."""
+    def usable(self) -> bool:
+        """True if there are unknowns with determined, converged values."""
         return bool(self.parameters) and self.determined and self.converged
 
     def values(self) -> dict[str, float]:
@@ -76,41 +75,42 @@ class LoopFit:
 class _Problem:
     """Whitened residual of all responses over u: unknowns as shares of their start, then the support's deviations in standard errors."""
 
-    held: tuple[Held, ...]
+    observations: tuple[LoopObservation, ...]
     unknowns: tuple[Unknown, ...]
     support: tuple[tuple[int, float], ...]  # (0 for stiffness or 1 for damping, standard error)
 
     @cached_property
-    def weights(self) -> list[NDArray[np.complexfloating]]:
-        return [whitener(each.measured) for each in self.held]
+    def weights(self) -> list[ComplexArray]:
+        return [whitener(observation.measured) for observation in self.observations]
 
     @property
     def size(self) -> float:
-        pairs = zip(self.held, self.weights, strict=True)
-        return float(np.linalg.norm(np.concatenate([whitened(weight, each.measured.matrix) for each, weight in pairs])))
+        pairs = zip(self.observations, self.weights, strict=True)
+        return float(np.linalg.norm(np.concatenate([whitened(weight, loop.measured.matrix) for loop, weight in pairs])))
 
-    def file_values(self, u: NDArray[np.floating]) -> dict[str, float]:
-        return {each.name: each.value * (1 + float(share)) for each, share in zip(self.unknowns, u, strict=False)}
+    def file_values(self, u: FloatArray) -> dict[str, float]:
+        return {entry.name: entry.value * (1 + float(share)) for entry, share in zip(self.unknowns, u, strict=False)}
 
-    def residual(self, u: NDArray[np.floating]) -> NDArray[np.floating]:
-        """(n_equation,): measured less predicted, then how far the support is from what was stated."""
-        away = u[len(self.unknowns) :]
-        found = []
-        for each, weight in zip(self.held, self.weights, strict=True):
-            stated = each.support
-            support = [stated.stiffness.value, stated.damping.value]
-            for (which, error), deviation in zip(self.support, away, strict=True):
+    def residual(self, u: FloatArray) -> FloatArray:
+        """(n_equation,): measured minus predicted, then the support's deviations from its nominal values."""
+        deviations = u[len(self.unknowns) :]
+        residuals = []
+        for observation, weight in zip(self.observations, self.weights, strict=True):
+            nominal = observation.support
+            support = [nominal.stiffness.value, nominal.damping.value]
+            for (which, error), deviation in zip(self.support, deviations, strict=True):
                 support[which] += error * float(deviation)
-            predicted = each.predict(with_unknowns(each.file, self.file_values(u)), (support[0], support[1]))
-            found.append(whitened(weight, each.measured.matrix - predicted))
-        return np.concatenate([*found, away])
+            predicted = observation.predict(with_unknowns(observation.file, self.file_values(u)), (support[0], support[1]))
+            residuals.append(whitened(weight, observation.measured.matrix - predicted))
+        return np.concatenate([*residuals, deviations])
 
-    def jacobian(self, u: NDArray[np.floating]) -> NDArray[np.floating]:
+    def jacobian(self, u: FloatArray) -> FloatArray:
         """(n_equation, n_parameter) by centred differences."""
-        return np.column_stack([(self.residual(u + STEP * each) - self.residual(u - STEP * each)) / (2 * STEP) for each in np.eye(u.size)])
+        steps = STEP * np.eye(u.size)
+        return np.column_stack([(self.residual(u + step) - self.residual(u - step)) / (2 * STEP) for step in steps])
 
-    def chi2(self, u: NDArray[np.floating]) -> float:
-        """Infinite for values that no bearing can have."""
+    def chi2(self, u: FloatArray) -> float:
+        """Sum of squares; infinite for values that no bearing can have."""
         try:
             residual = self.residual(u)
         except ConfigError:
@@ -118,104 +118,117 @@ class _Problem:
         return float(residual @ residual)
 
 
-def loop_fit(held: Sequence[Held], names: Sequence[str]) -> LoopFit:
-    """Output error of all responses weighted by their noise; the support's uncertainty is fitted along within what was stated.
+def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> LoopFit:
+    """Output-error fit of all responses weighted by their noise; the support is fitted as well, within its uncertainty.
 
-    With no *names* it only judges the loop as it is stated. ConfigError for unknown names, FitError where the noise is not known or
-    the descent does not end.
+    Without *names* only the goodness of fit of the loop as it is. ConfigError for unknown names, FitError for responses without noise
+    estimate.
     """
-    if not all(has_noise(each.measured) for each in held):
+    if not all(has_noise(observation.measured) for observation in observations):
         hint = "average several periods or blocks"
-        raise FitError("the noise of the response is not known, so a loop cannot be held against it", hint=hint)
-    unknowns = tuple(unknown(held[0].file, name) for name in names)
-    stated = held[0].support
-    errors = ((0, stated.stiffness.std_error), (1, stated.damping.std_error))
-    problem = _Problem(tuple(held), unknowns, tuple((which, error) for which, error in errors if error > 0))
+        raise FitError("the noise of the response is not known, so a loop cannot be compared with it", hint=hint)
+    unknowns = tuple(unknown(observations[0].file, name) for name in names)
+    support = observations[0].support
+    errors = ((0, support.stiffness.std_error), (1, support.damping.std_error))
+    problem = _Problem(tuple(observations), unknowns, tuple((which, error) for which, error in errors if error > 0))
     start = np.zeros(len(unknowns) + len(problem.support))
-    # An unknown that acts on nothing has no slope to descend on.
-    idle = not start.size or bool(_silent(problem, problem.jacobian(start)))
-    return _judged(problem, Minimum(start, True, 0) if idle else minimise(problem, start))
+    # An unknown without influence on the response has no gradient.
+    idle = not start.size or bool(_without_influence(problem, problem.jacobian(start)))
+    return _loop_fit(problem, Minimum(start, True, 0) if idle else minimise(problem, start))
 
 
-def _silent(problem: _Problem, jacobian: NDArray[np.floating]) -> tuple[str, ...]:
-    """The unknowns that change nothing."""
+def _without_influence(problem: _Problem, jacobian: FloatArray) -> tuple[str, ...]:
+    """Unknowns without influence on the response."""
     lengths = np.linalg.norm(jacobian, axis=0)
-    return tuple(each.name for each, length in zip(problem.unknowns, lengths, strict=False) if not length > 0)
+    return tuple(entry.name for entry, length in zip(problem.unknowns, lengths, strict=False) if not length > 0)
 
 
-def _judged(problem: _Problem, minimum: Minimum) -> LoopFit:
-    equations = sum(each.measured.n_equation for each in problem.held)
+def _loop_fit(problem: _Problem, minimum: Minimum) -> LoopFit:
+    equations = sum(observation.measured.n_equation for observation in problem.observations)
     dof = equations - len(problem.unknowns)
-    doubt = weight_doubt(problem.held[0].measured, dof)
+    doubt = weight_doubt(problem.observations[0].measured, dof)
     reduced = problem.chi2(minimum.values) / dof / doubt.excess
-    lines = sum(each.measured.omega.size for each in problem.held)
-    fitted = _parameters(problem, minimum, doubt.inflation, dof) if problem.unknowns else ((), (), 1.0, ())
-    return LoopFit(*fitted[:2], reduced, doubt.p_value(reduced, dof), lines, *fitted[2:], minimum.converged)
+    lines = sum(observation.measured.omega.size for observation in problem.observations)
+    estimates = _parameters(problem, minimum, doubt.inflation, dof) if problem.unknowns else ((), (), 1.0, ())
+    parameters, correlations, condition, alike = estimates
+    return LoopFit(
+        parameters=parameters,
+        correlations=correlations,
+        chi2_reduced=reduced,
+        chi2_p=doubt.p_value(reduced, dof),
+        lines=lines,
+        condition_number=condition,
+        alike=alike,
+        converged=minimum.converged,
+    )
 
 
 def _parameters(
     problem: _Problem, minimum: Minimum, inflation: float, dof: int
 ) -> tuple[tuple[Parameter, ...], tuple[tuple[str, str, float], ...], float, tuple[str, ...]]:
-    """Unknowns with errors from (J^T J)^-1, their correlations, the condition number and the names behind it."""
+    """Unknowns with standard errors from (J^T J)^-1, their correlations, the condition number and the unknowns that cause it."""
     jacobian = problem.jacobian(minimum.values)
     n = len(problem.unknowns)
-    silent = _silent(problem, jacobian)
-    if silent:
-        return _undoubted(problem, minimum), (), float("inf"), silent
+    idle = _without_influence(problem, jacobian)
+    if idle:
+        return _last_step(problem, minimum), (), float("inf"), idle
     length = np.linalg.norm(jacobian, axis=0)
     _, singular, turn = np.linalg.svd(jacobian / length, full_matrices=False)
     condition = float(singular[0] / max(singular[-1], 1e-300))
-    alike = tuple(each.name for each, part in zip(problem.unknowns, turn[-1], strict=False) if abs(part) > 0.3)
+    alike = tuple(entry.name for entry, part in zip(problem.unknowns, turn[-1], strict=False) if abs(part) > 0.3)
     if condition >= UNDETERMINED or not minimum.converged:
-        return _undoubted(problem, minimum), (), condition, alike
+        return _last_step(problem, minimum), (), condition, alike
     covariance = inflation * (turn.T / singular**2) @ turn / np.outer(length, length)
     errors = np.sqrt(np.diag(covariance))
     limit = student_limit(dof)
-    found = [
-        with_error(each.name, each.unit, float(each.value * (1 + share)), float(abs(each.value) * error), limit)
-        for each, share, error in zip(problem.unknowns, minimum.values, errors, strict=False)
+    parameters = [
+        with_error(entry.name, entry.unit, float(entry.value * (1 + share)), float(abs(entry.value) * error), limit)
+        for entry, share, error in zip(problem.unknowns, minimum.values, errors, strict=False)
     ]
-    names = [each.name for each in problem.unknowns]
-    signs = np.sign([each.value for each in problem.unknowns])
+    names = [entry.name for entry in problem.unknowns]
+    signs = np.sign([entry.value for entry in problem.unknowns])
     pairs = tuple(
         (names[i], names[j], float(signs[i] * signs[j] * covariance[i, j] / (errors[i] * errors[j]))) for i in range(n) for j in range(i)
     )
-    return tuple(found), pairs, condition, alike
+    return tuple(parameters), pairs, condition, alike
 
 
-def _undoubted(problem: _Problem, minimum: Minimum) -> tuple[Parameter, ...]:
-    """Where no doubt can be given: the values of the last step, without anything that looks like a result."""
+def _last_step(problem: _Problem, minimum: Minimum) -> tuple[Parameter, ...]:
+    """The values of the last step without standard errors."""
     return tuple(
-        Parameter(each.name, float(each.value * (1 + minimum.values[number])), each.unit) for number, each in enumerate(problem.unknowns)
+        Parameter(entry.name, float(entry.value * (1 + minimum.values[number])), entry.unit)
+        for number, entry in enumerate(problem.unknowns)
     )
 
 
-def goodness(fitted: LoopFit) -> list[Parameter]:
-    """chi-square of all lines with its p-value, and how well the unknowns are told apart."""
-    found = [Parameter("chi2_reduced", fitted.chi2_reduced, "1", derived=True), chance("chi2_p", fitted.chi2_p)]
-    return [*found, Parameter("condition_number", fitted.condition_number, "1", derived=True)] if fitted.parameters else found
+def goodness(fit: LoopFit) -> list[Parameter]:
+    """chi-square of all lines with its p-value, and the condition number of the unknowns."""
+    amounts = [Parameter("chi2_reduced", fit.chi2_reduced, "1", derived=True), chance("chi2_p", fit.chi2_p)]
+    return [*amounts, Parameter("condition_number", fit.condition_number, "1", derived=True)] if fit.parameters else amounts
 
 
-def apart(fitted: LoopFit) -> list[Finding]:
-    """Warnings: unknowns that the lines do not tell apart, or hardly, or a fit that did not end."""
-    if not fitted.parameters:
+def identifiability_findings(fit: LoopFit) -> list[Finding]:
+    """Warnings: unknowns that are not, or hardly, separately identifiable, or a fit without convergence."""
+    if not fit.parameters:
         return []
-    together = " and ".join(fitted.alike)
-    if not fitted.determined:
-        what = f"{together} cannot be told apart by this response (condition number {fitted.condition_number:.2g}): no value is given doubt"
+    together = " and ".join(fit.alike)
+    if not fit.determined:
+        what = (
+            f"{together} cannot be told apart by this response (condition number {fit.condition_number:.2g}): standard errors are omitted"
+        )
         return [Finding("collinear", f"{what}. Fit one of them, and state the other.")]
-    if not fitted.converged:
-        return [Finding("no-convergence", "the fit of the loop's unknowns did not end; its values are those of the last step")]
-    if fitted.condition_number > COLLINEAR_CONDITION:
-        what = f"{together} are hardly told apart (condition number {fitted.condition_number:.3g}, limit {COLLINEAR_CONDITION:g})"
-        return [Finding("collinear", f"{what}: their errors are large and go together")]
+    if not fit.converged:
+        return [Finding("no-convergence", "the fit of the loop's unknowns did not converge; its values are those of the last step")]
+    if fit.condition_number > COLLINEAR_CONDITION:
+        what = f"{together} are hardly told apart (condition number {fit.condition_number:.3g}, limit {COLLINEAR_CONDITION:g})"
+        return [Finding("collinear", f"{what}: their errors are large and correlated")]
     return []
 
 
-def told(fitted: LoopFit) -> str:
-    """How all lines fit the loop, as a sentence."""
-    chance_of = f"chi² per degree of freedom {fitted.chi2_reduced:.3f}, p = {fitted.chi2_p:.2g}"
-    said = f"All {fitted.lines} lines against the loop{' with its fitted unknowns' if fitted.parameters else ''}: {chance_of}."
-    if fitted.parameters and not fitted.determined:
-        said += f" {' and '.join(fitted.alike)} cannot be told apart, so none is given."
-    return said
+def fit_statement(fit: LoopFit) -> str:
+    """Goodness of fit of all lines as a sentence."""
+    chance_of = f"chi² per degree of freedom {fit.chi2_reduced:.3f}, p = {fit.chi2_p:.2g}"
+    statement = f"All {fit.lines} lines against the loop{' with its fitted unknowns' if fit.parameters else ''}: {chance_of}."
+    if fit.parameters and not fit.determined:
+        statement += f" {' and '.join(fit.alike)} cannot be told apart, so none is given."
+    return statement

@@ -1,4 +1,4 @@
-"""How a rig sees a magnetic bearing: the response of mass, support and bearings that a fit was made of, from the bearing's prediction."""
+"""Response of a rig with a magnetic bearing: mass, support and bearings as in a fit, from the bearing's prediction."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.magnetic_kind import MagneticFile
-from labpipe.bearings.magnetic_loop import Complex, dynamic_stiffness
-from labpipe.campaign.loop_fit import Held
+from labpipe.bearings.magnetic_loop import dynamic_stiffness
+from labpipe.campaign.loop_fit import LoopObservation
 from labpipe.errors import ConfigError
 from labpipe.identify.fitting import identify
 from labpipe.identify.measured import Measured, measured_part, select_ports
@@ -26,7 +26,7 @@ MODELS = ("sdof", "rotor-2dof-direct")
 
 @dataclass(frozen=True)
 class View:
-    """One test as its sliding fits saw it: the measured *response*, the fits, and their settings with mass, support and share."""
+    """One test with its sliding fits: the measured *response*, the fits, and their settings with mass, support and share."""
 
     test: str
     response: FrequencyResponse
@@ -44,19 +44,19 @@ class View:
 
     @property
     def measured(self) -> Measured:
-        """The lines of all bands, each once."""
+        """The lines of all bands, without repetition."""
         lines = np.any([lines_in(self.response.frequency, fit.band_hz) for fit in self.fits], axis=0)
         return measured_part(self.response, *self.ports, lines)
 
     @property
-    def held(self) -> Held:
-        """The lines with what a file predicts for them."""
+    def observation(self) -> LoopObservation:
+        """The lines with the prediction of a file."""
         measured = self.measured
-        return Held(measured, lambda file, support: receptance(self, file, measured.omega, support), self.file, self.support)
+        return LoopObservation(measured, lambda file, support: receptance(self, file, measured.omega, support), self.file, self.support)
 
 
 def checked_view(view: View) -> View:
-    """ConfigError for fits whose coefficients are not those of one bearing in one direction, or whose mass is not known."""
+    """The view; ConfigError for fits whose coefficients are not those of one bearing in one direction, or without known mass."""
     name = view.settings.name
     if view.settings.model not in MODELS:
         raise ConfigError(f"fit '{name}' is of the model {view.settings.model}", hint=f"a loop is predicted for {' and '.join(MODELS)}")
@@ -66,11 +66,11 @@ def checked_view(view: View) -> View:
     return view
 
 
-def _directions(view: View) -> NDArray[np.floating]:
-    """cos of the angle between response and force, (n_output, n_input): all directions are alike and free of coupling."""
+def _directions(view: View) -> FloatArray:
+    """cos of the angle between output and force, (n_output, n_input): all directions are equal and uncoupled."""
     rows, columns = view.ports
     outputs, inputs = [view.response.outputs[row] for row in rows], [view.response.inputs[column] for column in columns]
-    return np.array([[_cosine(output, each) for each in inputs] for output in outputs])
+    return np.array([[_cosine(output, force) for force in inputs] for output in outputs])
 
 
 def _cosine(output: Port, force: Port) -> float:
@@ -78,23 +78,23 @@ def _cosine(output: Port, force: Port) -> float:
         return 1.0
     if output.angle is None or force.angle is None:
         hint = "give dof: 45 deg (or x, y) in the rig file"
-        raise ConfigError(f"the direction of {output.label} to {force.label} is not known", hint=hint)
+        raise ConfigError(f"the angle between {output.label} and {force.label} is unknown", hint=hint)
     return float(np.cos(output.angle - force.angle))
 
 
-def receptance(view: View, file: MagneticFile, omega: NDArray[np.floating], support: tuple[float, float] | None = None) -> Complex:
-    """cos / (k_s + j w c_s + n (K G(jw) - k_n) - m w^2), (n_line, n_output, n_input) [m/N]; *support* (k_s, c_s), default: as stated."""
+def receptance(view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float] | None = None) -> ComplexArray:
+    """cos / (k_s + j w c_s + n (K G(jw) - k_n) - m w^2), (n_line, n_output, n_input) [m/N]; *support* (k_s, c_s), default: nominal."""
     stiffness, damping = support or (view.support.stiffness.value, view.support.damping.value)
     plant = file.levitated()
-    bearings: Complex = view.settings.share * dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
+    bearings: ComplexArray = view.settings.share * dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
     assert isinstance(view.settings.mass, float)
-    total: Complex = stiffness + 1j * omega * damping + bearings - view.settings.mass * omega**2
-    found: Complex = _directions(view) / total[:, None, None]
-    return found
+    total: ComplexArray = stiffness + 1j * omega * damping + bearings - view.settings.mass * omega**2
+    matrix: ComplexArray = _directions(view) / total[:, None, None]
+    return matrix
 
 
 def predicted_fits(view: View, file: MagneticFile) -> Sequence[Fit]:
-    """The same fits of the predicted response, on the same lines with the same weights: fit is compared with fit."""
+    """The same fits of the predicted response, on the same lines with the same weights, for comparison with the measured fits."""
     frequency = view.response.frequency
     rows, columns = view.ports
     matrix = view.response.matrix.copy()

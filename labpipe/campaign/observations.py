@@ -1,4 +1,4 @@
-"""What a comparison looks at: one parameter of one fit in every test, with the conditions of the test."""
+"""Inputs of a comparison: one parameter of one fit in every test, with the conditions of the test."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.campaign.settings import CompareSettings
 from labpipe.errors import ConfigError, FitError
 from labpipe.quantities import UnitError, si_amount
@@ -19,7 +19,7 @@ from labpipe.registry import nearest
 
 @dataclass(frozen=True)
 class Observation:
-    """A parameter of a test's fit; *condition* in SI (NaN where none is asked for), *group* as written."""
+    """A parameter of a test's fit; *condition* in SI (NaN where the settings name none), *group* as written."""
 
     fit: Fit
     parameter: Parameter
@@ -32,7 +32,7 @@ class Observation:
 
     @property
     def std_error(self) -> float:
-        """The standard error; FitError where the fit could give none."""
+        """The standard error; FitError for a parameter without one."""
         if self.parameter.std_error is None:
             raise FitError(f"'{self.parameter.name}' of test {self.fit.test} has no standard error", hint="a comparison needs one")
         return self.parameter.std_error
@@ -51,7 +51,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class Campaign:
-    """The observations of one comparison, in rising condition, with the units of value and condition."""
+    """The observations of one comparison, in ascending order of the condition, with the units of value and condition."""
 
     settings: CompareSettings
     observations: tuple[Observation, ...]
@@ -62,87 +62,91 @@ class Campaign:
         return self.observations[0].parameter.unit
 
     @property
-    def condition(self) -> NDArray[np.floating]:
-        return np.array([each.condition for each in self.observations])
+    def condition(self) -> FloatArray:
+        """Condition of every test, (n_test,) [condition_unit]."""
+        return np.array([observation.condition for observation in self.observations])
 
     @property
-    def value(self) -> NDArray[np.floating]:
-        return np.array([each.value for each in self.observations])
+    def value(self) -> FloatArray:
+        """Parameter of every test, (n_test,) [unit]."""
+        return np.array([observation.value for observation in self.observations])
 
     @property
-    def std_error(self) -> NDArray[np.floating]:
-        return np.array([each.std_error for each in self.observations])
+    def std_error(self) -> FloatArray:
+        """Standard error of every test, (n_test,) [unit]; FitError for a parameter without one."""
+        return np.array([observation.std_error for observation in self.observations])
 
     @property
-    def relative(self) -> NDArray[np.floating]:
-        return np.array([each.relative for each in self.observations])
+    def relative(self) -> FloatArray:
+        """Relative standard error of every test, (n_test,) [1]; FitError for a value that is not above zero."""
+        return np.array([observation.relative for observation in self.observations])
 
     @property
     def subject(self) -> str:
-        """What is compared, in words: "k of z, fit peaks"."""
+        """Subject of the comparison in words: "k of z, fit peaks"."""
         term = f" of {self.settings.term}" if self.settings.term else ""
         return f"{self.settings.parameter}{term}, fit {self.settings.fit}"
 
     def points(self) -> tuple[ComparedPoint, ...]:
-        return tuple(each.point() for each in self.observations)
+        return tuple(observation.point() for observation in self.observations)
 
 
-def observed(settings: CompareSettings, fits: Sequence[Fit], conditions: Mapping[str, Mapping[str, Any]]) -> Campaign:
-    """The observations that the settings ask for, sorted by condition; *conditions* of every test by its name.
+def campaign_of(settings: CompareSettings, fits: Sequence[Fit], conditions: Mapping[str, Mapping[str, Any]]) -> Campaign:
+    """The observations of the settings, sorted by condition; *conditions* of every test by its name.
 
-    ConfigError for a fit, term, parameter or condition that is not there; FitError for fewer than two tests.
+    ConfigError for an unknown fit, term, parameter or condition; FitError for fewer than two tests.
     """
     chosen = _chosen(settings, fits)
-    found, units = [], set()
+    observations, units = [], set()
     for fit in chosen:
-        own = conditions.get(fit.test, {})
-        value, unit = condition_of(settings, fit.test, own) if settings.over else (float("nan"), "")
+        test_conditions = conditions.get(fit.test, {})
+        value, unit = condition_of(settings, fit.test, test_conditions) if settings.over else (float("nan"), "")
         units.add(unit)
-        found.append(Observation(fit, _parameter(settings, fit), value, group_of(settings, fit.test, own)))
+        observations.append(Observation(fit, _parameter(settings, fit), value, group_of(settings, fit.test, test_conditions)))
     if len(units) > 1:
         raise ConfigError(f"the condition '{settings.over}' has the units {', '.join(sorted(units))}", hint="write it in one dimension")
-    if len(found) < 2:
-        raise FitError(f"comparison '{settings.name}' has {len(found)} test(s)", hint="at least two are needed")
-    ordered = sorted(found, key=lambda each: (each.condition, each.group)) if settings.over else found
+    if len(observations) < 2:
+        raise FitError(f"comparison '{settings.name}' has {len(observations)} test(s)", hint="at least two are needed")
+    ordered = sorted(observations, key=lambda observation: (observation.condition, observation.group)) if settings.over else observations
     return Campaign(settings, tuple(ordered), units.pop())
 
 
 def _chosen(settings: CompareSettings, fits: Sequence[Fit]) -> list[Fit]:
-    """The one fit of every test; ConfigError where there is none, or several in a test."""
+    """The fit of every test; ConfigError where there is none, or several in a test."""
     named = [fit for fit in fits if fit.name == settings.fit]
     if not named:
         raise ConfigError(f"no fit '{settings.fit}' to compare", hint=nearest(settings.fit, {fit.name for fit in fits}))
-    found = [fit for fit in named if not settings.term or fit.term == settings.term]
-    if not found:
+    chosen = [fit for fit in named if not settings.term or fit.term == settings.term]
+    if not chosen:
         raise ConfigError(f"fit '{settings.fit}' has no term '{settings.term}'", hint=nearest(settings.term, {f.term for f in named}))
-    tests = [fit.test for fit in found]
+    tests = [fit.test for fit in chosen]
     twice = next((test for test in tests if tests.count(test) > 1), None)
     if twice is not None:
         raise ConfigError(f"fit '{settings.fit}' has several results in test '{twice}'", hint="name one with `term`, or fit one band")
-    return found
+    return chosen
 
 
 def _parameter(settings: CompareSettings, fit: Fit) -> Parameter:
     try:
         return fit.parameter(settings.parameter)
     except KeyError:
-        known = [parameter.name for parameter in fit.parameters]
-        raise ConfigError(f"fit '{fit.name}' has no '{settings.parameter}'", hint=nearest(settings.parameter, known)) from None
+        names = [parameter.name for parameter in fit.parameters]
+        raise ConfigError(f"fit '{fit.name}' has no '{settings.parameter}'", hint=nearest(settings.parameter, names)) from None
 
 
-def _given(name: str, test: str, conditions: Mapping[str, Any]) -> str:
+def _condition(name: str, test: str, conditions: Mapping[str, Any]) -> str:
     if name not in conditions:
         raise ConfigError(f"test '{test}' has no condition '{name}'", hint="write it under the test's `conditions`")
     return str(conditions[name])
 
 
 def group_of(settings: CompareSettings, test: str, conditions: Mapping[str, Any]) -> str:
-    return _given(settings.group, test, conditions) if settings.group else ""
+    return _condition(settings.group, test, conditions) if settings.group else ""
 
 
 def condition_of(settings: CompareSettings, test: str, conditions: Mapping[str, Any]) -> tuple[float, str]:
     """A condition as a number in SI with its unit: "427 N" -> (427.0, "N"); ConfigError for what is no amount."""
     try:
-        return si_amount(_given(settings.over, test, conditions))
+        return si_amount(_condition(settings.over, test, conditions))
     except UnitError as error:
         raise ConfigError(f"condition {settings.over} of test '{test}': {error.what}", hint=error.hint) from None

@@ -1,4 +1,4 @@
-"""A control loop's predicted stiffness and damping over frequency beside what sliding bands found, and its unknowns fitted."""
+"""Prediction of a control loop's stiffness and damping over frequency against sliding bands, with a fit of its unknowns."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from labpipe.bearings.magnetic_kind import MagneticFile, stability_findings, verdict
 from labpipe.bearings.magnetic_loop import dynamic_stiffness
 from labpipe.campaign.loop_file import with_unknowns
-from labpipe.campaign.loop_fit import LoopFit, apart, goodness, loop_fit, told
+from labpipe.campaign.loop_fit import LoopFit, fit_statement, goodness, identifiability_findings, loop_fit
 from labpipe.campaign.loop_view import View, predicted_fits
 from labpipe.campaign.settings import CompareSettings
 from labpipe.errors import ConfigError
@@ -19,25 +19,25 @@ from labpipe.records.finding import Finding, note
 from labpipe.records.identification import Fit, Parameter
 from labpipe.registry import nearest
 
-# Share of bands that must hold the prediction: 95 % are expected, and neighbouring bands share lines.
+# Least share of bands whose interval holds the prediction: 95 % are expected, and neighbouring bands share lines.
 ENOUGH = 0.9
 LETTERS = ("k", "c")
 
-# The bearing file at a condition (value, SI unit), or as it stands.
+# The bearing file at a condition (value, SI unit), or unchanged.
 MagneticTheory = Callable[[float | None, str], MagneticFile]
 
 
 def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
-    """Every band's k and c with the prediction as the same fit sees it, the share of bands whose interval holds it, and unknowns.
+    """k and c of every band with the same fit of the predicted response, the share of bands that hold it, and fitted unknowns.
 
-    Raises ConfigError for parameters or unknowns that are not there, FitError where the noise of the response is not known.
+    Raises ConfigError for unknown parameters or unknowns, FitError for responses without noise estimate.
     """
     names = _names(settings, views[0].fits[0])
     bands = [band for view in views for band in _bands(view, view.file, names)]
-    fitted = loop_fit([view.held for view in views], settings.estimate)
-    changed = [with_unknowns(view.file, fitted.values()) for view in views] if fitted.known else None
+    fitted = loop_fit([view.observation for view in views], settings.estimate)
+    changed = [with_unknowns(view.file, fitted.values()) for view in views] if fitted.usable else None
     after = [] if changed is None else [band for view, file in zip(views, changed, strict=True) for band in _bands(view, file, names)]
-    findings = (*_unstable(views), *apart(fitted), note("assumptions", views[0].file.assumptions()))
+    findings = (*_unstable(views), *identifiability_findings(fitted), note("assumptions", views[0].file.assumptions()))
     unstable = any(verdict(view.file.levitated()).unstable for view in views)
     shares = [_share(bands, name) for name in names]
     word = "unstable" if unstable else "as predicted" if min(shares) >= ENOUGH else "not as predicted"
@@ -59,15 +59,15 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
 
 
 def _names(settings: CompareSettings, fit: Fit) -> tuple[str, str]:
-    """The stiffness that is asked for and the damping that goes with it."""
-    known = [parameter.name for parameter in fit.parameters if parameter.unit in ("N/m", "N.s/m")]
-    asked = settings.parameter
-    if asked == "k" and "k" not in known:
-        asked = next((name for name in known if name.startswith("k")), asked)
-    pair = (asked, "c" + asked[1:])
-    missing = next((name for name in pair if name not in known), None)
-    if missing is not None or not asked.startswith("k"):
-        raise ConfigError(f"fit '{fit.name}' has no '{missing or asked}' as stiffness and damping", hint=nearest(asked, known))
+    """The stiffness of the settings and the corresponding damping."""
+    names = [parameter.name for parameter in fit.parameters if parameter.unit in ("N/m", "N.s/m")]
+    stiffness = settings.parameter
+    if stiffness == "k" and "k" not in names:
+        stiffness = next((name for name in names if name.startswith("k")), stiffness)
+    pair = (stiffness, "c" + stiffness[1:])
+    missing = next((name for name in pair if name not in names), None)
+    if missing is not None or not stiffness.startswith("k"):
+        raise ConfigError(f"fit '{fit.name}' has no '{missing or stiffness}' as stiffness and damping", hint=nearest(stiffness, names))
     return pair
 
 
@@ -77,12 +77,12 @@ def _bands(view: View, file: MagneticFile, names: tuple[str, str]) -> list[Compa
 
 
 def _band(test: str, fit: Fit, theory: Fit, name: str) -> ComparedBand:
-    measured, wanted = fit.parameter(name), theory.parameter(name).value
-    # A fit that did not converge gives no interval: it holds nothing.
+    measured, predicted = fit.parameter(name), theory.parameter(name).value
+    # A fit without convergence has no interval and does not hold the prediction.
     low, high = measured.ci95 or (float("nan"), float("nan"))
-    ends = sorted((low / wanted, high / wanted))
-    band = ComparedBand(test, name, measured.unit, fit.band_hz, measured.value, (low, high), wanted)
-    return replace(band, ratio=measured.value / wanted, ratio_ci95=(ends[0], ends[1]))
+    ends = sorted((low / predicted, high / predicted))
+    band = ComparedBand(test, name, measured.unit, fit.band_hz, measured.value, (low, high), predicted)
+    return replace(band, ratio=measured.value / predicted, ratio_ci95=(ends[0], ends[1]))
 
 
 def _share(bands: Sequence[ComparedBand], name: str) -> float:
@@ -90,54 +90,54 @@ def _share(bands: Sequence[ComparedBand], name: str) -> float:
 
 
 def _amounts(bands: Sequence[ComparedBand], after: Sequence[ComparedBand], names: tuple[str, str]) -> list[Parameter]:
-    """Shares of bands, of the loop as stated and with its fitted unknowns, and the number of bands."""
-    found = [Parameter(f"share_{letter}", _share(bands, name), "1", derived=True) for letter, name in zip(LETTERS, names, strict=True)]
+    """Shares of bands, of the loop as it is and with its fitted unknowns, and the number of bands."""
+    amounts = [Parameter(f"share_{letter}", _share(bands, name), "1", derived=True) for letter, name in zip(LETTERS, names, strict=True)]
     if after:
         pairs = zip(LETTERS, names, strict=True)
-        found += [Parameter(f"share_{letter}_fitted", _share(after, name), "1", derived=True) for letter, name in pairs]
-    return [*found, Parameter("bands", float(len(bands) // 2), "1", derived=True)]
+        amounts += [Parameter(f"share_{letter}_fitted", _share(after, name), "1", derived=True) for letter, name in pairs]
+    return [*amounts, Parameter("bands", float(len(bands) // 2), "1", derived=True)]
 
 
 def _stability(views: Sequence[View]) -> list[Parameter]:
-    """Poles that grow, and the largest sensitivity of the stable settings."""
-    found = [verdict(view.file.levitated()) for view in views]
-    peaks = [each.peak.value for each in found if not each.unstable]
-    unstable = Parameter("unstable_poles", float(max(each.unstable for each in found)), "1", derived=True)
+    """Number of unstable poles, and the largest sensitivity of the stable settings."""
+    verdicts = [verdict(view.file.levitated()) for view in views]
+    peaks = [stability.peak.value for stability in verdicts if not stability.unstable]
+    unstable = Parameter("unstable_poles", float(max(stability.unstable for stability in verdicts)), "1", derived=True)
     return [unstable, *([Parameter("sensitivity_peak", max(peaks), "1", derived=True)] if peaks else [])]
 
 
 def _unstable(views: Sequence[View]) -> list[Finding]:
-    """What the prediction says of the rotor alone: a loop that is unstable, or beyond zone B."""
-    found = []
+    """Warnings of the predicted rotor alone: an unstable loop, or one beyond zone B."""
+    findings = []
     for view in views:
         plant = view.file.levitated()
-        told = f"{f'test {view.test}: ' if view.test else ''}prediction for the {plant.mass:g} kg of the bearing file: "
-        found += [replace(each, message=told + each.message) for each in stability_findings(verdict(plant))]
-    return found
+        prefix = f"{f'test {view.test}: ' if view.test else ''}prediction for the {plant.mass:g} kg of the bearing file: "
+        findings += [replace(finding, message=prefix + finding.message) for finding in stability_findings(verdict(plant))]
+    return findings
 
 
 def _statement(
     bands: Sequence[ComparedBand], after: Sequence[ComparedBand], names: tuple[str, str], fitted: LoopFit, word: str, views: Sequence[View]
 ) -> str:
     counts = [(sum(b.holds for b in bands if b.parameter == name), sum(b.parameter == name for b in bands)) for name in names]
-    shares = " and ".join(f"{name} in {held} of {whole}" for name, (held, whole) in zip(names, counts, strict=True))
-    said = [f"The 95 % interval of the bands holds the predicted {shares} bands: {word}."]
+    shares = " and ".join(f"{name} in {holding} of {whole}" for name, (holding, whole) in zip(names, counts, strict=True))
+    sentences = [f"The 95 % interval of the bands holds the predicted {shares} bands: {word}."]
     if word == "unstable":
         tests = ", ".join(view.test or "the test" for view in views if verdict(view.file.levitated()).unstable)
-        said.append(f"The loop as stated is unstable on the mass of the bearing file ({tests}), whatever the bands show.")
-    said.append(told(fitted))
+        sentences.append(f"The loop as stated is unstable on the mass of the bearing file ({tests}), whatever the bands show.")
+    sentences.append(fit_statement(fitted))
     if after:
-        held = " and ".join(f"{name} in {100 * _share(after, name):.0f} %" for name in names)
-        said.append(f"With the fitted values the bands hold {held}.")
-    return " ".join(said)
+        shares_after = " and ".join(f"{name} in {100 * _share(after, name):.0f} %" for name in names)
+        sentences.append(f"With the fitted values the bands hold {shares_after}.")
+    return " ".join(sentences)
 
 
 def _curve(view: View, letter: str, changed: MagneticFile | None) -> Curve:
-    """K_eq or C_eq of one bearing on the lines between the first band and the last."""
+    """K_eq or C_eq of one bearing at the lines from the first to the last band."""
     frequency = view.measured.omega / (2 * np.pi)
     unit = "N/m" if letter == "k" else "N.s/m"
-    found = [_values(view.file, letter, frequency), () if changed is None else _values(changed, letter, frequency)]
-    return Curve(view.test, letter, unit, tuple(frequency.tolist()), *found)
+    curves = [_values(view.file, letter, frequency), () if changed is None else _values(changed, letter, frequency)]
+    return Curve(view.test, letter, unit, tuple(frequency.tolist()), *curves)
 
 
 def _values(file: MagneticFile, letter: str, frequency: np.ndarray[tuple[int], np.dtype[np.floating]]) -> tuple[float, ...]:

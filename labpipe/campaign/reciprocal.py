@@ -1,4 +1,4 @@
-"""Reciprocity of every test: is H_ij equal to H_ji within the doubt of both?"""
+"""Reciprocity of every test: H_ij = H_ji within the standard errors."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from labpipe.records.identification import Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.reciprocity import reciprocity
 
-# Beyond this rms difference relative to both, the two are noise: the dofs are not coupled.
+# Relative rms difference beyond which both are noise: the dofs are not coupled.
 UNCOUPLED = 0.7
 
 
 def reciprocal(settings: CompareSettings, responses: Sequence[FrequencyResponse]) -> Comparison:
-    """Every pair of dofs in every test with its p-value; the verdict takes the least one times their number (Bonferroni).
+    """Every pair of dofs in every test with its p-value; the verdict takes the smallest one times their number (Bonferroni).
 
-    The largest relative difference is that of pairs that are coupled at all. DataError without a response that can be judged.
+    The largest relative difference is that of coupled pairs. DataError without a response that can be tested.
     """
     points = [
         ComparedPoint(response.name, pair.difference, group=f"{pair.first}-{pair.second}", p_value=pair.p_value)
@@ -27,7 +27,7 @@ def reciprocal(settings: CompareSettings, responses: Sequence[FrequencyResponse]
         for pair in reciprocity(response)
     ]
     if not points:
-        raise DataError("there is no response whose reciprocity could be judged")
+        raise DataError("there is no response whose reciprocity can be tested")
     least = min(point.p_value for point in points if point.p_value is not None)
     p_value = min(1.0, least * len(points))
     coupled = [point.value for point in points if point.value < UNCOUPLED]

@@ -1,18 +1,17 @@
-"""The sensitivity of a control loop as measured with an excitation added in the loop: its peak, the zone of ISO 14839-3, the prediction."""
+"""Sensitivity of a control loop from an excitation added in the loop: its peak, the zone of ISO 14839-3, and the prediction."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.magnetic_kind import MagneticFile, stability_findings, verdict
 from labpipe.bearings.magnetic_stability import ZONES, sensitivity, zone_of
 from labpipe.campaign.amounts import with_error
 from labpipe.campaign.loop_file import with_unknowns
-from labpipe.campaign.loop_fit import Held, LoopFit, apart, goodness, loop_fit
-from labpipe.campaign.loop_fit import told as fit_told
+from labpipe.campaign.loop_fit import LoopFit, LoopObservation, fit_statement, goodness, identifiability_findings, loop_fit
 from labpipe.campaign.settings import CompareSettings
 from labpipe.distributions import normal_quantile, student_quantile
 from labpipe.errors import ConfigError, FitError
@@ -22,44 +21,50 @@ from labpipe.records.finding import Finding, note
 from labpipe.records.identification import Parameter
 from labpipe.records.response import FrequencyResponse
 
-# The peak is a parabola through the lines that reach this share of the highest one.
+# The peak is a parabola through the lines above this share of the highest one.
 CREST = 0.93
 FEWEST = 5
 COMPLEX_PARTS = 2
-
-Values = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class MeasuredSensitivity:
     """S over *frequency* [Hz], complex (n_line,), with the standard error of |S|; *quantile*: errors to either side of 95 %.
 
-    *response*: what it was made of.
+    *response*: the FRF it is computed from.
     """
 
-    frequency: Values
-    values: NDArray[np.complexfloating]
-    error: Values
+    frequency: FloatArray
+    values: ComplexArray
+    error: FloatArray
     quantile: float
     response: FrequencyResponse
 
     @property
-    def size(self) -> Values:
+    def size(self) -> FloatArray:
+        """|S|, (n_line,) [1]."""
         return np.abs(self.values)
 
-    def held(self, file: MagneticFile) -> Held:
-        """S with its noise, and what a file predicts for it."""
+    def observation(self, file: MagneticFile) -> LoopObservation:
+        """S with its noise, and its prediction by a file."""
         dof, averages = self.response.covariance_dof, self.response.averages
         shared = max(dof / (averages - 1), 1.0) if np.isfinite(dof) and averages > 1 else 1.0
         omega, variance = 2 * np.pi * self.frequency, (2 * self.error**2).astype(np.complex128)
-        ports = self.response.outputs[:1], self.response.inputs[:1]
-        measured = Measured(omega, self.values[:, None, None], variance[:, None, None], dof, shared, *ports)
-        return Held(measured, lambda changed, _: sensitivity(changed.levitated(), omega)[:, None, None], file)
+        measured = Measured(
+            omega=omega,
+            matrix=self.values[:, None, None],
+            covariance=variance[:, None, None],
+            noise_dof=dof,
+            noise_lines=shared,
+            outputs=self.response.outputs[:1],
+            inputs=self.response.inputs[:1],
+        )
+        return LoopObservation(measured, lambda changed, _: sensitivity(changed.levitated(), omega)[:, None, None], file)
 
 
 @dataclass(frozen=True)
 class Peak:
-    """The largest |S| with its standard error, where [Hz], and whether it stands at the edge of the measured band."""
+    """The largest |S| with its standard error and frequency [Hz]; *at_edge*: at the edge of the measured band."""
 
     value: float
     error: float
@@ -71,15 +76,15 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
     """S = H_after / (H_after - H_before), both against the excitation that is added between them.
 
     after = before + e and before = -L after give S = 1 / (1 + L) = after / e; the quotient needs neither gain nor delay of the recorded
-    excitation. To first order dS = (H_after dH_before - H_before dH_after) / (H_after - H_before)^2; half of E|dS|^2 lies along |S|.
-    ConfigError for points that are not there, FitError without a covariance or where both points are one.
+    excitation. To first order dS = (H_after dH_before - H_before dH_after) / (H_after - H_before)^2; half of E|dS|^2 is along |S|.
+    ConfigError for unknown points, FitError without a covariance or where both points are the same.
     """
     rows, columns = select_ports(response, (), (before, after))
     if len(rows) != 2 or len(columns) != 1:
         raise ConfigError(f"'{before}' and '{after}' under one excitation are needed", hint="role: input for the excitation alone")
     if response.covariance is None:
         hint = "average several periods or blocks"
-        raise FitError("the noise of the response is not known, so the peak would have no interval", hint=hint)
+        raise FitError("the noise of the response is not known, so the peak has no interval", hint=hint)
     index = [row * len(response.inputs) + columns[0] for row in rows]
     ahead, behind = response.matrix[:, rows, columns[0]].T
     added = behind - ahead
@@ -94,9 +99,9 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
 
 
 def peak_of(measured: MeasuredSensitivity) -> Peak:
-    """The top of a parabola fitted around the highest line, weighted; at an edge of the band the line itself.
+    """The maximum of a weighted parabola around the highest line; at an edge of the band the line itself.
 
-    The highest line alone would be too high by its noise. Errors are enlarged where the parabola leaves more than the noise.
+    The highest line alone would be biased upwards by its noise. Errors are enlarged where the parabola's residual exceeds the noise.
     """
     frequency, size, error = measured.frequency, measured.size, measured.error
     top = int(np.argmax(size))
@@ -116,23 +121,23 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
     place = -b / (2 * c)
     if c >= 0 or not x[0] <= place <= x[-1]:
         return edge
-    left = np.sum((size[low : high + 1] / error[low : high + 1] - columns @ np.array([a, b, c])) ** 2) / max(x.size - 3, 1)
+    excess = np.sum((size[low : high + 1] / error[low : high + 1] - columns @ np.array([a, b, c])) ** 2) / max(x.size - 3, 1)
     slope = np.array([1.0, place, place**2])
-    spread = np.sqrt(slope @ covariance @ slope * max(left, 1.0))
+    spread = np.sqrt(slope @ covariance @ slope * max(excess, 1.0))
     return Peak(float(a - b**2 / (4 * c)), float(spread), float(frequency[top] + place * width), False)
 
 
 def loop_sensitivity(settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None) -> Comparison:
-    """Peak of the measured |S| with its zone, beside the prediction of the bearing file, whose unknowns may be fitted to S."""
+    """Peak of the measured |S| with its zone, and the prediction of the bearing file, whose unknowns may be fitted to S."""
     measured = measured_sensitivity(response, settings.before, settings.after)
     peak = peak_of(measured)
     top = with_error("peak", "1", peak.value, peak.error, measured.quantile)
     zone = zone_of(peak.value)
-    theory = None if file is None else _Theory(file, loop_fit([measured.held(file)], settings.estimate))
+    theory = None if file is None else _Theory(file, loop_fit([measured.observation(file)], settings.estimate))
     predicted = None if theory is None else theory.size(theory.file, measured.frequency)
     amounts = [top, Parameter("peak_frequency", peak.frequency, "Hz", derived=True)]
     if theory is not None and predicted is not None:
-        amounts += [*_foretold(measured, predicted, peak), *goodness(theory.fitted), *theory.fitted.parameters]
+        amounts += [*_predicted_amounts(measured, predicted, peak), *goodness(theory.fitted), *theory.fitted.parameters]
     return Comparison(
         name=settings.name,
         kind="sensitivity",
@@ -150,20 +155,20 @@ def loop_sensitivity(settings: CompareSettings, response: FrequencyResponse, fil
 
 @dataclass(frozen=True)
 class _Theory:
-    """The bearing file, and how it fits the measured sensitivity."""
+    """The bearing file, and its fit to the measured sensitivity."""
 
     file: MagneticFile
     fitted: LoopFit
 
-    def size(self, file: MagneticFile, frequency: Values) -> Values:
+    def size(self, file: MagneticFile, frequency: FloatArray) -> FloatArray:
         """|S| of a file."""
         return np.abs(sensitivity(file.levitated(), 2 * np.pi * frequency))
 
 
-def _curve(measured: MeasuredSensitivity, predicted: Values | None, theory: _Theory | None) -> Curve:
+def _curve(measured: MeasuredSensitivity, predicted: FloatArray | None, theory: _Theory | None) -> Curve:
     reach = measured.quantile * measured.error
     matched: tuple[float, ...] = ()
-    if theory is not None and theory.fitted.known:
+    if theory is not None and theory.fitted.usable:
         matched = tuple(theory.size(with_unknowns(theory.file, theory.fitted.values()), measured.frequency).tolist())
     return Curve(
         measured.response.name,
@@ -178,7 +183,7 @@ def _curve(measured: MeasuredSensitivity, predicted: Values | None, theory: _The
     )
 
 
-def _foretold(measured: MeasuredSensitivity, predicted: Values, peak: Peak) -> tuple[Parameter, ...]:
+def _predicted_amounts(measured: MeasuredSensitivity, predicted: FloatArray, peak: Peak) -> tuple[Parameter, ...]:
     """The predicted peak within the measured band, measured / predicted, and the share of lines whose interval holds the prediction."""
     highest = float(np.max(predicted))
     holds = np.abs(measured.size - predicted) <= measured.quantile * measured.error
@@ -189,34 +194,34 @@ def _foretold(measured: MeasuredSensitivity, predicted: Values, peak: Peak) -> t
     )
 
 
-def _statement(peak: Peak, top: Parameter, zone: str, predicted: Values | None, theory: _Theory | None) -> str:
+def _statement(peak: Peak, top: Parameter, zone: str, predicted: FloatArray | None, theory: _Theory | None) -> str:
     assert top.ci95 is not None
     low, high = top.ci95
-    said = f"|S| reaches {peak.value:.3f} (95 %: {low:.3f} to {high:.3f}) at {peak.frequency:.4g} Hz: zone {zone} of ISO 14839-3"
+    peak_text = f"|S| reaches {peak.value:.3f} (95 %: {low:.3f} to {high:.3f}) at {peak.frequency:.4g} Hz: zone {zone} of ISO 14839-3"
     ends = [zone_of(low), zone_of(high)]
-    sure = "." if ends[0] == ends[1] else f"; its interval reaches from zone {ends[0]} to zone {ends[1]}."
-    whole = f" Limits: {', '.join(f'{name} below {end:g}' for name, end in ZONES)}."
+    confidence = "." if ends[0] == ends[1] else f"; its interval reaches from zone {ends[0]} to zone {ends[1]}."
+    limits = f" Limits: {', '.join(f'{name} below {end:g}' for name, end in ZONES)}."
     if theory is None or predicted is None:
-        return said + sure + whole
+        return peak_text + confidence + limits
     stability = verdict(theory.file.levitated())
     if stability.unstable:
-        return f"{said}{sure}{whole} The loop of the bearing file is unstable, so this recording is not of it."
-    told = f" Predicted in this band: {float(np.max(predicted)):.3f}."
+        return f"{peak_text}{confidence}{limits} The loop of the bearing file is unstable, so it cannot be the recorded one."
+    prediction_text = f" Predicted in this band: {float(np.max(predicted)):.3f}."
     if stability.peak.value > 1.01 * float(np.max(predicted)):
         where = f"{stability.peak.value:.3g} at {stability.peak.frequency:.3g} Hz, zone {stability.peak.zone}"
-        told += f" Outside it the prediction reaches {where}, which this recording does not show."
-    return f"{said}{sure}{whole}{told} {fit_told(theory.fitted)}"
+        prediction_text += f" Outside it the prediction reaches {where}, which this recording does not show."
+    return f"{peak_text}{confidence}{limits}{prediction_text} {fit_statement(theory.fitted)}"
 
 
 def _findings(peak: Peak, zone: str, theory: _Theory | None) -> tuple[Finding, ...]:
-    found = []
+    findings = []
     if zone in ("C", "D"):
-        found.append(Finding("sensitivity", f"the measured sensitivity lies in zone {zone} of ISO 14839-3, not fit for long operation"))
+        findings.append(Finding("sensitivity", f"the measured sensitivity lies in zone {zone} of ISO 14839-3, not fit for long operation"))
     if peak.at_edge:
-        what = f"the largest sensitivity stands at the edge of the band, {peak.frequency:.4g} Hz; beyond it may lie more"
-        found.append(Finding("sensitivity-edge", what))
+        what = f"the largest sensitivity is at the edge of the band, {peak.frequency:.4g} Hz; it may be larger beyond"
+        findings.append(Finding("sensitivity-edge", what))
     if theory is not None:
-        told = stability_findings(verdict(theory.file.levitated()))
-        found += [replace(each, message=f"prediction: {each.message}") for each in told]
-        found += [*apart(theory.fitted), note("assumptions", theory.file.assumptions())]
-    return tuple(found)
+        predicted = stability_findings(verdict(theory.file.levitated()))
+        findings += [replace(finding, message=f"prediction: {finding.message}") for finding in predicted]
+        findings += [*identifiability_findings(theory.fitted), note("assumptions", theory.file.assumptions())]
+    return tuple(findings)

@@ -8,7 +8,7 @@ from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, Uncertain, setting
 
 KINDS = ("trend", "difference", "repeatability", "ratio", "rayleigh", "reciprocity", "prediction", "bands", "sensitivity")
-# Kinds whose theory is a magnetic-bearing file; it stands as it is unless a condition sets one of its entries.
+# Kinds whose theory is a magnetic-bearing file, unchanged unless a condition sets one of its entries.
 MAGNETIC_KINDS = ("prediction", "sensitivity")
 TWO_GROUPS = ("difference", "bands")
 LOAD = "loads.z"
@@ -17,7 +17,7 @@ LAWS = ("line", "power")
 
 @dataclass(frozen=True)
 class TheorySettings(Settings):
-    """The bearing file that speaks for the theory, and how the rig saw the bearing."""
+    """The bearing file of the theory, and how the rig measures the bearing."""
 
     bearing: str = setting("file", "bearing file with the shaft on it, relative to this file", file_kind="bearing")
     entry: str = setting("text", "entry of the bearing file that the condition sets", default=LOAD)
@@ -31,11 +31,11 @@ class TheorySettings(Settings):
             raise ConfigError("'arm' must be above zero")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CompareSettings(Settings):
-    """One entry below ``compare:``."""
+    """One entry under ``compare:``."""
 
-    kind: str = setting("choice", "what is asked of the tests", choices=KINDS)
+    kind: str = setting("choice", "kind of comparison", choices=KINDS)
     fit: str = setting("text", "fit whose parameter is compared", default="")
     term: str = setting("text", "diagonal term of a fit of peaks", default="")
     parameter: str = setting("text", "parameter that is compared", default="k")
@@ -46,7 +46,7 @@ class CompareSettings(Settings):
     setting_error: float = setting("value", "relative standard error of setting the condition", unit="1", default=0.0)
     theory: TheorySettings | None = setting("section", "theory to compare with", section=TheorySettings, default=None)
     estimate: tuple[str, ...] = setting("names", "prediction, sensitivity: unknowns of the bearing file to be fitted", default=())
-    before: str = setting("text", "sensitivity: response ahead of the sum at which the excitation comes in", default="before")
+    before: str = setting("text", "sensitivity: response ahead of the sum at which the excitation is added", default="before")
     after: str = setting("text", "sensitivity: response behind that sum", default="after")
     level: float = setting("value", "level of significance of tests", unit="1", default=0.05)
     name: str = ""
@@ -63,13 +63,13 @@ class CompareSettings(Settings):
             raise ConfigError("'setting_error' must not be negative")
         if self.estimate and (self.kind not in MAGNETIC_KINDS or self.theory is None):
             hint = f"it goes with theory: {{bearing: FILE}} of the kinds {' and '.join(MAGNETIC_KINDS)}"
-            raise ConfigError("'estimate' has no loop whose unknowns it could fit", hint=hint)
+            raise ConfigError("'estimate' has no loop whose unknowns can be fitted", hint=hint)
         if len(set(self.estimate)) < len(self.estimate):
             raise ConfigError("'estimate' names an unknown twice", hint=", ".join(dict.fromkeys(self.estimate)))
         self._check_theory()
 
     def _check_theory(self) -> None:
-        """ConfigError for a theory that does not know what the condition sets, or that has to be estimated although it is set."""
+        """ConfigError for a theory without the entry that the condition sets, or with an estimate of that entry."""
         if self.kind in MAGNETIC_KINDS and self.over and self.theory is not None:
             if self.theory.entry == LOAD:
                 hint = "for example theory: {bearing: FILE, entry: loop.proportional}"

@@ -1,8 +1,8 @@
-"""Fit with fit: the theory's own transfer function, fitted as the measured one was, and the factor by which both differ.
+"""Fit against fit: the theory's transfer function, fitted like the measured one, and the factor between the two.
 
-A one-dof fit of a coupled transfer function is not K_ii, and a bending shaft makes radial fits softer still. So the theory's stiffness
-matrix is multiplied by a factor, put in series with the shaft, its curve fitted on the measured lines with the measured weights, and
-factor and damping are changed until that fit gives the measured k and c. What neighbouring modes do to the fit, they do to both.
+A one-dof fit of a coupled transfer function is not K_ii, and a bending shaft makes radial fits softer still. Therefore the theory's
+stiffness matrix is multiplied by a factor and put in series with the shaft, its curve is fitted on the measured lines with the
+measured weights, and factor and damping are changed until that fit gives the measured k and c. Neighbouring modes affect both alike.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.bending_curve import bent_transfer_matrix
-from labpipe.bearings.rolling import DOFS, Matrix
+from labpipe.bearings.rolling import DOFS
 from labpipe.bearings.rolling_shaft import RigidShaft
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.fitting import identify
@@ -29,7 +29,7 @@ from labpipe.spectra.convert import receptance_factor
 TILTS = (3, 4)
 STEP = 1e-4
 TOLERANCE = 1e-8
-# Steps smaller than this keep the slopes of the one before.
+# Steps smaller than this use the slopes of the previous step.
 NEAR = 1e-3
 LOOPS = 20
 LARGEST_MOVE = 1.0
@@ -37,17 +37,17 @@ LARGEST_MOVE = 1.0
 
 @dataclass(frozen=True)
 class TheoryAt:
-    """The theory at one condition: K (5, 5) [N/m, N/rad, N m/rad], K at a condition larger by the share *step*, the shaft on it."""
+    """The theory at one condition: K (5, 5) [N/m, N/rad, N m/rad], K at a condition larger by the share *step*, and the shaft."""
 
-    stiffness: Matrix
-    near: Matrix
+    stiffness: FloatArray
+    near: FloatArray
     step: float
     shaft: RigidShaft
 
 
 @dataclass(frozen=True)
 class Rig:
-    """How the rig sees the bearing: bending stiffness of the shaft [N/m] (infinite: rigid), arm of tilts [m]."""
+    """How the rig measures the bearing: bending stiffness of the shaft [N/m] (infinite: rigid), arm of tilts [m]."""
 
     bending: Uncertain
     arm: float | None
@@ -55,17 +55,17 @@ class Rig:
 
 @dataclass(frozen=True)
 class Matched:
-    """The factor on the theory's K by which its curve gives the measured fit: ln ratio and ln beta with their covariance (2, 2).
+    """The factor on the theory's K at which its curve gives the measured fit: ln ratio and ln beta (2,) [1] with covariance (2, 2).
 
-    *to_bending*, *to_condition*: change of both per relative change of the shaft's stiffness and of the condition. *theory*: (k, c) of
-    the fit of the theory's own curve, with the measured damping.
+    *to_bending*, *to_condition* (2,) [1]: change of both per relative change of the shaft's stiffness and of the condition. *theory*:
+    (k, c) of the fit of the theory's curve, with the measured damping.
     """
 
-    log: NDArray[np.floating]
-    covariance: NDArray[np.floating]
-    to_bending: NDArray[np.floating]
-    to_condition: NDArray[np.floating]
-    theory: NDArray[np.floating]
+    log: FloatArray
+    covariance: FloatArray
+    to_bending: FloatArray
+    to_condition: FloatArray
+    theory: FloatArray
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def match(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: 
     curve = _curve(fit, response, settings, rig)
     bending = rig.bending.value
 
-    def fitted(log: NDArray[np.floating], stiffness: Matrix, shaft_stiffness: float) -> NDArray[np.floating]:
+    def fitted(log: FloatArray, stiffness: FloatArray, shaft_stiffness: float) -> FloatArray:
         beta = float(np.exp(log[1]))
         return _log_fit(curve, theory.shaft, float(np.exp(log[0])) * stiffness, beta, shaft_stiffness)
 
@@ -94,28 +94,26 @@ def match(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: 
     start = np.array([0.0, measured[1] - measured[0]])
     log, slopes = _solved(lambda u: fitted(u, theory.stiffness, bending), measured, start)
     inverse = np.linalg.inv(slopes)
-    there = fitted(log, theory.stiffness, bending)
-    to_bending = np.zeros(2) if np.isinf(bending) else (fitted(log, theory.stiffness, bending * (1 + STEP)) - there) / STEP
-    to_condition = (fitted(log, theory.near, bending) - there) / theory.step
-    own = np.exp(fitted(np.array([0.0, log[1]]), theory.stiffness, bending))
+    solution = fitted(log, theory.stiffness, bending)
+    to_bending = np.zeros(2) if np.isinf(bending) else (fitted(log, theory.stiffness, bending * (1 + STEP)) - solution) / STEP
+    to_condition = (fitted(log, theory.near, bending) - solution) / theory.step
+    theoretical = np.exp(fitted(np.array([0.0, log[1]]), theory.stiffness, bending))
     covariance = inverse @ log_covariance(fit) @ inverse.T
-    return Matched(log, covariance, -inverse @ to_bending, -inverse @ to_condition, own)
+    return Matched(log, covariance, -inverse @ to_bending, -inverse @ to_condition, theoretical)
 
 
-def _solved(
-    function: Callable[[NDArray[np.floating]], NDArray[np.floating]], wanted: NDArray[np.floating], start: NDArray[np.floating]
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """The root of function(u) = wanted and the slopes (2, 2) next to it; FitError where there is none in reach."""
-    at, slopes, size = start, np.eye(2), np.inf
+def _solved(function: Callable[[FloatArray], FloatArray], target: FloatArray, start: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The root of function(u) = target and the slopes (2, 2) near it; FitError where there is none within reach."""
+    u, slopes, size = start, np.eye(2), np.inf
     for _ in range(LOOPS):
-        here = function(at)
+        here = function(u)
         if size > NEAR:
-            slopes = np.column_stack([(function(at + STEP * unit) - here) / STEP for unit in np.eye(2)])
-        move = np.linalg.solve(slopes, wanted - here)
-        at = at + np.clip(move, -LARGEST_MOVE, LARGEST_MOVE)
+            slopes = np.column_stack([(function(u + STEP * unit) - here) / STEP for unit in np.eye(2)])
+        move = np.linalg.solve(slopes, target - here)
+        u = u + np.clip(move, -LARGEST_MOVE, LARGEST_MOVE)
         size = float(np.max(np.abs(move)))
         if size < TOLERANCE:
-            return at, slopes
+            return u, slopes
     hint = "check bearing, condition, arm and the shaft's bending stiffness"
     raise FitError("no multiple of the theory's stiffness gives the measured fit", hint=hint)
 
@@ -123,12 +121,12 @@ def _solved(
 def _positive(fit: Fit, name: str) -> float:
     value = fit.parameter(name).value
     if not value > 0:
-        raise FitError(f"{name} of test {fit.test} is {value:g}, which no bearing of the theory has")
+        raise FitError(f"{name} of test {fit.test} is {value:g}, impossible for the bearing of the theory")
     return value
 
 
-def log_covariance(fit: Fit) -> NDArray[np.floating]:
-    """Covariance of ln k and ln c, from the fit's standard errors and correlation."""
+def log_covariance(fit: Fit) -> FloatArray:
+    """Covariance of ln k and ln c, (2, 2) [1], from the fit's standard errors and correlation; FitError without standard errors."""
     names = [parameter.name for parameter in fit.parameters if not parameter.derived]
     places = [names.index("k"), names.index("c")]
     chosen = [fit.parameters[place] for place in places]
@@ -150,14 +148,14 @@ def overlay(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory
     return Overlay(fit.test, response.form, tuple(curve.response.frequency.tolist()), *sizes)
 
 
-def _theory_curve(curve: _Curve, shaft: RigidShaft, stiffness: Matrix, beta: float, bending: float) -> NDArray[np.complexfloating]:
-    """The term of the theory's transfer matrix as it is measured, (n_frequency,)."""
+def _theory_curve(curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: float, bending: float) -> ComplexArray:
+    """The measured term of the theory's transfer matrix, (n_frequency,)."""
     frequency = curve.response.frequency
     receptance = bent_transfer_matrix(shaft, stiffness, frequency, beta, bending)[:, *curve.place] * curve.arms
     return receptance * receptance_factor(curve.response.form, frequency)
 
 
-def _log_fit(curve: _Curve, shaft: RigidShaft, stiffness: Matrix, beta: float, bending: float) -> NDArray[np.floating]:
+def _log_fit(curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: float, bending: float) -> FloatArray:
     """ln(k, c) of the fit on the theory's curve."""
     matrix = _theory_curve(curve, shaft, stiffness, beta, bending)[:, None, None]
     (fit,) = identify(replace(curve.response, matrix=matrix), curve.settings)
@@ -165,9 +163,9 @@ def _log_fit(curve: _Curve, shaft: RigidShaft, stiffness: Matrix, beta: float, b
 
 
 def _curve(fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Rig, whole: bool = False) -> _Curve:
-    """The part of the response that *fit* was made of; *whole*: its term on all lines."""
+    """The part of the response that belongs to *fit*; *whole*: its term on all lines."""
     if settings.model != "sdof" or fit.curve is None:
-        raise ConfigError(f"fit '{fit.name}' is not of the model sdof", hint="only one-dof fits are compared with the theory's own")
+        raise ConfigError(f"fit '{fit.name}' is not of the model sdof", hint="only one-dof fits are compared with those of the theory")
     if settings.subtract is not None or settings.share != 1:
         raise ConfigError(f"fit '{fit.name}' is corrected for support or share", hint="compare the fit of the whole with the theory")
     row = [port.label for port in response.outputs].index(fit.curve.outputs[0])

@@ -1,30 +1,30 @@
-"""Weighted means and lines of a few values with known errors, and what their scatter says about those errors."""
+"""Weighted means and lines of a few values with standard errors, and a test of their scatter."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_tail, normal_quantile, normal_tail, student_quantile, student_tail
 from labpipe.errors import FitError
 
-# Scatter with a smaller chance than this cannot come from the stated errors alone.
+# p-value below which the scatter is larger than the standard errors explain.
 SCATTER_LEVEL = 0.05
 
 
 @dataclass(frozen=True)
 class WeightedFit:
-    """Least squares weighted by the covariance of the values: parameters with their covariance, and chi-square of the residual.
+    """Least squares weighted by the covariance of the values: parameters (n_parameter,) [any unit], covariance (n_parameter, n_parameter).
 
-    Where the scatter exceeds the stated errors (p_value below SCATTER_LEVEL), *covariance* holds them enlarged by Birge's ratio
-    sqrt(chi2 / dof), and intervals use Student's t instead of the normal distribution.
+    chi-square of the residual; where the scatter exceeds the errors (p_value below SCATTER_LEVEL), *covariance* is enlarged by the square
+    of Birge's ratio sqrt(chi2 / dof), and intervals use Student's t instead of the normal distribution.
     """
 
-    values: NDArray[np.floating]
-    covariance: NDArray[np.floating]
+    values: FloatArray
+    covariance: FloatArray
     chi2: float
     dof: int
     p_value: float | None
@@ -39,20 +39,20 @@ class WeightedFit:
         return float(np.sqrt(self.covariance[number, number]))
 
     def p_of(self, number: int, value: float = 0.0) -> float:
-        """Two-sided p-value of the parameter being *value*."""
+        """Two-sided p-value of the hypothesis that the parameter equals *value*."""
         ratio = abs(self.values[number] - value) / self.std_error(number)
         return 2 * (student_tail(ratio, self.dof) if self.inflated else normal_tail(ratio))
 
 
-def weighted_fit(columns: NDArray[np.floating], values: NDArray[np.floating], errors: NDArray[np.floating]) -> WeightedFit:
-    """values (n,) = columns (n, n_parameter) p; *errors*: standard errors (n,), or the covariance (n, n) where values share some.
+def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) -> WeightedFit:
+    """Generalised least squares of values (n,) [any unit] = columns (n, n_parameter) p.
 
-    Generalised least squares. FitError where p is not determined.
+    *errors*: standard errors (n,), or the covariance (n, n) of correlated values. FitError where p is not determined.
     """
     if values.size < columns.shape[1]:
         raise FitError(f"{values.size} tests cannot determine {columns.shape[1]} parameters")
     if not np.all((errors if errors.ndim == 1 else np.diag(errors)) > 0):
-        raise FitError("a value has no error, so tests cannot be weighed", hint="a response without noise gives none")
+        raise FitError("a value has no standard error, so tests cannot be weighted", hint="a response without noise gives none")
     design, whitened = _whitened(columns, errors), _whitened(values[:, None], errors)[:, 0]
     if np.linalg.matrix_rank(design) < columns.shape[1]:
         raise FitError("the tests do not differ in the condition", hint="a trend needs at least two different values")
@@ -65,14 +65,14 @@ def weighted_fit(columns: NDArray[np.floating], values: NDArray[np.floating], er
     return WeightedFit(solved, covariance * chi2 / dof if inflated else covariance, chi2, dof, p_value, inflated)
 
 
-def _whitened(columns: NDArray[np.floating], errors: NDArray[np.floating]) -> NDArray[np.floating]:
+def _whitened(columns: FloatArray, errors: FloatArray) -> FloatArray:
     """Columns (n, m) divided by the standard errors, or by the Cholesky factor of the covariance."""
     if errors.ndim == 1:
         return columns / errors[:, None]
-    whitened: NDArray[np.floating] = linalg.solve_triangular(np.linalg.cholesky(errors), columns, lower=True)
+    whitened: FloatArray = linalg.solve_triangular(np.linalg.cholesky(errors), columns, lower=True)
     return whitened
 
 
-def weighted_mean(values: NDArray[np.floating], errors: NDArray[np.floating]) -> WeightedFit:
-    """The mean of values (n,) with standard errors (n,) or covariance (n, n)."""
+def weighted_mean(values: FloatArray, errors: FloatArray) -> WeightedFit:
+    """The weighted mean of values (n,) [any unit] with standard errors (n,) or covariance (n, n)."""
     return weighted_fit(np.ones((values.size, 1)), values, errors)

@@ -1,1 +1,1 @@
-"""A folder of results as a whole: an index of every identification.json below it, and questions to it."""
+"""Catalogue of a results folder: an index of every identification.json below it, and queries."""

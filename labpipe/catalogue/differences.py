@@ -1,4 +1,4 @@
-"""Two results held against each other, parameter by parameter."""
+"""Comparison of two results, parameter by parameter."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from labpipe.records.identification import Fit, Identification, Parameter
 LEVEL = 0.05
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Difference:
     """One parameter in two results, in SI units.
 
-    p_value: chance of so large a difference by the stated errors alone, corrected for the number of parameters compared (Holm); None
-    where an error is not known.
+    p_value: probability of an equal or larger difference by the standard errors alone, corrected for the number of parameters compared
+    (Holm); None where a standard error is missing.
     """
 
     fit: str
@@ -37,29 +37,29 @@ class Difference:
 
 
 def differences(first: Identification, second: Identification) -> list[Difference]:
-    """The parameters that both results have, in the order of the first one; DataError when there is none.
+    """The parameters common to both results, in the order of the first one; DataError when there is none.
 
-    z = (b - a) / sqrt(s_a^2 + s_b^2), two-sided against the normal distribution, Holm's correction over all of them. Fits are the
-    same by name, term, band and test; the test's name does not matter where each result has one test only.
+    z = (b - a) / sqrt(s_a^2 + s_b^2), two-sided against the normal distribution, Holm's correction over all of them. Fits are matched by
+    name, term, band and test; the test's name is ignored where each result has one test only.
     """
     one_test = all(len({fit.test for fit in side.fits}) == 1 for side in (first, second))
     theirs = {_key(fit, one_test): fit for fit in second.fits}
     pairs = [(fit, theirs[_key(fit, one_test)]) for fit in first.fits if _key(fit, one_test) in theirs]
-    found = [
+    pairs_of_parameters = [
         _difference(fit, mine, other)
         for fit, partner in pairs
         for mine in fit.parameters
         for other in partner.parameters
         if mine.name == other.name and mine.unit == other.unit
     ]
-    if not found:
+    if not pairs_of_parameters:
         names = [", ".join(dict.fromkeys(fit.name for fit in side.fits)) or "none" for side in (first, second)]
         raise DataError(f"the two have no fit in common (fits: {names[0]}; {names[1]})", hint="name, term, band and test must be the same")
-    tested = [number for number, one in enumerate(found) if one.p_value is not None]
-    corrected = holm(np.array([found[number].p_value for number in tested], np.float64))
-    for number, p_value in zip(tested, corrected, strict=True):
-        found[number] = replace(found[number], p_value=float(p_value))
-    return found
+    with_p_value = [number for number, pair in enumerate(pairs_of_parameters) if pair.p_value is not None]
+    corrected = holm(np.array([pairs_of_parameters[number].p_value for number in with_p_value], np.float64))
+    for number, p_value in zip(with_p_value, corrected, strict=True):
+        pairs_of_parameters[number] = replace(pairs_of_parameters[number], p_value=float(p_value))
+    return pairs_of_parameters
 
 
 def _key(fit: Fit, one_test: bool) -> tuple[str, str, str, str]:
@@ -67,9 +67,18 @@ def _key(fit: Fit, one_test: bool) -> tuple[str, str, str, str]:
 
 
 def _difference(fit: Fit, mine: Parameter, other: Parameter) -> Difference:
-    """The difference with its own, not yet corrected p-value."""
-    mine_error, other_error = (one.std_error_inflated or one.std_error for one in (mine, other))
+    """The difference with its p-value before the correction."""
+    mine_error, other_error = (parameter.std_error_inflated or parameter.std_error for parameter in (mine, other))
     error = float(np.hypot(mine_error, other_error)) if mine_error and other_error else None
     p_value = None if error is None else 2 * float(special.ndtr(-abs(other.value - mine.value) / error))
     term = f" of {fit.term}" if fit.term else ""
-    return Difference(f"{fit.name}{term}", fit.test, mine.name, mine.unit, mine.value, other.value, error, p_value)
+    return Difference(
+        fit=f"{fit.name}{term}",
+        test=fit.test,
+        parameter=mine.name,
+        unit=mine.unit,
+        first=mine.value,
+        second=other.value,
+        std_error=error,
+        p_value=p_value,
+    )

@@ -1,4 +1,4 @@
-"""The index of a results folder: an SQLite file that follows the identification.json files below it, and can always be deleted."""
+"""Index of a results folder: an SQLite file kept up to date with the identification.json files below it; it can be deleted at any time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from labpipe.records.listed import ListedParameter, listed_parameters, warning_c
 from labpipe.sections import section
 
 INDEX = ".labpipe-catalogue.sqlite"
-# A result whose tests state this condition is of that day; otherwise the day of its file counts.
+# Condition of the tests that gives a result's date; by default that of its file.
 DATE = "date"
 
 _TABLES = """
@@ -42,9 +42,9 @@ CREATE INDEX condition_name ON condition (result, test, name);
 
 @contextmanager
 def open_index(folder: Path) -> Iterator[sqlite3.Connection]:
-    """The index of a folder, brought up to date; in memory where the folder may not be written.
+    """The index of a folder, brought up to date; in memory for a read-only folder.
 
-    DataError when there is no such folder or no result in it.
+    DataError for a missing folder or one without results.
     """
     if not folder.is_dir():
         raise DataError("no such folder", where=str(folder), hint="name the folder that holds the results of your runs")
@@ -56,7 +56,7 @@ def open_index(folder: Path) -> Iterator[sqlite3.Connection]:
 
 
 def _connected(folder: Path) -> sqlite3.Connection:
-    """A connection to an index of this version; an older or damaged one is made again."""
+    """A connection to an index of this version; an older or damaged one is rebuilt."""
     path = folder / INDEX
     try:
         connection = sqlite3.connect(path)
@@ -77,8 +77,8 @@ def _connected(folder: Path) -> sqlite3.Connection:
 
 
 def _version(connection: sqlite3.Connection) -> str | None:
-    found = connection.execute("SELECT name FROM sqlite_master WHERE name = 'made_by'").fetchone()
-    return None if found is None else str(connection.execute("SELECT version FROM made_by").fetchone()[0])
+    table = connection.execute("SELECT name FROM sqlite_master WHERE name = 'made_by'").fetchone()
+    return None if table is None else str(connection.execute("SELECT version FROM made_by").fetchone()[0])
 
 
 def _create(connection: sqlite3.Connection) -> None:
@@ -89,17 +89,17 @@ def _create(connection: sqlite3.Connection) -> None:
 
 
 def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> None:
-    """Read what is new or changed, forget what is gone."""
+    """Read new and changed results, remove deleted ones."""
     connection.execute("PRAGMA foreign_keys = ON")
-    known = dict(connection.execute("SELECT path, stamp FROM result"))
+    stamps = dict(connection.execute("SELECT path, stamp FROM result"))
     here = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob(NAME))}
     with connection:
-        for name in known.keys() - here.keys():
+        for name in stamps.keys() - here.keys():
             connection.execute("DELETE FROM result WHERE path = ?", (name,))
         for name, path in here.items():
             status = path.stat()
             stamp = f"{status.st_mtime_ns}:{status.st_size}"
-            if known.get(name) != stamp:
+            if stamps.get(name) != stamp:
                 connection.execute("DELETE FROM result WHERE path = ?", (name,))
                 _add(connection, name, path, stamp, time.strftime("%Y-%m-%d", time.localtime(status.st_mtime)))
 
@@ -111,7 +111,7 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file
         _insert(connection, "result", {"path": name, "stamp": stamp, "date": file_date, "verdict": "unreadable", "fault": error.what})
         return
     conditions = identification.test_conditions
-    dates = sorted(own[DATE] for own in conditions.values() if DATE in own)
+    dates = sorted(of_test[DATE] for of_test in conditions.values() if DATE in of_test)
     entry = {
         "path": name,
         "stamp": stamp,
@@ -127,8 +127,8 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file
     number = _insert(connection, "result", entry)
     for listed in listed_parameters(identification):
         _add_value(connection, number, listed, conditions.get(listed.test, {}).get(DATE, str(entry["date"])))
-    for test, own in conditions.items():
-        for condition, text in own.items():
+    for test, of_test in conditions.items():
+        for condition, text in of_test.items():
             amount, unit = _amount(text)
             row = {"result": number, "test": test, "name": condition, "text": text, "amount": amount, "unit": unit}
             _insert(connection, "condition", row)
@@ -156,7 +156,7 @@ def interval(parameter: Parameter) -> tuple[float | None, float | None]:
 
 
 def _insert(connection: sqlite3.Connection, table: str, row: dict[str, Any]) -> int:
-    """Add a row; its number. Table and column names are this module's own."""
+    """Add a row and return its number. Table and column names are constants of this module."""
     marks = ", ".join("?" for _ in row)
     cursor = connection.execute(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", tuple(row.values()))
     return int(cursor.lastrowid or 0)
@@ -171,7 +171,7 @@ def _amount(text: str) -> tuple[float | None, str]:
 
 
 def verdict(identification: Identification) -> str:
-    """What became of the rules, in a word."""
+    """Outcome of the rules in a word."""
     if identification.failed:
         return "incomplete"
     if not identification.outcomes:

@@ -1,7 +1,8 @@
-"""Questions to the index: which results there are, and what they found, by rig, condition, date, fit and parameter."""
+"""Queries of the index: results, and values of parameters, by rig, condition, date, fit and parameter."""
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 import re
 import sqlite3
@@ -14,13 +15,13 @@ from labpipe.quantities import UnitError, si_amount
 from labpipe.registry import nearest
 
 _WHERE = re.compile(r"^\s*(?P<name>[\w.-]+)\s*(?P<sign>>=|<=|!=|=|>|<)\s*(?P<bound>.+?)\s*$")
-# Two amounts that people wrote alike are alike in SI to this.
+# Relative tolerance in SI of two amounts written alike.
 SAME = 1e-9
 
 
 @dataclass(frozen=True)
 class Filter:
-    """What is asked for; names may hold `*`. since, until: days such as 2026-11-03. where: "preload >= 400 N", "direction = up"."""
+    """Criteria of a query; names may hold `*`. since, until: days such as 2026-11-03. where: "preload >= 400 N", "direction = up"."""
 
     rig: str = ""
     fit: str = ""
@@ -31,7 +32,7 @@ class Filter:
     where: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ResultRow:
     """One identification.json."""
 
@@ -45,9 +46,9 @@ class ResultRow:
     fault: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ValueRow:
-    """One parameter of one fit, in SI units; *conditions* of its test as people wrote them, *amounts* of those that are numbers."""
+    """One parameter of one fit, in SI units; *conditions* of its test as written, *amounts* of the numeric ones."""
 
     path: str
     date: str
@@ -70,46 +71,53 @@ class ValueRow:
 
     @property
     def label(self) -> str:
-        """How the value is called beside others of its kind."""
+        """Label of the value beside others of the same parameter."""
         return self.test or self.path.removesuffix("/identification.json")
 
 
-def results(index: sqlite3.Connection, asked: Filter) -> list[ResultRow]:
-    """The results of which at least one test is asked for, the oldest first."""
-    clauses, values = _result_clauses(asked)
-    for condition in asked.where:
-        clause, own = _condition_clause(index, condition, "")
+VALUE_COLUMNS = tuple(field.name for field in dataclasses.fields(ValueRow) if field.name not in ("conditions", "amounts"))
+
+
+def results(index: sqlite3.Connection, criteria: Filter) -> list[ResultRow]:
+    """The results with at least one test that meets the criteria, the oldest first."""
+    clauses, values = _result_clauses(criteria)
+    for condition in criteria.where:
+        clause, bounds = _condition_clause(index, condition, "")
         clauses.append(clause)
-        values.extend(own)
-    sql = "SELECT r.path, r.date, r.rig, r.title, r.tests, r.verdict, r.warnings, r.fault FROM result r"
+        values.extend(bounds)
+    columns = [field.name for field in dataclasses.fields(ResultRow)]
+    sql = f"SELECT {', '.join(f'r.{name}' for name in columns)} FROM result r"
     rows = index.execute(f"{sql}{_where(clauses)} ORDER BY r.date, r.path", values)
-    return [ResultRow(*(("" if entry is None else entry) for entry in row)) for row in rows]
+    entries: list[dict[str, Any]] = [dict(zip(columns, ("" if entry is None else entry for entry in row), strict=True)) for row in rows]
+    return [ResultRow(**entry) for entry in entries]
 
 
-def values(index: sqlite3.Connection, asked: Filter) -> list[ValueRow]:
-    """The parameters that are asked for, by date, result and fit; ConfigError for a name that no result has."""
-    clauses, bound = _result_clauses(asked, "v.date")
+def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
+    """The parameters that meet the criteria, by date, result and fit; ConfigError for a name that no result has."""
+    clauses, bound = _result_clauses(criteria, "v.date")
     for column in ("fit", "test", "parameter"):
-        wanted = getattr(asked, column)
-        if wanted:
-            _check_known(index, column, wanted)
+        pattern = getattr(criteria, column)
+        if pattern:
+            _check_known(index, column, pattern)
             clauses.append(f"v.{column} GLOB ?")
-            bound.append(wanted)
-    for condition in asked.where:
-        clause, own = _condition_clause(index, condition, " AND c.test = v.test")
+            bound.append(pattern)
+    for condition in criteria.where:
+        clause, bounds = _condition_clause(index, condition, " AND c.test = v.test")
         clauses.append(clause)
-        bound.extend(own)
-    columns = "r.path, v.date, fit, term, test, model, estimator, low_hz, high_hz, parameter, value, unit, std_error, ci_low, ci_high"
-    sql = f"SELECT {columns}, v.warnings, r.id FROM value v JOIN result r ON r.id = v.result"
+        bound.extend(bounds)
+    columns = ", ".join({"path": "r.path"}.get(name, f"v.{name}") for name in VALUE_COLUMNS)
+    sql = f"SELECT {columns}, r.id FROM value v JOIN result r ON r.id = v.result"
     rows = index.execute(f"{sql}{_where(clauses)} ORDER BY v.date, r.path, v.id", bound).fetchall()
-    known: dict[tuple[int, str], tuple[dict[str, str], dict[str, tuple[float, str]]]] = {}
-    found = []
+    cache: dict[tuple[int, str], tuple[dict[str, str], dict[str, tuple[float, str]]]] = {}
+    value_rows = []
     for *row, number in rows:
-        key = (number, row[4])
-        if key not in known:
-            known[key] = _conditions(index, *key)
-        found.append(ValueRow(*row, *known[key]))
-    return found
+        entries = dict(zip(VALUE_COLUMNS, row, strict=True))
+        key = (number, entries["test"])
+        if key not in cache:
+            cache[key] = _conditions(index, *key)
+        conditions, amounts = cache[key]
+        value_rows.append(ValueRow(**entries, conditions=conditions, amounts=amounts))
+    return value_rows
 
 
 def _conditions(index: sqlite3.Connection, result: int, test: str) -> tuple[dict[str, str], dict[str, tuple[float, str]]]:
@@ -118,12 +126,12 @@ def _conditions(index: sqlite3.Connection, result: int, test: str) -> tuple[dict
     return texts, {name: (amount, unit) for name, _, amount, unit in rows if amount is not None}
 
 
-def _result_clauses(asked: Filter, date: str = "r.date") -> tuple[list[str], list[Any]]:
+def _result_clauses(criteria: Filter, date: str = "r.date") -> tuple[list[str], list[Any]]:
     clauses, bound = [], []
-    if asked.rig:
+    if criteria.rig:
         clauses.append("r.rig LIKE ?")
-        bound.append(f"%{asked.rig}%".replace("*", "%"))
-    for sign, day in ((">=", asked.since), ("<=", asked.until)):
+        bound.append(f"%{criteria.rig}%".replace("*", "%"))
+    for sign, day in ((">=", criteria.since), ("<=", criteria.until)):
         if day:
             clauses.append(f"{date} {sign} ?")
             bound.append(_day(day))
@@ -134,29 +142,29 @@ def _day(text: str) -> str:
     try:
         return datetime.date.fromisoformat(text).isoformat()
     except ValueError:
-        raise ConfigError(f"'{text}' is no date", hint="write it as 2026-11-03") from None
+        raise ConfigError(f"'{text}' is not a date", hint="write it as 2026-11-03") from None
 
 
 def _where(clauses: Sequence[str]) -> str:
     return f" WHERE {' AND '.join(clauses)}" if clauses else ""
 
 
-def _check_known(index: sqlite3.Connection, column: str, wanted: str) -> None:
-    known = [name for (name,) in index.execute(f"SELECT DISTINCT {column} FROM value ORDER BY {column}")]
-    if not index.execute(f"SELECT 1 FROM value WHERE {column} GLOB ?", (wanted,)).fetchone():
-        raise ConfigError(f"no result has the {column} '{wanted}'", hint=nearest(wanted, known))
+def _check_known(index: sqlite3.Connection, column: str, pattern: str) -> None:
+    names = [name for (name,) in index.execute(f"SELECT DISTINCT {column} FROM value ORDER BY {column}")]
+    if not index.execute(f"SELECT 1 FROM value WHERE {column} GLOB ?", (pattern,)).fetchone():
+        raise ConfigError(f"no result has the {column} '{pattern}'", hint=nearest(pattern, names))
 
 
 def _condition_clause(index: sqlite3.Connection, text: str, same_test: str) -> tuple[str, list[Any]]:
-    """The SQL for one condition; ConfigError for one that cannot be read or that no test states."""
+    """The SQL of one condition; ConfigError for an unreadable condition, or one without tests."""
     match = _WHERE.match(text)
     if match is None:
-        raise ConfigError(f"'{text}' is no condition", hint="for example 'preload >= 400 N' or 'direction = up'")
+        raise ConfigError(f"'{text}' is not a condition", hint="for example 'preload >= 400 N' or 'direction = up'")
     name, sign = match["name"], match["sign"]
     units = {unit for (unit,) in index.execute("SELECT DISTINCT unit FROM condition WHERE name = ?", (name,))}
     if not units:
-        known = [known for (known,) in index.execute("SELECT DISTINCT name FROM condition ORDER BY name")]
-        raise ConfigError(f"no test states the condition '{name}'", hint=nearest(name, known))
+        names = [entry for (entry,) in index.execute("SELECT DISTINCT name FROM condition ORDER BY name")]
+        raise ConfigError(f"no test has the condition '{name}'", hint=nearest(name, names))
     begin = f"EXISTS (SELECT 1 FROM condition c WHERE c.result = r.id{same_test} AND c.name = ? AND "
     try:
         amount, unit = si_amount(match["bound"])
@@ -170,6 +178,6 @@ def _condition_clause(index: sqlite3.Connection, text: str, same_test: str) -> t
     test = {"=": "BETWEEN ? AND ?", "!=": "NOT BETWEEN ? AND ?"}.get(sign)
     if test is not None:
         return f"{begin}c.unit = ? AND c.amount {test})", [name, unit, amount - near, amount + near]
-    # Amounts that are alike fall on the side of the sign that includes equality.
+    # Amounts equal within the tolerance fall on the side of the sign that includes equality.
     edge = amount + near if sign in ("<=", ">") else amount - near
     return f"{begin}c.unit = ? AND c.amount {sign} ?)", [name, unit, edge]

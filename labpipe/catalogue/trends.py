@@ -1,4 +1,4 @@
-"""A parameter over a condition or over time, from all results that are asked for: its trend, and values out of control."""
+"""Trend of a parameter over a condition or over time in selected results, and values beyond their control limits."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.campaign.control import ControlLimits, control_limits, straight_trend
 from labpipe.campaign.weighted import WeightedFit
 from labpipe.catalogue.index import DATE
@@ -21,13 +21,13 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class Series:
-    """One parameter of one fit in many tests, [SI]; *condition* (n,) in *condition_unit*, rising."""
+    """One parameter of one fit in many tests, [SI]; *condition* (n,) in *condition_unit*, ascending."""
 
     fit: str
     parameter: str
     over: str
     condition_unit: str
-    condition: NDArray[np.float64]
+    condition: FloatArray
     rows: tuple[ValueRow, ...]
 
     @property
@@ -35,11 +35,13 @@ class Series:
         return self.rows[0].unit
 
     @property
-    def values(self) -> NDArray[np.float64]:
+    def values(self) -> FloatArray:
+        """Values of the parameter, (n,) [unit]."""
         return np.array([row.value for row in self.rows])
 
     @property
-    def errors(self) -> NDArray[np.float64]:
+    def errors(self) -> FloatArray:
+        """Standard errors, (n,) [unit]; NaN where missing."""
         return np.array([np.nan if row.std_error is None else row.std_error for row in self.rows])
 
     @property
@@ -66,33 +68,33 @@ class Series:
 
 
 def trends(rows: Sequence[ValueRow], over: str) -> list[Series]:
-    """One series for each fit, term and band; tests without the condition are left out.
+    """One series for each fit, term and band; tests without the condition are ignored.
 
     ConfigError when no test has the condition as an amount, or tests have it in different dimensions.
     """
-    known = list(dict.fromkeys(name for row in rows for name in row.amounts))
-    if over != DATE and over not in known:
-        raise ConfigError(f"no test has the amount '{over}'", hint=nearest(over, (*known, DATE)))
+    names = list(dict.fromkeys(name for row in rows for name in row.amounts))
+    if over != DATE and over not in names:
+        raise ConfigError(f"no test has the amount '{over}'", hint=nearest(over, (*names, DATE)))
     groups: dict[tuple[str, str, str], list[ValueRow]] = {}
     for row in rows:
         if over == DATE or over in row.amounts:
             band = f" {row.low_hz:g}-{row.high_hz:g} Hz" if row.high_hz > row.low_hz else ""
             name = f"{row.fit} of {row.term}" if row.term else row.fit
             groups.setdefault((name + band, row.parameter, row.unit), []).append(row)
-    return [_series(fit, parameter, over, own) for (fit, parameter, _), own in groups.items()]
+    return [_series(fit, parameter, over, group) for (fit, parameter, _), group in groups.items()]
 
 
 def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Series:
     if over == DATE:
         first = min(row.date for row in rows)
-        placed, unit = [(float(_days(first, row.date)), row) for row in rows], f"d since {first}"
+        pairs, unit = [(float(_days(first, row.date)), row) for row in rows], f"d since {first}"
     else:
         units = sorted({row.amounts[over][1] for row in rows})
         if len(units) > 1:
             raise ConfigError(f"the condition '{over}' has the units {', '.join(units)}", hint="write it in one dimension")
-        placed, unit = [(row.amounts[over][0], row) for row in rows], units[0]
-    placed.sort(key=lambda pair: (pair[0], pair[1].date, pair[1].path))
-    return Series(fit, parameter, over, unit, np.array([x for x, _ in placed]), tuple(row for _, row in placed))
+        pairs, unit = [(row.amounts[over][0], row) for row in rows], units[0]
+    pairs.sort(key=lambda pair: (pair[0], pair[1].date, pair[1].path))
+    return Series(fit, parameter, over, unit, np.array([x for x, _ in pairs]), tuple(row for _, row in pairs))
 
 
 def _days(first: str, day: str) -> int:

@@ -18,7 +18,7 @@ from labpipe.stages.sweep import parse_sweep
 @click.command()
 @click.argument("bearing_path", metavar="BEARING", type=options.PATH)
 @click.option("--json", "json_path", type=options.PATH, metavar="FILE", help="Write the coefficients as JSON; - for standard output.")
-@click.option("--sweep", "sweep_text", metavar="KEY=START:STOP:STEP", help="One entry over a row of values, e.g. loads.z=0:2000:50.")
+@click.option("--sweep", "sweep_text", metavar="KEY=START:STOP:STEP", help="Vary one entry over a range of values, e.g. loads.z=0:2000:50.")
 @click.option("-o", "--output", type=options.PATH, metavar="DIR", help="Folder for table and figures.")
 @options.overrides
 @options.quiet
@@ -45,9 +45,9 @@ def bearing(
         return
     file = open_bearing(bearing_path, overrides)
     settings = file.settings()
-    (found,) = file.coefficients([settings])
+    (coefficients,) = file.coefficients([settings])
     name = settings.name or bearing_path.stem
-    text = bearing_json(bearing_entry(file, name, found))
+    text = bearing_json(bearing_entry(file, name, coefficients))
     if str(json_path) == "-":
         click.echo(text, nl=False)
         return
@@ -56,9 +56,9 @@ def bearing(
             target.write_text(text, encoding="utf-8")
     if output is not None:
         with output_folder(output) as folder:
-            names = write_bearing(file, name, found, folder)
+            names = write_bearing(file, name, coefficients, folder)
     if not quiet:
-        echo_bearing(name, file.kind_name, found)
+        echo_bearing(name, file.kind_name, coefficients)
         if output is not None:
             click.echo(f"written to {output}: {', '.join(names)}")
 
@@ -66,10 +66,10 @@ def bearing(
 def _sweep(file: BearingFile, sweep_text: str, output: Path, quiet: bool, tell: Callable[[str], None]) -> None:
     sweep = parse_sweep(sweep_text, file.kind.settings)
     tell(f"bearing   {file.path}, {sweep.label}: {sweep.values.size} values")
-    found = swept(file, sweep)
+    coefficients = swept(file, sweep)
     name = file.settings().name or file.path.stem
     with output_folder(output) as folder:
-        names = write_sweep(name, sweep, found, folder)
+        names = write_sweep(name, sweep, coefficients, folder)
     if not quiet:
-        echo_sweep(name, sweep, found)
+        echo_sweep(name, sweep, coefficients)
         click.echo(f"written to {output}: {', '.join(names)}")

@@ -6,63 +6,64 @@ from collections.abc import Sequence
 
 import click
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.coefficients import Amount, BearingCoefficients
 from labpipe.quantities import display_unit, to_display
 from labpipe.report.wording import unit_text
 from labpipe.stages.sweep import Sweep
 
-# Below this part of sqrt(K_ii K_jj) a coefficient is zero by structure and rounding.
+# Share of sqrt(K_ii K_jj) below which a coefficient is zero by structure, up to rounding.
 STRUCTURAL_ZERO = 1e-9
 LEAST_SPREAD = 1e-4
 MAX_ROWS = 12
 
 
-def echo_bearing(name: str, kind: str, found: BearingCoefficients) -> None:
-    """The matrices, the rest position, the range over one ball passage, and the warnings."""
+def echo_bearing(name: str, kind: str, coefficients: BearingCoefficients) -> None:
+    """The matrices, the equilibrium, the range over one ball passage, and the warnings."""
     click.echo(f"{name}: {kind}")
-    _echo_matrix("stiffness", found, found.stiffness, found.relative)
-    if found.damping.any():
-        _echo_matrix("damping", found, found.damping, None)
-    loads = tuple(amount for amount in found.rest if amount.name.startswith("load_"))
-    rest = tuple(amount for amount in found.rest if amount not in loads)
+    _echo_matrix("stiffness", coefficients, coefficients.stiffness, coefficients.relative)
+    if coefficients.damping.any():
+        _echo_matrix("damping", coefficients, coefficients.damping, None)
+    loads = tuple(amount for amount in coefficients.rest if amount.name.startswith("load_"))
+    rest = tuple(amount for amount in coefficients.rest if amount not in loads)
     for title, amounts in (
         ("loads", loads),
         ("rest position", rest),
-        ("shares", found.shares),
-        ("model", found.notes),
-        ("shaft", found.shaft),
+        ("shares", coefficients.shares),
+        ("model", coefficients.notes),
+        ("shaft", coefficients.shaft),
     ):
         if amounts:
             click.echo(f"{title}: {', '.join(_amount(amount, _rounding(amounts)) for amount in amounts)}")
-    for name, said in found.words.items():
-        click.echo(f"{name.replace('_', ' ')}: {said}")
-    if found.poles is not None:
-        click.echo(f"poles [rad/s]: {', '.join(f'{pole.real:.4g} {pole.imag:+.4g}j' for pole in found.poles)}")
-    if found.shaft:
-        click.echo("(sdof_k: what a one-dof fit finds at the dof's main peak; coupled dofs move along, so it is not the diagonal term)")
-    _echo_passage(found)
-    for finding in found.findings:
+    for word, verdict in coefficients.words.items():
+        click.echo(f"{word.replace('_', ' ')}: {verdict}")
+    if coefficients.poles is not None:
+        poles = ", ".join(f"{pole.real:.4g} {pole.imag:+.4g}j" for pole in coefficients.poles)
+        click.echo(f"poles [rad/s]: {poles}")
+    if coefficients.shaft:
+        click.echo("(sdof_k: stiffness from a one-dof fit at the dof's main peak; coupled dofs make it differ from the diagonal term)")
+    _echo_passage(coefficients)
+    for finding in coefficients.findings:
         click.echo(f"warning {finding.code}: {finding.message}")
 
 
-def _echo_matrix(title: str, found: BearingCoefficients, matrix: NDArray[np.floating], relative: NDArray[np.floating] | None) -> None:
+def _echo_matrix(title: str, coefficients: BearingCoefficients, matrix: FloatArray, relative: FloatArray | None) -> None:
     second = "" if title == "stiffness" else " s"
-    tilts = "" if len(set(found.dofs) & {"bx", "by"}) == 0 else f", N{second}/rad, N m{second}/rad"
+    tilts = "" if len(set(coefficients.dofs) & {"bx", "by"}) == 0 else f", N{second}/rad, N m{second}/rad"
     click.echo(f"{title} [N{second}/m{tilts}]: load of the row per displacement of the column")
-    click.echo("      " + "".join(f"{dof:>12}" for dof in found.dofs))
-    for row, dof in enumerate(found.dofs):
+    click.echo("      " + "".join(f"{dof:>12}" for dof in coefficients.dofs))
+    for row, dof in enumerate(coefficients.dofs):
         numbers = [
             "0" if relative is not None and abs(relative[row, column]) < STRUCTURAL_ZERO else f"{matrix[row, column]:.4g}"
-            for column in range(len(found.dofs))
+            for column in range(len(coefficients.dofs))
         ]
         click.echo(f"  {dof:<4}" + "".join(f"{number:>12}" for number in numbers))
 
 
 def _rounding(amounts: Sequence[Amount]) -> float:
-    """Below this a load or displacement is rounding beside the others; zero for numbers of other kinds."""
-    return STRUCTURAL_ZERO * max((abs(each.value) for each in amounts if each.unit in ("m", "rad", "N", "N.m")), default=0.0)
+    """Magnitude below which a load or displacement is rounding; zero for other quantities."""
+    return STRUCTURAL_ZERO * max((abs(amount.value) for amount in amounts if amount.unit in ("m", "rad", "N", "N.m")), default=0.0)
 
 
 def _amount(amount: Amount, least: float) -> str:
@@ -72,32 +73,32 @@ def _amount(amount: Amount, least: float) -> str:
     return f"{amount.name.removeprefix('load_')} {to_display(value, unit):.5g}{'' if unit == '1' else f' {unit_text(unit)}'}"
 
 
-def _echo_passage(found: BearingCoefficients) -> None:
-    """The spread of the direct coefficients while the cage turns by one element."""
-    if found.lowest is None or found.highest is None:
+def _echo_passage(coefficients: BearingCoefficients) -> None:
+    """The variation of the direct coefficients while the cage turns by one element."""
+    if coefficients.lowest is None or coefficients.highest is None:
         return
-    low, high = np.diag(found.lowest), np.diag(found.highest)
+    low, high = np.diag(coefficients.lowest), np.diag(coefficients.highest)
     spread = np.divide(high - low, high + low, out=np.zeros_like(low), where=high + low > 0)
     if spread.max() < LEAST_SPREAD:
         click.echo(f"over one ball passage the direct stiffness varies by less than {100 * LEAST_SPREAD:g} %")
         return
-    shown = ", ".join(f"{dof} +- {100 * part:.2g} %" for dof, part in zip(found.dofs, spread, strict=True))
-    click.echo(f"over one ball passage the direct stiffness varies: {shown}")
+    ranges = ", ".join(f"{dof} +- {100 * part:.2g} %" for dof, part in zip(coefficients.dofs, spread, strict=True))
+    click.echo(f"over one ball passage the direct stiffness varies: {ranges}")
 
 
-def echo_sweep(name: str, sweep: Sweep, found: Sequence[BearingCoefficients]) -> None:
-    """The direct stiffness over the sweep, cut in the middle; the table on disk has everything."""
-    dofs = found[0].dofs
-    click.echo(f"{name}: direct stiffness over {sweep.label}, {len(found)} values")
+def echo_sweep(name: str, sweep: Sweep, cases: Sequence[BearingCoefficients]) -> None:
+    """The direct stiffness over the sweep, shortened in the middle; the table on disk is complete."""
+    dofs = cases[0].dofs
+    click.echo(f"{name}: direct stiffness over {sweep.label}, {len(cases)} values")
     click.echo(f"{sweep.label:>20}" + "".join(f"{f'k_{dof}_{dof}':>12}" for dof in dofs))
-    shown = range(len(found)) if len(found) <= MAX_ROWS else [*range(MAX_ROWS // 2), *range(len(found) - MAX_ROWS // 2, len(found))]
-    for number in shown:
-        if len(found) > MAX_ROWS and number == len(found) - MAX_ROWS // 2:
+    numbers = range(len(cases)) if len(cases) <= MAX_ROWS else [*range(MAX_ROWS // 2), *range(len(cases) - MAX_ROWS // 2, len(cases))]
+    for number in numbers:
+        if len(cases) > MAX_ROWS and number == len(cases) - MAX_ROWS // 2:
             click.echo(f"{'...':>20}")
-        diagonal = np.diag(found[number].stiffness)
+        diagonal = np.diag(cases[number].stiffness)
         click.echo(f"{sweep.values[number]:>20.6g}" + "".join(f"{value:>12.4g}" for value in diagonal))
-    codes = sorted({finding.code for each in found for finding in each.findings})
+    codes = sorted({finding.code for case in cases for finding in case.findings})
     for code in codes:
-        marked = [each for each in found if any(finding.code == code for finding in each.findings)]
-        message = next(finding.message for finding in marked[0].findings if finding.code == code)
-        click.echo(f"warning {code} (in {len(marked)} of {len(found)} values; the first:) {message}")
+        affected = [case for case in cases if any(finding.code == code for finding in case.findings)]
+        message = next(finding.message for finding in affected[0].findings if finding.code == code)
+        click.echo(f"warning {code} (in {len(affected)} of {len(cases)} values; the first:) {message}")

@@ -27,7 +27,7 @@ from labpipe.records.identification import RuleOutcome
 @options.quiet
 @options.verbose
 def check(pipelines: tuple[Path, ...], jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
-    """Run each PIPELINE from scratch and compare with its expect: and accept: rules; exit code 1 when one fails."""
+    """Run each PIPELINE from scratch and test its expect: and accept: rules; exit code 1 when one fails."""
     failed = 0
     for path, outcomes in _checked(pipelines, overrides, jobs, quiet, verbose):
         wrong = [outcome for outcome in outcomes if not outcome.passed]
@@ -42,13 +42,13 @@ def check(pipelines: tuple[Path, ...], jobs: int, overrides: tuple[str, ...], qu
 def _checked(
     pipelines: Sequence[Path], overrides: tuple[str, ...], jobs: int, quiet: bool, verbose: bool
 ) -> Iterator[tuple[Path, tuple[RuleOutcome, ...]]]:
-    """The outcomes of each pipeline, in their order; side by side those with a study come last, since a study takes all processors."""
+    """The outcomes of each pipeline; in parallel, pipelines with a study run last, since a study uses all processors."""
     work = partial(outcomes_of, overrides=overrides, quiet=quiet, verbose=verbose)
     processes = min(jobs or os.cpu_count() or 1, len(pipelines))
     if processes == 1:
         yield from zip(pipelines, map(work, pipelines), strict=True)
         return
-    studies = [path for path in pipelines if load_pipeline(path, overrides).study is not None]
+    studies = [path for path in pipelines if "study" in load_pipeline(path, overrides).sections]
     others = [path for path in pipelines if path not in studies]
     with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
         try:
@@ -65,8 +65,8 @@ def outcomes_of(path: Path, overrides: tuple[str, ...], quiet: bool, verbose: bo
     manner = Manner(options.teller(quiet, verbose))
     with tempfile.TemporaryDirectory() as scratch, output_folder(Path(scratch) / "out") as folder:
         identification = run(pipeline, folder, manner)
-    for one in identification.failed:
-        raise DataError(one.message)
+    for failure in identification.failed:
+        raise DataError(failure.message)
     return identification.outcomes
 
 

@@ -1,4 +1,4 @@
-"""Tables on the terminal: columns as wide as they need to be, empty ones left out."""
+"""Tables on the terminal: columns of minimum width, empty ones omitted."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from labpipe.quantities import display_unit, to_display
 
 def echo_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> None:
     """The rows below their header; the columns in *right* are numbers."""
-    kept = [number for number in range(len(header)) if any(row[number] for row in rows)]
-    widths = {number: max(len(header[number]), *(len(row[number]) for row in rows)) for number in kept}
+    columns = [number for number in range(len(header)) if any(row[number] for row in rows)]
+    widths = {number: max(len(header[number]), *(len(row[number]) for row in rows)) for number in columns}
     for row in (header, *rows):
-        cells = (row[number].rjust(widths[number]) if number in right else row[number].ljust(widths[number]) for number in kept)
+        cells = (row[number].rjust(widths[number]) if number in right else row[number].ljust(widths[number]) for number in columns)
         click.echo("  ".join(cells).rstrip())
 
 
 def value_cells(value: float, std_error: float | None, unit: str) -> tuple[str, str, str]:
-    """A value, its standard error and its unit as people read them."""
-    shown = display_unit(unit, value)
-    error = "" if std_error is None else f"{to_display(std_error, shown):.2g}"
-    return f"{to_display(value, shown):.6g}", error, "" if shown == "1" else shown
+    """A value, its standard error and its unit in display units."""
+    displayed = display_unit(unit, value)
+    error = "" if std_error is None else f"{to_display(std_error, displayed):.2g}"
+    return f"{to_display(value, displayed):.6g}", error, "" if displayed == "1" else displayed

@@ -22,31 +22,32 @@ from labpipe.records.identification import Identification
 @click.option("-p", "--parameter", multiple=True, help="Show only this parameter (repeatable); the correction counts all of them.")
 @click.option("--csv", "table", type=options.PATH, help="Write all columns, in SI units, to this file.")
 def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path | None) -> None:
-    """Hold the result SECOND against FIRST (folders or identification.json), parameter by parameter.
+    """Compare the result SECOND with FIRST (folders or identification.json), parameter by parameter.
 
-    The p-value is the chance of so large a difference by the stated errors alone, corrected for the number of parameters (Holm).
+    The p-value is the probability of so large a difference by the standard errors alone, corrected for the number of parameters (Holm).
     """
-    found = differences(_result(first), _result(second))
-    shown = [one for one in found if not parameter or one.parameter in parameter]
+    pairs = differences(_result(first), _result(second))
+    selected = [pair for pair in pairs if not parameter or pair.parameter in parameter]
     if table is not None:
-        write_rows(table, [dataclasses.asdict(one) for one in shown])
-    if shown:
+        write_rows(table, [dataclasses.asdict(pair) for pair in selected])
+    if selected:
         header = ("fit", "test", "parameter", "first", "second", "difference", "std. error", "unit", "p", "")
-        echo_table(header, [_cells(one) for one in shown], right=(3, 4, 5, 6, 8))
-    told = [one for one in found if one.p_value is not None]
-    click.echo(f"{sum(one.differs for one in told)} of {len(told)} parameters differ (level {100 * LEVEL:g} %, corrected for their number)")
+        echo_table(header, [_cells(pair) for pair in selected], right=(3, 4, 5, 6, 8))
+    tested = [pair for pair in pairs if pair.p_value is not None]
+    n_different = sum(pair.differs for pair in tested)
+    click.echo(f"{n_different} of {len(tested)} parameters differ (level {100 * LEVEL:g} %, corrected for their number)")
 
 
 def _result(path: Path) -> Identification:
     return read_identification(path / NAME if path.is_dir() else path)
 
 
-def _cells(one: Difference) -> tuple[str, ...]:
-    """A row in one unit, the one that suits the first value; a difference has no zero of its own (degC)."""
-    unit = display_unit(one.unit, one.first)
-    first, second, change = (to_display(value, unit) for value in (one.first, one.second, one.second - one.first))
+def _cells(pair: Difference) -> tuple[str, ...]:
+    """A row in the display unit of the first value; differences have no offset (degC)."""
+    unit = display_unit(pair.unit, pair.first)
+    first, second, change = (to_display(value, unit) for value in (pair.first, pair.second, pair.second - pair.first))
     change -= to_display(0.0, unit)
-    error = "" if one.std_error is None else f"{to_display(one.std_error, unit) - to_display(0.0, unit):.2g}"
-    p_value = "" if one.p_value is None else f"{one.p_value:.2g}"
+    error = "" if pair.std_error is None else f"{to_display(pair.std_error, unit) - to_display(0.0, unit):.2g}"
+    p_value = "" if pair.p_value is None else f"{pair.p_value:.2g}"
     numbers = f"{first:.6g}", f"{second:.6g}", f"{change:.4g}", error, "" if unit == "1" else unit
-    return one.fit, one.test, one.parameter, *numbers, p_value, "differs" if one.differs else ""
+    return pair.fit, pair.test, pair.parameter, *numbers, p_value, "differs" if pair.differs else ""

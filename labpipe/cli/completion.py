@@ -11,7 +11,7 @@ SHELLS = {"bash": "~/.bashrc", "zsh": "~/.zshrc", "fish": "~/.config/fish/comple
 @click.command()
 @click.argument("shell", type=click.Choice(list(SHELLS)))
 def completion(shell: str) -> None:
-    """Print what makes SHELL complete commands and options of labpipe on the Tab key.
+    """Print the script that lets SHELL complete commands and options of labpipe with the Tab key.
 
     \b
     bash: eval "$(labpipe completion bash)"       in ~/.bashrc
@@ -20,6 +20,6 @@ def completion(shell: str) -> None:
     """
     from labpipe.cli.main import group
 
-    found = get_completion_class(shell)
-    assert found is not None
-    click.echo(found(group, {}, "labpipe", "_LABPIPE_COMPLETE").source())
+    completion_class = get_completion_class(shell)
+    assert completion_class is not None
+    click.echo(completion_class(group, {}, "labpipe", "_LABPIPE_COMPLETE").source())

@@ -15,7 +15,7 @@ import click
 
 from labpipe import __version__
 
-# What only one ability needs, by the distribution's name: the module, and what is missing without it.
+# Packages of one feature each, by the distribution's name: the module, and the feature with its installation.
 OPTIONAL = {
     "distributed": ("distributed", "labpipe run --cluster: pip install 'labpipe[cluster]'"),
     "scikit-learn": ("sklearn", "networks as metamodels of journal coefficients: pip install 'labpipe[networks]'"),
@@ -25,23 +25,23 @@ MODULES = {"PyYAML": "yaml", "fpdf2": "fpdf", "npTDMS": "nptdms"}
 
 @dataclass(frozen=True)
 class Check:
-    """One line of the report; *fault* says what is wrong, empty where nothing is; *needed*: labpipe does not work without."""
+    """One line of the report; *fault*: what is wrong, empty for none; *needed*: labpipe does not work without it."""
 
     what: str
-    found: str
+    state: str
     fault: str = ""
     needed: bool = True
 
 
 @click.command()
 def doctor() -> int:
-    """Show versions, threads, optional packages and what is wrong with this installation; exit code 2 when something needed is missing."""
+    """Show versions, threads, optional packages and faults of this installation; exit code 2 when something required is missing."""
     checks = [*_machine(), *_packages(), _temporary_folder()]
     width = max(len(check.what) for check in checks)
     for check in checks:
-        click.echo(f"{check.what:<{width}}  {check.found}" + (f"  <- {check.fault}" if check.fault else ""))
+        click.echo(f"{check.what:<{width}}  {check.state}" + (f"  <- {check.fault}" if check.fault else ""))
     broken = [check for check in checks if check.fault and check.needed]
-    click.echo("all is well" if not broken else f"{len(broken)} thing(s) to put right")
+    click.echo("all is well" if not broken else f"{len(broken)} fault(s) to correct")
     return 2 if broken else 0
 
 
@@ -58,12 +58,12 @@ def _machine() -> list[Check]:
 
 
 def _packages() -> list[Check]:
-    """Every package that labpipe's own metadata name, imported, so that a broken one shows."""
+    """Every package in labpipe's metadata, imported, so that a broken installation shows."""
     try:
-        stated = importlib.metadata.requires("labpipe") or []
+        requirements = importlib.metadata.requires("labpipe") or []
     except importlib.metadata.PackageNotFoundError:
-        return [Check("installation", "labpipe runs from its source alone", "pip install . in the checkout")]
-    required = [re.match(r"[\w.-]+", text) for text in stated if "extra ==" not in text]
+        return [Check("installation", "labpipe runs from its source tree", "pip install . in the checkout")]
+    required = [re.match(r"[\w.-]+", text) for text in requirements if "extra ==" not in text]
     names = [match[0] for match in required if match is not None]
     needed = [_package(name, MODULES.get(name, name), "", True) for name in names]
     return [*needed, *(_package(name, module, hint, False) for name, (module, hint) in OPTIONAL.items())]
@@ -73,7 +73,7 @@ def _package(name: str, module: str, hint: str, needed: bool) -> Check:
     try:
         importlib.import_module(module)
     except ImportError as error:
-        return Check(name, "not there", hint or f"pip install {name} ({error})", needed)
+        return Check(name, "not installed", hint or f"pip install {name} ({error})", needed)
     return Check(name, importlib.metadata.version(name))
 
 

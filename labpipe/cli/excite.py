@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import click
 
@@ -13,17 +15,21 @@ from labpipe.quantities import UnitError, parse_value
 from labpipe.records.setting_values import Setting, to_band
 from labpipe.signals.excitation import PHASES, design_multisine
 
+Value = TypeVar("Value")
+
 
 @click.command()
 @click.option("-o", "--output", type=options.PATH, required=True, metavar="FILE", help="Signal file: .csv, .parquet or .wav.")
 @click.option("--band", default="1-100 Hz", show_default=True, help="Excited band.")
-@click.option("--spacing", default="0.5 Hz", show_default=True, help="Distance of the lines; one period lasts 1 / spacing.")
+@click.option("--spacing", default="0.5 Hz", show_default=True, help="Spacing of the lines; one period lasts 1 / spacing.")
 @click.option("--rate", default="20 kHz", show_default=True, help="Sampling rate.")
 @click.option("--periods", type=click.IntRange(min=1), default=6, show_default=True, help="Periods written.")
 @click.option("--level", default="1 V", show_default=True, help="Root mean square of the signal.")
-@click.option("--phases", type=click.Choice(list(PHASES)), default="schroeder", show_default=True, help="How the phases are chosen.")
+@click.option("--phases", type=click.Choice(list(PHASES)), default="schroeder", show_default=True, help="Method for the phases.")
 @click.option("--odd", is_flag=True, help="Odd lines only: even lines then show even distortion.")
-@click.option("--leave-out", type=click.IntRange(min=0), default=0, metavar="N", help="One line of every N left out: odd distortion shows.")
+@click.option(
+    "--leave-out", type=click.IntRange(min=0), default=0, metavar="N", help="Leave out one line of every N: these show odd distortion."
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of random phases and of the lines left out.")
 @options.quiet
 def excite(
@@ -52,7 +58,7 @@ def excite(
     click.echo(f"{lines}, period {1 / line_spacing:g} s, {phases} phases: crest factor {signal.crest_factor:.3f}")
 
 
-def _option(name: str, read):  # type: ignore[no-untyped-def]
+def _option(name: str, read: Callable[[], Value]) -> Value:
     """The value of an option; ConfigError that names the option."""
     try:
         return read()

@@ -39,7 +39,7 @@ def frf(
 ) -> int:
     """Turn recordings into frequency responses: DIR/<test>.frf.parquet.
 
-    RECORDING... (raw or calibrated) take the place of the pipeline's own and together give one FRF matrix.
+    RECORDING... (raw or calibrated) replace those of the pipeline and together give one FRF matrix.
     """
     pipeline = load_pipeline(pipeline_path, overrides)
     if recordings:
@@ -53,16 +53,16 @@ def frf(
 
 
 def with_recordings(pipeline: Pipeline, recordings: tuple[Path, ...]) -> Pipeline:
-    """The pipeline with one test made of these recordings."""
+    """The pipeline with a single test of these recordings."""
     rig = pipeline.rig or next((source.rig for test in pipeline.tests for source in test.recordings), None)
     if rig is None:
         raise ConfigError("rig: is missing", where=str(pipeline.path), hint="add rig: FILE")
     test = Test("", tuple(SourceFile(path, rig) for path in recordings))
-    return replace(pipeline, tests=(test,), calibrations=())
+    return replace(pipeline, tests=(test,), sections={name: part for name, part in pipeline.sections.items() if name != "calibrate"})
 
 
 def echo_response(response: FrequencyResponse, quiet: bool) -> None:
-    """One line about a response, and its findings."""
+    """One line on a response, and its findings."""
     if not quiet:
         size = f"{len(response.outputs)} x {len(response.inputs)} {response.form}"
         band = f"{response.frequency[0]:g}-{response.frequency[-1]:g} Hz"

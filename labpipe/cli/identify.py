@@ -27,36 +27,36 @@ from labpipe.stages.identify import identify_stage
 def identify(frfs: tuple[Path, ...], pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
     """Identify parameters from frequency responses: DIR/identification.json.
 
-    Without FRF... the responses that `labpipe frf` left in DIR are used, or the pipeline's own frfs:.
+    Without FRF... the responses of `labpipe frf` in DIR are used, or those under frfs: in the pipeline.
     """
     pipeline = load_pipeline(pipeline_path, overrides)
     options.teller(quiet, verbose)(f"identify  {pipeline.title}")
     with output_folder(output) as folder:
-        responses = [load_response(path) for path in frfs] or _known_responses(pipeline, folder)
-        sources = [source_ref(path, path.parent) for path in frfs or _known_paths(pipeline, folder)]
+        responses = [load_response(path) for path in frfs] or _pipeline_responses(pipeline, folder)
+        sources = [source_ref(path, path.parent) for path in frfs or _pipeline_paths(pipeline, folder)]
         sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
         identification = identify_stage(pipeline, responses, sources, folder)
     echo_identification(identification, quiet)
     return 0 if identification.accepted else 1
 
 
-def _known_responses(pipeline: Pipeline, folder: OutputFolder) -> list[FrequencyResponse]:
-    """The responses of the pipeline's tests, ready ones under the name and the conditions of their test."""
+def _pipeline_responses(pipeline: Pipeline, folder: OutputFolder) -> list[FrequencyResponse]:
+    """The responses of the pipeline's tests; those under frfs: with the name and the conditions of their test."""
     ready = {path: test for test in pipeline.tests for path in test.frfs}
     return [
         load_response(path, ready[path].name or path.stem, ready[path].conditions) if path in ready else load_response(path)
-        for path in _known_paths(pipeline, folder)
+        for path in _pipeline_paths(pipeline, folder)
     ]
 
 
-def _known_paths(pipeline: Pipeline, folder: OutputFolder) -> list[Path]:
-    """The response files of the pipeline's tests: in the folder, or ready ones that the pipeline names."""
+def _pipeline_paths(pipeline: Pipeline, folder: OutputFolder) -> list[Path]:
+    """The response files of the pipeline's tests: in the folder, or those under frfs:."""
     paths: list[Path] = []
     for test in pipeline.tests:
         paths.extend(test.frfs)
-        made = folder.read_path(frf_file_name(test.name))
-        if test.recordings and not made.exists():
-            raise DataError("no such file", where=str(made), hint="run `labpipe frf` first, or `labpipe run` for all stages")
+        measured_path = folder.read_path(frf_file_name(test.name))
+        if test.recordings and not measured_path.exists():
+            raise DataError("no such file", where=str(measured_path), hint="run `labpipe frf` first, or `labpipe run` for all stages")
         if test.recordings:
-            paths.append(made)
+            paths.append(measured_path)
     return paths

@@ -21,24 +21,24 @@ SCAFFOLD = ("rig.yaml", "pipeline.yaml")
 @click.command()
 @click.argument("folder", metavar="DIR", type=options.PATH, required=False)
 @click.argument("recordings", metavar="[RECORDING...]", nargs=-1, type=options.PATH)
-@click.option("--example", metavar="NAME", help="A shipped rig with its recordings and pipelines; `--example list` names them.")
+@click.option("--example", metavar="NAME", help="An example rig with its recordings and pipelines; `--example list` lists them.")
 def init(folder: Path | None, recordings: tuple[Path, ...], example: str | None) -> None:
     """Scaffold a project in DIR: rig.yaml, pipeline.yaml and a sample recording; it runs as it is.
 
-    With RECORDING... (or FRFs) the two files say what the recording's own metadata say: channels, units, rate, kind of excitation,
-    band. Lines that only a person can decide are marked, and labpipe names each until it is decided.
+    With RECORDING... (or FRFs) the two files are filled in from the recording: channels, units, rate, kind of excitation, band.
+    Entries that only a person can decide are marked, and labpipe names each of them until it is decided.
     """
     if example is not None and recordings:
-        raise ConfigError("--example brings its own recordings", hint="leave out one of the two")
+        raise ConfigError("--example has its own recordings", hint="leave out one of the two")
     if example == "list":
         for name, pipelines in examples().items():
             click.echo(f"{name}: {', '.join(path.stem for path in pipelines)}")
         return
     if folder is None:
         raise click.UsageError("Missing argument 'DIR'.", click.get_current_context())
-    taken = [name for name in (*SCAFFOLD, "pipelines") if (folder / name).exists()]
-    if taken:
-        raise ConfigError(f"already holds {', '.join(taken)}", where=str(folder), hint="name a new folder")
+    existing = [name for name in (*SCAFFOLD, "pipelines") if (folder / name).exists()]
+    if existing:
+        raise ConfigError(f"already holds {', '.join(existing)}", where=str(folder), hint="name a new folder")
     with output_folder(folder) as output:
         if example is not None:
             _example(example, folder, output)
@@ -55,13 +55,14 @@ def _example(name: str, folder: Path, output: OutputFolder) -> None:
 
 
 def _from_recordings(recordings: tuple[Path, ...], folder: Path, output: OutputFolder) -> None:
-    made = scaffold(recordings, folder)
-    for name, text in zip(SCAFFOLD, (made.rig, made.pipeline), strict=True):
+    project = scaffold(recordings, folder)
+    for name, text in zip(SCAFFOLD, (project.rig, project.pipeline), strict=True):
         if text:
             output.write_path(name).write_text(text, encoding="utf-8")
-    click.echo(f"written to {folder}: {', '.join(name for name, text in zip(SCAFFOLD, (made.rig, made.pipeline), strict=True) if text)}")
-    if made.decisions:
-        click.echo(f"to be decided, marked '{MARK}': {', '.join(made.decisions)}")
+    names = [name for name, text in zip(SCAFFOLD, (project.rig, project.pipeline), strict=True) if text]
+    click.echo(f"written to {folder}: {', '.join(names)}")
+    if project.decisions:
+        click.echo(f"to be decided, marked '{MARK}': {', '.join(project.decisions)}")
     _next(folder / "pipeline.yaml", folder)
 
 

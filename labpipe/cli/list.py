@@ -17,18 +17,18 @@ from labpipe.formats.rows_csv import write_rows
 
 @click.command(name="list")
 @click.argument("folder", type=options.PATH, default=Path("."))
-@click.option("-p", "--parameter", default="", help="Show the values of a parameter; '*' stands for any letters.")
+@click.option("-p", "--parameter", default="", help="Show the values of a parameter; '*' matches any characters.")
 @options.catalogue_filters
 @click.option("--csv", "table", type=options.PATH, help="Write all columns, in SI units, to this file.")
 def list_results(folder: Path, parameter: str, table: Path | None, **filters: object) -> None:
-    """List the results below FOLDER, or the values that they found.
+    """List the results below FOLDER, or their parameter values.
 
-    Every identification.json counts. A condition is written as `--where "preload >= 400 N"`; several must all hold. The date is the
-    test's condition `date`, or else the day of the file.
+    Every identification.json counts. Conditions are written as `--where "preload >= 400 N"`; all of them must hold. The date is the
+    test's condition `date`, or else that of the file.
     """
-    asked = Filter(parameter=parameter, **filters)  # type: ignore[arg-type]
+    criteria = Filter(parameter=parameter, **filters)  # type: ignore[arg-type]
     with open_index(folder) as index:
-        rows: Sequence[ValueRow | ResultRow] = values(index, asked) if _asks_for_values(asked) else results(index, asked)
+        rows: Sequence[ValueRow | ResultRow] = values(index, criteria) if _selects_values(criteria) else results(index, criteria)
     if table is not None:
         write_rows(table, [row_entry(row) for row in rows])
     if not rows:
@@ -39,12 +39,12 @@ def list_results(folder: Path, parameter: str, table: Path | None, **filters: ob
         echo_results([row for row in rows if isinstance(row, ResultRow)])
 
 
-def _asks_for_values(asked: Filter) -> bool:
-    return bool(asked.parameter or asked.fit or asked.test)
+def _selects_values(criteria: Filter) -> bool:
+    return bool(criteria.parameter or criteria.fit or criteria.test)
 
 
 def row_entry(row: ValueRow | ResultRow) -> dict[str, object]:
-    """A row with every condition in a column of its own, as it was written."""
+    """A row with one column per condition, as written in the pipeline."""
     entry = {field.name: getattr(row, field.name) for field in dataclasses.fields(row)}
     conditions = entry.pop("conditions", {})
     entry.pop("amounts", None)
@@ -70,7 +70,7 @@ def echo_values(rows: Sequence[ValueRow]) -> None:
     for row in rows:
         fit = f"{row.fit} of {row.term}" if row.term else row.fit
         band = f"{row.low_hz:g}-{row.high_hz:g} Hz" if row.high_hz > row.low_hz else ""
-        found = value_cells(row.value, row.std_error, row.unit)
+        cells = value_cells(row.value, row.std_error, row.unit)
         conditions = [row.conditions.get(name, "") for name in names]
-        lines.append((row.path.removesuffix("/identification.json"), row.test, fit, band, row.parameter, *found, *conditions, row.warnings))
+        lines.append((row.path.removesuffix("/identification.json"), row.test, fit, band, row.parameter, *cells, *conditions, row.warnings))
     echo_table(header, lines, right=(5, 6))

@@ -1,11 +1,11 @@
-"""The command line: a lazy group of commands, and the one exit path for everything that goes wrong."""
+"""The command line: a lazy group of commands, and one exit path for all errors."""
 
 from __future__ import annotations
 
 import os
 import sys
 
-# Small matrices all the way: one thread is quicker, and the same figures come out whatever the number of processors.
+# Matrices are small: one thread is faster, and results do not depend on the number of processors.
 for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_threads, "1")
 
@@ -19,15 +19,15 @@ from labpipe.registry import Registry, nearest
 
 COMMANDS = {
     "init": "Scaffold a project: rig, pipeline and a sample recording; runs as it is.",
-    "inspect": "What is in a recording: channels, rate, length, gaps, clipping, levels.",
+    "inspect": "Content of a recording: channels, rate, length, gaps, clipping, levels.",
     "ingest": "Raw files -> calibrated recordings (SI units, findings, source checksum).",
     "frf": "Recordings -> frequency responses with covariance and coherence.",
-    "identify": "Frequency responses -> stiffness and damping with their doubt.",
+    "identify": "Frequency responses -> stiffness and damping with their uncertainty.",
     "report": "Identification -> a report that opens offline.",
     "run": "All stages of a pipeline; what is up to date is not computed again.",
-    "check": "Run pipelines and hold them against their expect: and accept: rules.",
-    "list": "The results below a folder, or what they found, by rig, condition, date, fit.",
-    "compare": "Two results held against each other, parameter by parameter.",
+    "check": "Run pipelines and test their expect: and accept: rules.",
+    "list": "The results below a folder, or their values, by rig, condition, date, fit.",
+    "compare": "Compare two results, parameter by parameter.",
     "trend": "A parameter over a condition or over time in all results below a folder.",
     "orders": "Amplitude and phase of 1x over a run, orbits, forward and backward.",
     "bearing": "Stiffness and damping of a bearing model at its load and speed.",
@@ -37,8 +37,8 @@ COMMANDS = {
     "calibrate": "Sensor, actuator and stiffness calibration fits.",
     "export": "Write an artefact as CSV or Parquet.",
     "schema": "The JSON schema of rig or pipeline files, for editors.",
-    "completion": "What makes your shell complete commands and options.",
-    "doctor": "Versions, threads, optional packages, and what is wrong here.",
+    "completion": "Shell completion of commands and options.",
+    "doctor": "Versions, threads, optional packages, and faults of the installation.",
 }
 # A function named `list` would hide Python's own.
 TABLE = Registry("command", {name: f"labpipe.cli.{name}:{'list_results' if name == 'list' else name}" for name in COMMANDS})
@@ -64,7 +64,7 @@ class LazyGroup(click.Group):
 @click.command(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="labpipe")
 def group() -> None:
-    """From recorded test-rig runs to stiffness and damping with their doubt.
+    """From recorded test-rig runs to stiffness and damping with their uncertainty.
 
     \b
     labpipe run pipelines/pedestal.yaml -o out/pedestal

@@ -1,4 +1,4 @@
-"""What the commands that work on several tests have in common: where the work is done, and how failed tests are named."""
+"""Common parts of the commands for several tests: executors, progress, and the list of failed tests."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from labpipe.records.identification import Failed
 
 
 def manner(quiet: bool, verbose: bool, jobs: int, cluster: str | None) -> Manner:
-    """How the options of a command want its tests to be done."""
+    """The manner of running tests according to the options of a command."""
     return Manner(options.teller(quiet, verbose), silent if quiet else Progress(verbose), _execute(jobs, cluster))
 
 
 def _execute(jobs: int, cluster: str | None) -> Execute:
     if cluster is not None and jobs != 1:
-        raise ConfigError("--cluster and -j exclude each other", hint="the cluster's workers say how many tests run at once")
+        raise ConfigError("--cluster and -j exclude each other", hint="the cluster's workers determine how many tests run at once")
     if cluster is not None:
         return on_cluster(cluster)
     processes = jobs or os.cpu_count() or 1
@@ -30,8 +30,8 @@ def _execute(jobs: int, cluster: str | None) -> Execute:
 
 
 def echo_failed(failed: Sequence[Failed]) -> None:
-    """Name what failed, at the end, on standard error."""
-    for one in failed:
-        click.echo(f"error: {one.name}: {one.message}", err=True)
+    """List the failed tests on standard error, at the end."""
+    for failure in failed:
+        click.echo(f"error: {failure.name}: {failure.message}", err=True)
     if failed:
-        click.echo(f"{len(failed)} failed, the rest is finished; put it right and run the same command again", err=True)
+        click.echo(f"{len(failed)} failed, the rest is finished; correct the fault and run the same command again", err=True)

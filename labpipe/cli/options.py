@@ -17,18 +17,18 @@ overrides = click.option(
     metavar="KEY=VALUE",
     help="Override a config entry, e.g. identify.direct.band='60-70 Hz'.",
 )
-quiet = click.option("-q", "--quiet", is_flag=True, help="Say only what went wrong.")
-verbose = click.option("-v", "--verbose", is_flag=True, help="Say every step, also when the output is not a terminal.")
+quiet = click.option("-q", "--quiet", is_flag=True, help="Print errors and warnings only.")
+verbose = click.option("-v", "--verbose", is_flag=True, help="Print every step, also when the output is not a terminal.")
 out_folder = click.option("-o", "--output", type=PATH, required=True, metavar="DIR", help="Folder for the results.")
 pipeline_file = click.option("-c", "--config", "pipeline_path", type=PATH, required=True, metavar="PIPELINE", help="Pipeline file (YAML).")
 
 jobs = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Processes for several tests; 0: one per processor.")
-cluster = click.option("--cluster", metavar="ADDRESS", help="Do the tests on the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786.")
+cluster = click.option("--cluster", metavar="ADDRESS", help="Run the tests on the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786.")
 
 _FILTERS = (
-    click.option("--rig", default="", help="Only rigs whose name holds this."),
-    click.option("--fit", default="", help="Only this fit; '*' stands for any letters."),
-    click.option("--test", default="", help="Only this test; '*' stands for any letters."),
+    click.option("--rig", default="", help="Only rigs whose name contains this."),
+    click.option("--fit", default="", help="Only this fit; '*' matches any characters."),
+    click.option("--test", default="", help="Only this test; '*' matches any characters."),
     click.option("--since", default="", metavar="DATE", help="Only from this day on, e.g. 2026-11-03."),
     click.option("--until", default="", metavar="DATE", help="Only up to this day."),
     click.option("--where", multiple=True, metavar="CONDITION", help="Only tests at this condition, e.g. 'preload >= 400 N' (repeatable)."),
@@ -36,14 +36,14 @@ _FILTERS = (
 
 
 def catalogue_filters(command: Callable[..., object]) -> Callable[..., object]:
-    """The options by which results are chosen."""
+    """Options that select results."""
     for option in reversed(_FILTERS):
         command = option(command)
     return command
 
 
 def teller(quiet: bool, verbose: bool) -> Callable[[str], None]:
-    """Where progress goes: to a terminal, or anywhere with -v; nowhere with -q."""
+    """The output of progress messages: to a terminal, or anywhere with -v; none with -q."""
     if quiet or not (verbose or sys.stderr.isatty()):
         return lambda _message: None
     return lambda message: click.echo(message, err=True)

@@ -1,4 +1,4 @@
-"""How far a run over many tests is, and how long the rest will take."""
+"""Progress of a run over many tests, and its remaining time."""
 
 from __future__ import annotations
 
@@ -7,34 +7,34 @@ import time
 
 import click
 
-# Shorter runs need no progress.
+# Duration below which no progress is shown.
 QUIET_SECONDS = 1.0
 
 
 class Progress:
-    """Says after each test how many are done and what time is left: one line that changes on a terminal, one line each with -v."""
+    """Shows after each test the number finished and the remaining time: one changing line on a terminal, one line each with -v."""
 
     def __init__(self, verbose: bool) -> None:
         self._begin = time.monotonic()
         self._verbose = verbose
         self._shown = False
 
-    def __call__(self, done: int, total: int, name: str) -> None:
+    def __call__(self, finished: int, total: int, name: str) -> None:
         elapsed = time.monotonic() - self._begin
-        left = f", {duration(elapsed / done * (total - done))} left" if done < total else f" in {duration(elapsed)}"
+        remaining = f", {duration(elapsed / finished * (total - finished))} left" if finished < total else f" in {duration(elapsed)}"
         if self._verbose:
-            click.echo(f"test {done} of {total}  {name}{left}", err=True)
+            click.echo(f"test {finished} of {total}  {name}{remaining}", err=True)
         elif sys.stderr.isatty() and (elapsed > QUIET_SECONDS or self._shown):
             self._shown = True
-            click.echo(f"\r\x1b[K{done} of {total} tests{left}", err=True, nl=done == total)
+            click.echo(f"\r\x1b[K{finished} of {total} tests{remaining}", err=True, nl=finished == total)
 
 
-def silent(_done: int, _total: int, _name: str) -> None:
+def silent(_finished: int, _total: int, _name: str) -> None:
     """No progress: -q."""
 
 
 def duration(seconds: float) -> str:
-    """A time as people say it: 45 s, 3 min 20 s, 2 h 5 min."""
+    """A duration as text: 45 s, 3 min 20 s, 2 h 5 min."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"

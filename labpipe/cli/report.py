@@ -21,16 +21,16 @@ from labpipe.stages.report import write_campaign, write_report
     required=True,
     type=options.PATH,
     metavar="FILE",
-    help="Report file; its ending (.html, .pdf, .md) chooses the format.",
+    help="Report file; its suffix (.html, .pdf, .md) determines the format.",
 )
-@click.option("--figures", type=options.PATH, metavar="DIR", help="Also every figure as SVG and PNG, and its numbers as CSV, in DIR.")
+@click.option("--figures", type=options.PATH, metavar="DIR", help="Also write every figure as SVG and PNG, and its numbers as CSV, to DIR.")
 @options.quiet
 @options.verbose
 def report(results: tuple[Path, ...], output: Path, figures: Path | None, quiet: bool, verbose: bool) -> None:
     """Write the report of a result: verdict, parameters, figures, warnings, provenance.
 
     Several results, or a folder with results below it, give the report of a campaign: every coefficient over preload, speed,
-    temperature and the condition `date` of its tests, control limits, and who differs from the rest.
+    temperature and the condition `date` of its tests, control limits, and results that differ from the others.
 
     \b
     labpipe report out/ -o report.pdf --figures out/figures
@@ -50,18 +50,18 @@ def report(results: tuple[Path, ...], output: Path, figures: Path | None, quiet:
 
 
 def result_files(results: Sequence[Path]) -> list[Path]:
-    """The identification.json of every result named: a file, a folder that holds one, or all below a folder that does not."""
-    found: list[Path] = []
+    """The identification.json files: a file itself, that of a folder, or all below a folder without one."""
+    files: list[Path] = []
     for path in results:
         below = sorted(path.rglob(NAME)) if path.is_dir() and not (path / NAME).exists() else []
         if path.is_dir() and not below and not (path / NAME).exists():
-            raise DataError(f"holds no {NAME}, nor does a folder below it", where=str(path), hint="run `labpipe run` first")
-        found.extend(below or [path / NAME if path.is_dir() else path])
-    return list(dict.fromkeys(found))
+            raise DataError(f"holds no {NAME}, neither does a folder below it", where=str(path), hint="run `labpipe run` first")
+        files.extend(below or [path / NAME if path.is_dir() else path])
+    return list(dict.fromkeys(files))
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """The shortest ends of the folders' names that tell the results apart."""
+    """The shortest unique ends of the folders' paths."""
     folders = [path.resolve().parent if path.name == NAME else path.resolve().with_suffix("") for path in paths]
     for parts in range(1, max(len(folder.parts) for folder in folders) + 1):
         names = ["/".join(folder.parts[-parts:]) for folder in folders]

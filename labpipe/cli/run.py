@@ -26,8 +26,8 @@ from labpipe.stages.report import write_report
 def run(pipeline_path: Path, output: Path, jobs: int, cluster: str | None, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
     """Run all stages of PIPELINE: recordings -> FRFs -> identification.json -> report.
 
-    What is up to date is not computed again. Of several tests one that fails is named at the end (exit code 2), and the others
-    are finished; an interrupted run goes on where it stopped. Exit code 1 when an accept: or expect: rule fails.
+    Results that are up to date are not computed again. When a test fails, the others are finished and the failed one is named at
+    the end (exit code 2); an interrupted run continues where it stopped. Exit code 1 when an accept: or expect: rule fails.
     """
     how = manner(quiet, verbose, jobs, cluster)
     pipeline = load_pipeline(pipeline_path, overrides)

@@ -20,7 +20,7 @@ SCHEMAS = {"pipeline": pipeline_schema, "rig": rig_schema}
 def schema(kind: str, output: Path | None) -> None:
     """Print the JSON schema of a pipeline or rig file.
 
-    Editors that speak YAML schemas complete and check a file that begins with the line
+    Editors with support for YAML schemas complete and check a file that begins with the line
     `# yaml-language-server: $schema=pipeline.schema.json`.
     """
     text = json.dumps(SCHEMAS[kind](), indent=2) + "\n"

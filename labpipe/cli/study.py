@@ -29,7 +29,7 @@ STUDY = "study"
 def study(pipeline_path: Path, output: Path, jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
     """Repeat the fits of PIPELINE on its virtual rig: bias, scatter against the Cramer-Rao bound, coverage, success.
 
-    Writes identification.json, study.csv and the report. The same seed gives the same figures on any number of processes.
+    Writes identification.json, study.csv and the report. The same seed gives the same results on any number of processes.
     """
     pipeline = load_pipeline(pipeline_path, overrides)
     if STUDY not in pipeline.sections:

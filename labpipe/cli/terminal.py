@@ -14,21 +14,21 @@ from labpipe.sections import section
 
 MAX_BANDS = 8
 MAX_NOTES = 8
-# Mode shapes and the like are many; they stand in identification.json and the report.
+# Numerous parameters such as mode shapes are only in identification.json and the report.
 IN_REPORT_ONLY = ("shape_", "participation_")
 
 
 def echo_identification(identification: Identification, quiet: bool) -> None:
-    """What the measurement showed, fits, warnings and rule outcomes; long sliding series are cut in the middle, the report has all."""
+    """Findings of the measurement, fits, warnings and outcomes of rules; long sliding series are shortened, the report is complete."""
     if quiet:
         return
     _echo_findings([response.findings for response in identification.responses], "tests")
     for name in dict.fromkeys(fit.name for fit in identification.fits):
         fits = [fit for fit in identification.fits if fit.name == name]
-        shown = fits if len(fits) <= MAX_BANDS else [*fits[: MAX_BANDS // 2], *fits[-MAX_BANDS // 2 :]]
-        for number, fit in enumerate(shown):
-            if len(shown) < len(fits) and number == MAX_BANDS // 2:
-                click.echo(f"  ... {len(fits) - len(shown)} more fits of '{name}' in identification.json ...")
+        displayed = fits if len(fits) <= MAX_BANDS else [*fits[: MAX_BANDS // 2], *fits[-MAX_BANDS // 2 :]]
+        for number, fit in enumerate(displayed):
+            if len(displayed) < len(fits) and number == MAX_BANDS // 2:
+                click.echo(f"  ... {len(fits) - len(displayed)} more fits of '{name}' in identification.json ...")
             _echo_fit(fit)
         _echo_findings([fit.findings for fit in fits], "fits")
     for name, record in identification.sections.items():
@@ -37,10 +37,10 @@ def echo_identification(identification: Identification, quiet: bool) -> None:
         _echo_findings([tuple(finding for _, finding in section(name).call("findings", record))], name)
     for outcome in identification.outcomes:
         mark = _coloured("passed", "green") if outcome.passed else _coloured("FAILED", "red")
-        click.echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {_found(outcome.value)})")
+        click.echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {_outcome_value(outcome.value)})")
 
 
-def _found(value: float | str | None) -> str:
+def _outcome_value(value: float | str | None) -> str:
     return "nothing" if value is None else value if isinstance(value, str) else f"{value:.6g}"
 
 
@@ -70,12 +70,12 @@ def _parameter_line(parameter: Parameter) -> str:
 
 
 def _echo_findings(carriers: list[tuple[Finding, ...]], what: str) -> None:
-    """Each kind of warning once, with the number of fits or tests that carry it, then the notes, each in full up to a number."""
-    seen: dict[str, dict[int, str]] = {}
+    """Each kind of warning once, with the number of fits or tests it concerns, then the notes up to a maximum number."""
+    by_code: dict[str, dict[int, str]] = {}
     for number, findings in enumerate(carriers):
         for finding in of_level(WARNING, findings):
-            seen.setdefault(finding.code, {}).setdefault(number, finding.message)
-    for code, messages in seen.items():
+            by_code.setdefault(finding.code, {}).setdefault(number, finding.message)
+    for code, messages in by_code.items():
         times = "" if len(carriers) == 1 else f" (in {len(messages)} of {len(carriers)} {what}; the first:)"
         click.echo(f"  {_coloured('warning', 'yellow')} {code}{times}: {next(iter(messages.values()))}")
     notes = list(dict.fromkeys(finding for findings in carriers for finding in of_level(NOTE, findings)))

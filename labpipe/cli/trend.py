@@ -23,13 +23,15 @@ LEVEL = 0.05
 
 @click.command()
 @click.argument("folder", type=options.PATH, default=Path("."))
-@click.option("-p", "--parameter", required=True, help="The parameter; '*' stands for any letters.")
+@click.option("-p", "--parameter", required=True, help="The parameter; '*' matches any characters.")
 @click.option("--over", required=True, metavar="CONDITION", help="A condition of the tests such as preload, or `date`.")
 @options.catalogue_filters
 @click.option("--csv", "table", type=options.PATH, help="Write the values, in SI units, to this file.")
-@click.option("-o", "--output", type=options.PATH, metavar="FILE", help="Also the campaign report of these results (.html, .pdf, .md).")
+@click.option(
+    "-o", "--output", type=options.PATH, metavar="FILE", help="Also write the campaign report of these results (.html, .pdf, .md)."
+)
 def trend(folder: Path, parameter: str, over: str, table: Path | None, output: Path | None, **filters: object) -> None:
-    """Show how a parameter goes over a condition in all results below FOLDER: values, slope, and over `date` control limits.
+    """Show a parameter over a condition in all results below FOLDER: values, slope, and over `date` control limits.
 
     The line is weighted by the standard errors; control limits are mean -+ 3 x mean moving range / 1.128 in the order of the dates.
     """
@@ -37,23 +39,23 @@ def trend(folder: Path, parameter: str, over: str, table: Path | None, output: P
         format_of(output)
     with open_index(folder) as index:
         rows = values(index, Filter(parameter=parameter, **filters))  # type: ignore[arg-type]
-    found = trends(rows, over)
-    used = [row for series in found for row in series.rows]
-    if not used:
-        raise DataError("no result is left by these filters", where=str(folder))
-    for series in found:
+    all_series = trends(rows, over)
+    selected = [row for series in all_series for row in series.rows]
+    if not selected:
+        raise DataError("no result matches these filters", where=str(folder))
+    for series in all_series:
         _echo_series(series)
     if table is not None:
-        write_rows(table, [row_entry(row) for row in used])
+        write_rows(table, [row_entry(row) for row in selected])
     if output is not None:
-        paths = sorted({row.path for row in used})
+        paths = sorted({row.path for row in selected})
         write_campaign([(path.removesuffix("/identification.json"), read_identification(folder / path)) for path in paths], output)
         click.echo(f"written: {output}", err=True)
 
 
 def _echo_series(series: Series) -> None:
     click.echo(f"{series.parameter} of {series.fit} over {series.over}")
-    # Over another condition than time, values are meant to differ.
+    # Over conditions other than time, values are expected to differ.
     outside = set(map(id, series.outside)) if series.over == DATE else set()
     rows = []
     for x, row in zip(series.condition, series.rows, strict=True):
@@ -69,15 +71,15 @@ def _slope(series: Series) -> str:
     """The slope in words, in display units."""
     line = series.line
     if line is None:
-        return "no trend can be told: at least three values with standard errors at different conditions are needed"
+        return "no trend can be computed: at least three values with standard errors at different conditions are required"
     unit = display_unit(series.unit, float(line.values[0]))
     slope, error = (to_display(value, unit) - to_display(0.0, unit) for value in (float(line.values[1]), line.std_error(1)))
     reach, p_value = line.quantile * error, line.p_of(1)
     per = series.condition_unit.split(" ")[0]
     verdict = "no trend" if p_value >= LEVEL else "rising" if slope > 0 else "falling"
     scatter = "; the values scatter more than their errors, which are enlarged" if line.inflated else ""
-    shown = "" if unit == "1" else f" {unit}"
-    return f"slope {slope:.4g} +- {reach:.2g}{shown} per {per} (95 %): {verdict}, p = {p_value:.2g}{scatter}"
+    unit_label = "" if unit == "1" else f" {unit}"
+    return f"slope {slope:.4g} +- {reach:.2g}{unit_label} per {per} (95 %): {verdict}, p = {p_value:.2g}{scatter}"
 
 
 def _control(series: Series) -> str:

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from labpipe.arrays import FloatArray
 from labpipe.document.palette import heat
-from labpipe.report.chart import GREY, Axis, Chart, Numbers, Series
+from labpipe.report.chart import GREY, Axis, Chart, Series
 
 DIGITS = 7
 RULE = "var(--rule)"
@@ -22,7 +23,7 @@ class NumberList:
         self.lists: list[list[float | None]] = []
         self._places: dict[tuple[float | None, ...], int] = {}
 
-    def add(self, values: Numbers) -> int:
+    def add(self, values: FloatArray) -> int:
         """The place of *values* (n,) in the list, rounded to the digits that a screen can show."""
         rounded = tuple(_rounded(value) for value in np.ravel(values).tolist())
         if rounded not in self._places:

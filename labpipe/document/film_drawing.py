@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray, IntArray
 from labpipe.bearings.coefficients import PressureField
 from labpipe.document.matplotlib_style import canvas_of_size, styled
 from labpipe.document.palette import PALETTE
@@ -38,9 +38,7 @@ def film_canvas(film: PressureField, size: tuple[float, float]) -> Canvas:
     return canvas
 
 
-def _mid_width(
-    axes: Axes, film: PressureField, angle: NDArray[np.floating], pressure: NDArray[np.floating], order: NDArray[np.intp]
-) -> None:
+def _mid_width(axes: Axes, film: PressureField, angle: FloatArray, pressure: FloatArray, order: IntArray) -> None:
     """Pressure at mid width [bar] and, on an ordinate of its own, the thickness [um] over the angle [deg]."""
     axes.plot(angle, mid_width_pressure(film, pressure), color=PALETTE[0])
     axes.set_ylabel("pressure at mid width [bar]", color=PALETTE[0])
@@ -50,7 +48,7 @@ def _mid_width(
     beside.set_ylim(bottom=0)
 
 
-def contour_levels(pressure: NDArray[np.floating]) -> NDArray[np.floating]:
+def contour_levels(pressure: FloatArray) -> FloatArray:
     """Rising levels at round pressures from below the least to above the largest, which leave no cell blank."""
     range_of_pressure = float(np.ptp(pressure)) or 1.0
     low, high = float(pressure.min()) - TORN * range_of_pressure, float(pressure.max()) + TORN * range_of_pressure
@@ -59,7 +57,7 @@ def contour_levels(pressure: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.concatenate([[low], inner, [high]])
 
 
-def mid_width_pressure(film: PressureField, pressure: NDArray[np.floating]) -> NDArray[np.floating]:
+def mid_width_pressure(film: PressureField, pressure: FloatArray) -> FloatArray:
     """(n_theta,) mean of the cells (n_theta, n_axial) nearest to mid width: the middle ones, or the two beside it."""
     nearest = np.isclose(np.abs(film.axial), np.abs(film.axial).min(), atol=1e-12)
     return np.asarray(pressure[:, nearest].mean(axis=1))

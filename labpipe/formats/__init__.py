@@ -1,1 +1,1 @@
-"""Foreign files at the edge: READERS by suffix."""
+"""File formats of other programs. READERS by suffix."""

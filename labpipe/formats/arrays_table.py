@@ -1,4 +1,4 @@
-"""Named arrays of one file as a table: the longest equally long vectors are the channels, a scalar such as fs or dt their rate."""
+"""Named arrays of one file as a table: the longest vectors of equal length are the channels, a scalar such as fs or dt their rate."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 
 CHUNK_ROWS = 1 << 17
@@ -20,7 +20,7 @@ _SAME = 1e-4
 
 @dataclass(frozen=True)
 class Column:
-    """A vector in an array (or HDF5 data set): whole, or row or column *index* of a matrix whose samples run along *axis*."""
+    """A vector in an array (or HDF5 data set): whole, or row or column *index* of a matrix with samples along *axis*."""
 
     array: Any
     axis: int
@@ -30,15 +30,15 @@ class Column:
     def n_value(self) -> int:
         return int(self.array.shape[self.axis])
 
-    def part(self, start: int, stop: int) -> NDArray[np.float64]:
-        """Values *start* to *stop*."""
+    def part(self, start: int, stop: int) -> FloatArray:
+        """Values *start* to *stop*, (n,) [unit of the file]."""
         where: list[int | slice] = [0 if self.index is None else self.index] * len(self.array.shape)
         where[self.axis] = slice(start, stop)
         return np.asarray(self.array[tuple(where)], np.float64)
 
 
 def is_numeric(array: Any) -> bool:
-    """Whether the array holds real numbers in one or two dimensions, and is not sparse."""
+    """True for an array of real numbers in one or two dimensions that is not sparse."""
     kind = getattr(array, "dtype", np.dtype(object)).kind
     return kind in "iuf" and not hasattr(array, "tocsr") and len(array.shape) in (1, 2) and min(array.shape) > 0
 
@@ -53,7 +53,7 @@ def columns_of(name: str, array: Any) -> dict[str, Column]:
 
 
 def longest(columns: Mapping[str, Column], where: Path) -> dict[str, Column]:
-    """The columns that are as long as the longest; DataError when there is none of two values."""
+    """The columns of the greatest length; DataError when none has two values."""
     length = max((column.n_value for column in columns.values()), default=0)
     if length < 2:
         raise DataError("holds no vector of numbers", where=str(where), hint="equally long vectors make a recording")
@@ -61,21 +61,21 @@ def longest(columns: Mapping[str, Column], where: Path) -> dict[str, Column]:
 
 
 def rate_of(scalars: Mapping[str, float], where: Path) -> float | None:
-    """The sampling rate [Hz] that scalars such as fs or dt state; DataError when they contradict each other or are not positive."""
-    found = {name: float(value) for name, value in scalars.items() if _is_named(name, RATES)}
-    found |= {name: 1 / float(value) if value else 0.0 for name, value in scalars.items() if _is_named(name, STEPS)}
-    rates = list(found.values())
+    """The sampling rate [Hz] from scalars such as fs or dt; DataError when they contradict each other or are not positive."""
+    rates_by_name = {name: float(value) for name, value in scalars.items() if _is_named(name, RATES)}
+    rates_by_name |= {name: 1 / float(value) if value else 0.0 for name, value in scalars.items() if _is_named(name, STEPS)}
+    rates = list(rates_by_name.values())
     if not rates:
         return None
     if min(rates) <= 0 or max(rates) > min(rates) * (1 + _SAME):
-        said = ", ".join(f"{name}: {rate:g} Hz" for name, rate in found.items())
-        raise DataError(f"states no one sampling rate ({said})", where=str(where))
+        contradictions = ", ".join(f"{name}: {rate:g} Hz" for name, rate in rates_by_name.items())
+        raise DataError(f"has no valid sampling rate ({contradictions})", where=str(where))
     return rates[0]
 
 
-def _is_named(name: str, known: tuple[str, ...]) -> bool:
-    own = name.rpartition("/")[2].rpartition(".")[2].lower()
-    return own in known or own.removeprefix("time_") in known
+def _is_named(name: str, names: tuple[str, ...]) -> bool:
+    last_part = name.rpartition("/")[2].rpartition(".")[2].lower()
+    return last_part in names or last_part.removeprefix("time_") in names
 
 
 class ArraysTable:
@@ -88,8 +88,8 @@ class ArraysTable:
         self.units = {name: unit for name, unit in units.items() if name in self._columns and unit}
         self.sample_rate = sample_rate
 
-    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
-        """Consecutive chunks (n, len(columns))."""
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """Consecutive chunks (n, n_column) [unit of the file]; DataError when the file is damaged."""
         length = self._columns[self.columns[0]].n_value
         for start in range(0, length, CHUNK_ROWS):
             try:

@@ -1,4 +1,4 @@
-"""Finding out how a text table is laid out: encoding, delimiter, decimal sign, header, unit row, first row of numbers."""
+"""Detection of a text table's layout: encoding, delimiter, decimal sign, header, unit row, first row of numbers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from labpipe.formats.packed import PACKED, damaged, open_unpacked
 from labpipe.quantities import UnitError, parse_unit
 
 HEAD_BYTES = 1 << 18
-# Lines looked at from either end of the head; no header is longer.
+# Lines analysed from either end of the head; no header is longer.
 SAMPLE_LINES = 200
 DELIMITERS = ("\t", ";", ",", "|")
 MISSING = frozenset(("", "nan", "NaN", "NAN", "NA", "N/A", "#N/A", "null", "-", "--", "---"))
@@ -22,7 +22,7 @@ _BRACKETS = re.compile(r"[\[(]([^\])]+)[\])]\s*$")
 
 @dataclass(frozen=True)
 class Layout:
-    """*names* has one entry per field of a data row (empty behind a trailing delimiter); *first_line* is 0-based."""
+    """*names* has one entry per field of a data row (empty after a trailing delimiter); *first_line* is 0-based."""
 
     encoding: str
     delimiter: str
@@ -33,7 +33,7 @@ class Layout:
 
 
 def is_number(field: str, decimal: str) -> bool:
-    """Whether a field is one number with this decimal sign."""
+    """True if a field is one number with this decimal sign."""
     text = field.strip().strip('"')
     if decimal == "," and "." in text:
         return False
@@ -45,7 +45,7 @@ def is_number(field: str, decimal: str) -> bool:
 
 
 def is_number_or_missing(field: str, decimal: str) -> bool:
-    """Whether a field is a number or a known mark for a missing one."""
+    """True if a field is a number or a known mark for a missing one."""
     return field.strip().strip('"') in MISSING or is_number(field, decimal)
 
 
@@ -81,7 +81,7 @@ def _head(path: Path) -> tuple[str, list[str]]:
         raise DataError("is not a text file", where=str(path))
     else:
         encoding = "utf-8-sig" if head.startswith(codecs.BOM_UTF8) else _utf8_or_latin(head)
-    # Not splitlines(): pyarrow, which skips the header by its number of lines, knows line feeds only.
+    # Not splitlines(): pyarrow, which skips the header by its number of lines, counts line feeds only.
     lines = [line.rstrip("\r") for line in head.decode(encoding, errors="ignore").split("\n")]
     return encoding, lines[:-1] if len(head) == HEAD_BYTES else lines
 
@@ -95,14 +95,14 @@ def _utf8_or_latin(head: bytes) -> str:
 
 
 def _sample(n_line: int) -> list[int]:
-    """The lines that are looked at in every layout: all of a few, of many the first and the last ones."""
+    """The lines analysed for every layout: all of a short file, the first and the last ones of a long one."""
     if n_line <= 2 * SAMPLE_LINES:
         return list(range(n_line))
     return [*range(SAMPLE_LINES), *range(n_line - SAMPLE_LINES, n_line)]
 
 
 def _is_numeric(line: str, delimiter: str, decimal: str) -> bool:
-    """Whether a line is a row of numbers, some of which may be missing."""
+    """True if a line is a row of numbers, some of which may be missing."""
     fields = line.split(delimiter)
     return any(is_number(field, decimal) for field in fields) and all(is_number_or_missing(field, decimal) for field in fields)
 
@@ -118,7 +118,7 @@ def _numeric_rows(lines: list[str], sample: list[int], delimiter: str, decimal: 
 
 
 def _rank(rows: list[int]) -> float:
-    """Number of numeric rows on a coarse scale, so that a few faulty rows do not decide over the delimiter."""
+    """Number of numeric rows on a coarse scale, so that a few faulty rows do not determine the delimiter."""
     return round(len(rows).bit_length(), 0)
 
 
@@ -142,7 +142,7 @@ def _header(above: list[str], delimiter: str, n_field: int) -> tuple[tuple[str, 
 
 
 def _unit_of(field: str) -> str:
-    """The unit that a field of a unit row names, or nothing."""
+    """The unit in a field of a unit row, '' for none."""
     text = field.strip().strip("[]()").strip()
     try:
         parse_unit(text)
@@ -152,6 +152,6 @@ def _unit_of(field: str) -> str:
 
 
 def bracketed_unit(name: str) -> str:
-    """ "x [um]" -> "um"; nothing when the brackets hold no unit."""
+    """ "x [um]" -> "um"; '' when the brackets hold no unit."""
     match = _BRACKETS.search(name)
     return _unit_of(match[1]) if match else ""

@@ -1,4 +1,4 @@
-"""Text tables: sniffed delimiter and decimal sign, comment headers, unit rows; read in blocks by pyarrow."""
+"""Text tables with automatic detection of delimiter, decimal sign, header and units; read in blocks by pyarrow."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pc
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.csv_layout import MISSING, find_layout, is_number_or_missing
 from labpipe.formats.packed import PACKED, damaged, open_unpacked
@@ -19,7 +19,7 @@ BLOCK_BYTES = 1 << 23
 
 
 class CsvTable:
-    """A text table of numbers. Satisfies Table; every faulty row is refused with its line number."""
+    """A text table of numbers. Satisfies Table; a faulty row is reported with its line number."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -28,8 +28,8 @@ class CsvTable:
         self.units = self.layout.units
         self.sample_rate: float | None = None
 
-    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
-        """Consecutive chunks (n, len(columns)); DataError names the line and column of the first row that is not numbers."""
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """Consecutive chunks (n, n_column) [unit of the file]; DataError names line and column of the first row that is not numbers."""
         fields = [str(self.layout.names.index(name)) for name in columns]
         try:
             for batch in self._open(fields):

@@ -47,14 +47,14 @@ def write_parquet(artefact: Path, target: Path) -> None:
     elif artefact.name.endswith(RECORDING_SUFFIX):
         recording_table(artefact).to_parquet(target, index=False)
     else:
-        read_response(artefact)  # refuses what is no response
+        read_response(artefact)  # DataError for a file that is no response
         open_parquet(artefact).read().to_pandas().to_parquet(target, index=False)
 
 
 def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
     """A recording or an FRF as a universal file, numbers as text."""
     if artefact.suffix == ".json":
-        raise DataError("parameters find no place in a universal file", where=str(artefact), hint="known: csv, parquet")
+        raise DataError("parameters cannot be written as a universal file", where=str(artefact), hint="known: csv, parquet")
     if artefact.name.endswith(RECORDING_SUFFIX):
         write_recording_uff(target, open_recording(artefact).in_memory(), binary)
     else:
@@ -69,7 +69,7 @@ def write_uff58b(artefact: Path, target: Path) -> None:
 def write_mat(artefact: Path, target: Path) -> None:
     """A recording or an FRF as a MATLAB file."""
     if artefact.suffix == ".json":
-        raise DataError("parameters are not written as a MATLAB file", where=str(artefact), hint="known: csv, parquet")
+        raise DataError("parameters cannot be written as a MATLAB file", where=str(artefact), hint="known: csv, parquet")
     if artefact.name.endswith(RECORDING_SUFFIX):
         write_recording_mat(target, open_recording(artefact).in_memory())
     else:

@@ -1,4 +1,4 @@
-"""Frequency responses as CSV: ``frequency_hz``, then ``o/i:re``, ``o/i:im`` and, where known, ``o/i:var``, ``o/i:coh``."""
+"""Frequency responses as CSV: ``frequency_hz``, then ``o/i:re``, ``o/i:im`` and, if available, ``o/i:var``, ``o/i:coh``."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.csv_table import CsvTable
 from labpipe.formats.packed import open_unpacked
@@ -22,9 +22,9 @@ FREQUENCY = "frequency_hz"
 
 
 def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
-    """The response of an FRF table in SI units; DataError names what is missing.
+    """The response of an FRF table in SI units; DataError names missing columns.
 
-    A variance per element is read as a covariance without correlation between the elements.
+    A variance per element becomes a covariance without correlation between the elements.
     """
     table = CsvTable(path)
     check_columns(table, [FREQUENCY])
@@ -33,8 +33,8 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
         raise DataError("no columns 'output/input:re' and 'output/input:im'", where=str(path), hint="for example 'x/f:re', 'x/f:im'")
     outputs = tuple(dict.fromkeys(match["output"] for match in pairs))
     inputs = tuple(dict.fromkeys(match["input"] for match in pairs))
-    wanted = [f"{o}/{i}:{part}" for o in outputs for i in inputs for part in ("re", "im")]
-    check_columns(table, wanted)
+    required = [f"{o}/{i}:{part}" for o in outputs for i in inputs for part in ("re", "im")]
+    check_columns(table, required)
     columns = dict(zip(table.columns, np.concatenate(list(table.chunks(table.columns))).T, strict=True))
     real, imaginary = (_cube(columns, outputs, inputs, part) for part in ("re", "im"))
     variance, coherence = (_optional_cube(columns, outputs, inputs, part) for part in ("var", "coh"))
@@ -55,7 +55,7 @@ def _port(label: str) -> Port:
 
 
 def _form(path: Path) -> str:
-    """The form named in the comment lines above the table; receptance where none is named."""
+    """The form named in the comment lines above the table; receptance by default."""
     with open_unpacked(path) as stream, io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace") as lines:
         for line in lines:
             if not line.startswith("#"):
@@ -68,16 +68,14 @@ def _form(path: Path) -> str:
     return "receptance"
 
 
-def _cube(columns: dict[str, NDArray[np.float64]], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str) -> NDArray[np.float64]:
+def _cube(columns: dict[str, FloatArray], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str) -> FloatArray:
     return np.stack([np.stack([columns[f"{o}/{i}:{part}"] for i in inputs], -1) for o in outputs], 1)
 
 
-def _optional_cube(
-    columns: dict[str, NDArray[np.float64]], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str
-) -> NDArray[np.float64] | None:
+def _optional_cube(columns: dict[str, FloatArray], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str) -> FloatArray | None:
     """The cube where every element has the column, else None."""
-    known = all(f"{o}/{i}:{part}" in columns for o in outputs for i in inputs)
-    return _cube(columns, outputs, inputs, part) if known else None
+    complete = all(f"{o}/{i}:{part}" in columns for o in outputs for i in inputs)
+    return _cube(columns, outputs, inputs, part) if complete else None
 
 
 def write_frf_csv(path: Path, response: FrequencyResponse) -> None:

@@ -1,4 +1,4 @@
-"""Ready frequency responses of other programs. FRF_READERS by suffix."""
+"""Frequency responses of other programs. FRF_READERS by suffix."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ FRF_READERS = Registry(
 
 
 def read_frf_file(path: Path, name: str = "") -> FrequencyResponse:
-    """The response of a file by its suffix; DataError for a file of no known kind."""
+    """The response of a file by its suffix; DataError for an unknown kind of file."""
     suffix = plain_suffix(path)
     if suffix not in FRF_READERS.names():
-        known = ", ".join((*FRF_READERS.names(), ".frf.parquet"))
-        raise DataError(f"FRF files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {known}")
+        suffixes = ", ".join((*FRF_READERS.names(), ".frf.parquet"))
+        raise DataError(f"FRF files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {suffixes}")
     response: FrequencyResponse = FRF_READERS.load(suffix)(path, name)
     return response

@@ -1,4 +1,4 @@
-"""HDF5 files (and MATLAB 7.3): the longest equally long data sets are the channels, read block by block."""
+"""HDF5 files (and MATLAB 7.3): the longest data sets of equal length are the channels, read block by block."""
 
 from __future__ import annotations
 
@@ -50,17 +50,17 @@ def _numeric_sets(file: h5py.File) -> dict[str, Any]:
 
 
 def _rate_attributes(file: h5py.File, sets: dict[str, Any]) -> dict[str, float]:
-    """Numbers among the attributes of the file and of its data sets, by name; what stands several times must agree."""
-    found: dict[str, float] = {}
+    """Numeric attributes of the file and of its data sets, by place and name."""
+    rates: dict[str, float] = {}
     for place, item in {"": file, **sets}.items():
         for name, value in item.attrs.items():
             if np.size(value) == 1 and np.asarray(value).dtype.kind in "iuf":
-                found[f"{place}/{name}"] = float(np.asarray(value).item())
-    return found
+                rates[f"{place}/{name}"] = float(np.asarray(value).item())
+    return rates
 
 
 def _unit(sets: dict[str, Any], name: str) -> str:
-    item = sets.get(name)
+    item: Any = sets.get(name)
     if item is None:
         item = sets.get(name.rpartition("_")[0])
     for key in _UNITS if item is not None else ():

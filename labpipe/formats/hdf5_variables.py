@@ -1,4 +1,4 @@
-"""Variables of an HDF5 file by name, as MATLAB 7.3 stores them or as they are: complex numbers, texts, cells, order of dimensions."""
+"""Variables of an HDF5 file by name, as in MATLAB 7.3 or plain HDF5: complex numbers, texts, cells, order of dimensions."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from labpipe.errors import DataError
 
 
 def load_hdf5_variables(path: Path, names: Iterable[str]) -> dict[str, Any]:
-    """The variables of these names that the file holds, arrays in MATLAB's order of dimensions, texts as arrays of str.
+    """The variables of these names in the file, arrays in MATLAB's order of dimensions, texts as arrays of str.
 
-    MATLAB stores columns first, so its dimensions come reversed; a complex number is a pair (real, imag), a text its UTF-16 codes, a
+    MATLAB stores columns first, so its dimensions are reversed; a complex number is a pair (real, imag), a text its UTF-16 codes, a
     cell references to its contents. Links into other files are not followed. DataError when the file is damaged.
     """
     try:
@@ -31,7 +31,7 @@ def _is_own_dataset(file: h5py.File, name: str) -> bool:
 
 
 def has_hdf5_variables(path: Path, names: Iterable[str]) -> bool:
-    """Whether a readable HDF5 file holds data sets of all these names."""
+    """True if a readable HDF5 file holds data sets of all these names."""
     try:
         with h5py.File(path, "r") as file:
             return all(isinstance(file.get(name), h5py.Dataset) for name in names)

@@ -1,4 +1,4 @@
-"""Whether the elements of a MATLAB 5 file fit into each other: scipy, which trusts them, ends the whole program on some damaged files."""
+"""Consistency check of a MATLAB 5 file's elements: some damaged files would crash scipy's reader and with it the program."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _FLAGS, _DIMENSIONS = 6, 5
 
 
 def check_elements(path: Path) -> None:
-    """ValueError when an element is longer than what holds it, of unknown type, or a matrix without flags and size.
+    """ValueError for an element longer than its container, of unknown type, or a matrix without flags and size.
 
-    Compressed elements are unpacked (zlib.error when their checksum does not hold). Versions 4 and 7.3 are left to their readers.
+    Compressed elements are unpacked (zlib.error for a wrong checksum). Versions 4 and 7.3 are checked by their readers.
     """
     content = path.read_bytes()
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
@@ -26,7 +26,7 @@ def check_elements(path: Path) -> None:
 
 
 def _check(content: memoryview, begin: int, end: int, order: str, top: bool = False) -> int:
-    """Check the elements from *begin* to *end*, those of matrices among them; how many there are."""
+    """Check the elements from *begin* to *end*, including those inside matrices; their number."""
     number = 0
     while begin < end:
         kind, start, size, following = _element(content, begin, end, order)
@@ -42,7 +42,7 @@ def _check(content: memoryview, begin: int, end: int, order: str, top: bool = Fa
 
 
 def _element(content: memoryview, begin: int, end: int, order: str) -> tuple[int, int, int, int]:
-    """(type, first byte, number of bytes, first byte behind) of the element at *begin*."""
+    """(type, first byte, number of bytes, first byte after it) of the element at *begin*."""
     if begin + 8 > end:
         raise ValueError("an element is cut off")
     kind, size = struct.unpack(f"{order}II", content[begin : begin + 8])

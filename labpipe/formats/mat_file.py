@@ -1,4 +1,4 @@
-"""MATLAB files of versions 4 to 7, and of 7.3 as HDF5; nothing in them is ever executed or unpickled."""
+"""MATLAB files of versions 4 to 7, and of 7.3 as HDF5; no content is executed or unpickled."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _BROKEN = (
 
 
 def is_hdf5(path: Path) -> bool:
-    """Whether the file is HDF5, as MATLAB 7.3 writes it behind 512 bytes of its own."""
+    """True for HDF5, as written by MATLAB 7.3 after a block of 512 bytes."""
     with path.open("rb") as stream:
         head = stream.read(520)
     return head.startswith(_HDF5) or head[512:] == _HDF5
 
 
 def load_variables(path: Path) -> dict[str, Any]:
-    """The variables of a MATLAB file up to version 7; DataError in plain words when it cannot be read."""
+    """The variables of a MATLAB file up to version 7; DataError for an unreadable file."""
     if path.stat().st_size == 0:
         raise DataError("the file is empty", where=str(path))
     try:

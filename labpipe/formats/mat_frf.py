@@ -1,4 +1,4 @@
-"""Frequency responses and recordings as MATLAB files (version 7), and responses read back."""
+"""Frequency responses and recordings as MATLAB files (version 7), and reading of responses."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ def _port_variables(side: str, ports: tuple[Port, ...]) -> dict[str, Any]:
 
 
 def holds_response(path: Path) -> bool:
-    """Whether a readable MATLAB or HDF5 file holds a response."""
+    """True if a readable MATLAB or HDF5 file holds a response."""
     if is_hdf5(path):
         return has_hdf5_variables(path, _MARKS)
     return set(_MARKS) <= load_variables(path).keys()
 
 
 def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
-    """The response of a file as `write_frf_mat` writes it; DataError names the variable that is missing or of another size."""
+    """The response of a file written by `write_frf_mat`; DataError names a missing variable or one of wrong size."""
     variables = load_hdf5_variables(path, _KNOWN) if is_hdf5(path) else load_variables(path)
     needed = ("frequency_hz", "H", "form", "outputs", "inputs")
     missing = [key for key in needed if key not in variables]
@@ -83,7 +83,7 @@ def _numbers(variables: dict[str, Any], key: str, path: Path) -> Any:
 def _shaped(variables: dict[str, Any], key: str, shape: tuple[int, ...], path: Path) -> Any:
     values = _numbers(variables, key, path)
     if values.shape != shape[: values.ndim] or values.size != math.prod(shape):
-        raise DataError(f"the variable {key} has the size {values.shape}, {shape} is needed", where=str(path))
+        raise DataError(f"the variable {key} has the size {values.shape}, {shape} is required", where=str(path))
     return values.reshape(shape)
 
 
@@ -92,9 +92,9 @@ def _ports(variables: dict[str, Any], side: str, path: Path) -> tuple[Port, ...]
     dofs = _texts(variables.get(f"{side}_dofs", variables[f"{side}s"]))
     angles = np.asarray(variables.get(f"{side}_angles_rad", np.full(len(labels), np.nan)), float).ravel()
     if not labels or not len(labels) == len(dofs) == angles.size:
-        raise DataError(f"{side}s, {side}_dofs and {side}_angles_rad are not of one length", where=str(path))
-    known = zip(labels, dofs, angles, strict=True)
-    return tuple(Port(label, label, dof, None if math.isnan(angle) else float(angle)) for label, dof, angle in known)
+        raise DataError(f"{side}s, {side}_dofs and {side}_angles_rad differ in length", where=str(path))
+    ports = zip(labels, dofs, angles, strict=True)
+    return tuple(Port(label, label, dof, None if math.isnan(angle) else float(angle)) for label, dof, angle in ports)
 
 
 def _texts(cells: Any) -> list[str]:
@@ -107,7 +107,7 @@ def write_recording_mat(path: Path, recording: Recording) -> None:
     names = [re.sub(r"\W", "_", channel.name, flags=re.ASCII) for channel in recording.channels]
     names = [name if name[:1].isalpha() else f"x{name}" for name in names]
     if len({*names, "fs", "units"}) < len(names) + 2:
-        raise DataError("two channels have one name in MATLAB", where=recording.name, hint="fs and units are taken")
+        raise DataError("two channels have the same name in MATLAB", where=recording.name, hint="fs and units are reserved")
     variables: dict[str, Any] = {name: recording.samples[:, n : n + 1] for n, name in enumerate(names)}
     units = {name: channel.unit for name, channel in zip(names, recording.channels, strict=True)}
     savemat(path, {**variables, "fs": recording.sample_rate, "units": units}, do_compression=True, long_field_names=True, appendmat=False)

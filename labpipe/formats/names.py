@@ -1,4 +1,4 @@
-"""Column names that stand once each."""
+"""Unique column names."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 
 def unique(names: Sequence[str]) -> tuple[str, ...]:
-    """The names, numbered from the second on where one comes again: a, a_2, a_3."""
-    found: list[str] = []
+    """The names, with repeated ones numbered from the second on: a, a_2, a_3."""
+    unique_names: list[str] = []
     for name in names:
         candidate, number = name, 1
-        while candidate in found:
+        while candidate in unique_names:
             number += 1
             candidate = f"{name}_{number}"
-        found.append(candidate)
-    return tuple(found)
+        unique_names.append(candidate)
+    return tuple(unique_names)

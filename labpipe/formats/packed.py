@@ -1,4 +1,4 @@
-"""Text tables as they are or packed with gzip or Zstandard; unpacked as they are read."""
+"""Text tables, plain or compressed with gzip or Zstandard; decompressed while reading."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ PACKED = (".gz", ".zst")
 
 
 def plain_suffix(path: Path) -> str:
-    """The ending by which a file's kind is known: run.csv.gz -> .csv."""
+    """The suffix that determines a file's kind: run.csv.gz -> .csv."""
     suffix = path.suffix.lower()
     return Path(path.stem).suffix.lower() if suffix in PACKED else suffix
 
 
 def open_unpacked(path: Path) -> BinaryIO:
-    """The bytes of a file, unpacked by its ending."""
+    """The bytes of a file, decompressed according to its suffix."""
     if path.suffix.lower() in PACKED:
         stream: BinaryIO = pa.input_stream(str(path), compression="gzip" if path.suffix.lower() == ".gz" else "zstd")
         return stream
@@ -27,5 +27,5 @@ def open_unpacked(path: Path) -> BinaryIO:
 
 
 def damaged(path: Path, error: Exception) -> DataError:
-    """What is said of a packed file that cannot be unpacked."""
+    """The error of a compressed file that cannot be decompressed."""
     return DataError(f"cannot be unpacked ({str(error).splitlines()[0][:80]})", where=str(path), hint="the file is damaged or cut off")

@@ -1,4 +1,4 @@
-"""Parquet tables that other programs wrote."""
+"""Parquet tables of other programs."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.artefacts.parquet import batches, open_parquet
 from labpipe.errors import DataError
 from labpipe.formats.csv_layout import bracketed_unit
@@ -28,12 +28,12 @@ class ParquetTable:
         if open_parquet(path).metadata.num_rows == 0:
             raise DataError("has no rows", where=str(path))
 
-    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
-        """Consecutive chunks (n, len(columns)); DataError when a column does not hold numbers."""
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """Consecutive chunks (n, n_column) [unit of the file]; DataError for a column without numbers."""
         for name in columns:
             kind = self._schema.field(name).type
             if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
-                raise DataError(f"column '{name}' holds {kind}, numbers are needed", where=str(self.path))
+                raise DataError(f"column '{name}' holds {kind}, numbers are required", where=str(self.path))
         for batch in batches(self.path, list(dict.fromkeys(columns)), CHUNK_ROWS):
             table = [batch.column(name).cast(pa.float64()).to_numpy(zero_copy_only=False) for name in columns]
             yield np.column_stack(table)

@@ -1,4 +1,4 @@
-"""Run-ups as CSV: what was set stands in comment lines, 1x amplitude and phase of every plane and direction in columns.
+"""Run-ups as CSV: settings in comment lines, 1x amplitude and phase of every plane and direction in columns.
 
     # load: 3.66 N
     # unbalance disc 1: 50 g.mm at 0 deg
@@ -7,9 +7,9 @@
     # phase error: 1 deg
     speed [rpm],disc 1 x amplitude [um],disc 1 x phase [deg],disc 1 y amplitude [um],disc 1 y phase [deg]
 
-Standard errors may stand in columns of their own instead (``disc 1 x amplitude error [um]``, ``disc 1 x phase error [deg]``). The phase is
-that of x(t) = A cos(w t + phase), counted from the keyphasor: a motion that lags has a negative one. Under a shaker the lines
-``# shaker: 2 N in x, 0 N in y at disc 1`` and ``# shaker frequency: 0.95`` (over the shaft's speed) take the place of the unbalances.
+Standard errors may have their own columns instead (``disc 1 x amplitude error [um]``, ``disc 1 x phase error [deg]``). The phase is
+that of x(t) = A cos(w t + phase), relative to the keyphasor: a lagging motion has a negative one. For a run with a shaker the lines
+``# shaker: 2 N in x, 0 N in y at disc 1`` and ``# shaker frequency: 0.95`` (over the shaft's speed) replace the unbalances.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.csv_table import CsvTable
 from labpipe.formats.packed import open_unpacked
@@ -41,13 +41,11 @@ _UNBALANCE = re.compile(r"^(?P<size>.+?)\s+at\s+(?P<angle>.+)$")
 _SHAKER = re.compile(r"^(?P<x>.+?)\s+in\s+x\s*,\s*(?P<y>.+?)\s+in\s+y\s+at\s+(?P<plane>.+)$")
 UNITS = {"amplitude": "m", "amplitude error": "m", "phase": "rad", "phase error": "rad"}
 
-Array = NDArray[np.float64]
-
 
 def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex] | None = None) -> RunUp:
-    """The run-up of a table; DataError names the file, the line or column, and what would be right.
+    """The run-up of a table; DataError names the file, the line or column, and the remedy.
 
-    *unbalance* [kg m] by plane: for a table that states none; empty for a run with nothing but its residual.
+    *unbalance* [kg m] by plane, for a table without unbalance lines; empty for a run with its residual unbalance only.
     """
     if not path.exists():
         raise DataError("no such file", where=str(path))
@@ -61,18 +59,19 @@ def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex]
     load = _value(head, "load", "N", path)
     try:
         response = amplitude * np.exp(1j * phase)
-        own = (name or path.stem, load, speed, planes, response, *errors)
-        shaker, known = _shaker(head, path), _unbalances(head)
-        if not known and shaker is None and unbalance is not None:
-            known = dict(unbalance) or {planes[0]: 0j}
-        return RunUp(*own, known, shaker, _threshold(head))
+        shaker, unbalances = _shaker(head, path), _unbalances(head)
+        if not unbalances and shaker is None and unbalance is not None:
+            unbalances = dict(unbalance) or {planes[0]: 0j}
+        amplitude_error, phase_error = errors
+        run_name = name or path.stem
+        return RunUp(run_name, load, speed, planes, response, amplitude_error, phase_error, unbalances, shaker, _threshold(head))
     except DataError as error:
         raise DataError(error.what, where=error.where or str(path), hint=error.hint) from None
 
 
 def _head(path: Path) -> dict[str, tuple[str, str]]:
-    """Key -> (text, place) of the comment lines; DataError for a misspelt key or one that stands twice."""
-    found: dict[str, tuple[str, str]] = {}
+    """Key -> (text, place) of the comment lines; DataError for a misspelt or repeated key."""
+    entries: dict[str, tuple[str, str]] = {}
     with open_unpacked(path) as stream, io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace") as lines:
         for number, line in enumerate(lines, 1):
             if not line.startswith("#"):
@@ -84,32 +83,32 @@ def _head(path: Path) -> dict[str, tuple[str, str]]:
             if key not in PLAIN_KEYS[:-1] and not key.startswith("unbalance "):
                 _refuse_misspelt(key, where)
                 continue
-            if key in found:
-                raise DataError(f"'{key}' stands twice", where=where)
-            found[key] = (match["text"], where)
-    return found
+            if key in entries:
+                raise DataError(f"'{key}' appears twice", where=where)
+            entries[key] = (match["text"], where)
+    return entries
 
 
 def _refuse_misspelt(key: str, where: str) -> None:
-    """Remarks of a logger are passed over; what nearly is an entry is refused."""
+    """DataError for a key similar to a known one; other comments (of a logger) are ignored."""
     if difflib.get_close_matches(key.lower(), PLAIN_KEYS, 1, 0.75):
         raise DataError(f"unknown entry '{key}'", where=where, hint=nearest(key, PLAIN_KEYS))
 
 
 def _columns(table: CsvTable) -> dict[tuple[str, str, str], str]:
-    """(plane, direction, what) -> name of the column; DataError for one that is none of these."""
-    found = {}
+    """(plane, direction, what) -> name of the column; DataError for any other column."""
+    names = {}
     for column in table.columns:
         if _SPEED.match(column):
             continue
         match = _COLUMN.match(column)
         if match is None:
-            hint = "columns are called 'disc 1 x amplitude [um]', 'disc 1 x phase [deg]'"
-            raise DataError(f"the column '{column}' is no part of a run-up", where=str(table.path), hint=hint)
-        found[(match["plane"], match["direction"], match["what"])] = column
-    if not found:
-        raise DataError("there is no plane in it", where=str(table.path), hint="for example a column 'disc 1 x amplitude [um]'")
-    return found
+            hint = "columns are named 'disc 1 x amplitude [um]', 'disc 1 x phase [deg]'"
+            raise DataError(f"the column '{column}' does not belong to a run-up", where=str(table.path), hint=hint)
+        names[(match["plane"], match["direction"], match["what"])] = column
+    if not names:
+        raise DataError("has no plane", where=str(table.path), hint="for example a column 'disc 1 x amplitude [um]'")
+    return names
 
 
 def _speed_column(table: CsvTable) -> str:
@@ -119,7 +118,7 @@ def _speed_column(table: CsvTable) -> str:
     raise DataError("no column 'speed'", where=str(table.path), hint="for example 'speed [rpm]'")
 
 
-def _in_si(table: CsvTable, column: str, si_unit: str) -> Array:
+def _in_si(table: CsvTable, column: str, si_unit: str) -> FloatArray:
     """A column in its SI unit; DataError where it has no unit, another dimension, or a missing number."""
     check_columns(table, [column])
     unit = table.units.get(column)
@@ -133,13 +132,13 @@ def _in_si(table: CsvTable, column: str, si_unit: str) -> Array:
     values = np.concatenate(chunks) if chunks else np.zeros(0)
     if not np.all(np.isfinite(values)):
         row = int(np.argmin(np.isfinite(values)))
-        hint = "leave the whole row out where nothing was measured"
+        hint = "leave out the whole row where nothing was measured"
         raise DataError(f"column '{column}': a number is missing in row {row + 1} of the table", where=str(table.path), hint=hint)
     return np.asarray(values * factor, np.float64)
 
 
-def _stack(table: CsvTable, columns: dict[tuple[str, str, str], str], planes: tuple[str, ...], what: str) -> Array:
-    """(n_speed, n_plane, 2) of one thing."""
+def _stack(table: CsvTable, columns: dict[tuple[str, str, str], str], planes: tuple[str, ...], what: str) -> FloatArray:
+    """(n_speed, n_plane, 2) of one quantity."""
     for plane in planes:
         for direction in DIRECTIONS:
             if (plane, direction, what) not in columns:
@@ -156,14 +155,14 @@ def _errors(
     planes: tuple[str, ...],
     head: dict[str, tuple[str, str]],
     what: str,
-    amplitude: Array,
-) -> Array:
-    """Standard errors from their columns, or from the one value above the table (of the amplitude a part of it)."""
-    if any(known == what for _, _, known in columns):
+    amplitude: FloatArray,
+) -> FloatArray:
+    """Standard errors from their columns, or from the value above the table (of the amplitude, relative)."""
+    if any(quantity == what for _, _, quantity in columns):
         return _stack(table, columns, planes, what)
     if what not in head:
-        hint = "give '# amplitude error: 1 %' and '# phase error: 1 deg' above the table; fits weigh by them"
-        raise DataError(f"the {what} is not stated", where=str(table.path), hint=hint)
+        hint = "give '# amplitude error: 1 %' and '# phase error: 1 deg' above the table; they weight the fits"
+        raise DataError(f"the {what} is missing", where=str(table.path), hint=hint)
     if what == "phase error":
         return np.full_like(amplitude, _value(head, what, "rad", table.path))
     return amplitude * _value(head, what, "1", table.path)
@@ -171,7 +170,7 @@ def _errors(
 
 def _value(head: dict[str, tuple[str, str]], key: str, unit: str, path: Path) -> float:
     if key not in head:
-        raise DataError(f"the {key} is not stated", where=str(path), hint=f"a line '# {key}: ... {unit}' above the table")
+        raise DataError(f"the {key} is missing", where=str(path), hint=f"a line '# {key}: ... {unit}' above the table")
     return _parsed(*head[key], key, unit)
 
 
@@ -194,16 +193,16 @@ def _threshold(head: dict[str, tuple[str, str]]) -> Uncertain | None:
 
 
 def _unbalances(head: dict[str, tuple[str, str]]) -> dict[str, complex]:
-    found = {}
+    unbalances = {}
     for key, (text, where) in head.items():
         if not key.startswith("unbalance "):
             continue
         match = _UNBALANCE.match(text)
         if match is None:
-            raise DataError(f"{key}: '{text}' is no size and angle", where=where, hint="for example 50 g.mm at 0 deg")
+            raise DataError(f"{key}: '{text}' is not a size and an angle", where=where, hint="for example 50 g.mm at 0 deg")
         size, angle = _parsed(match["size"], where, key, "kg.m"), _parsed(match["angle"], where, key, "rad")
-        found[key.removeprefix("unbalance ")] = size * complex(np.exp(1j * angle))
-    return found
+        unbalances[key.removeprefix("unbalance ")] = size * complex(np.exp(1j * angle))
+    return unbalances
 
 
 def _shaker(head: dict[str, tuple[str, str]], path: Path) -> Shaker | None:
@@ -212,7 +211,7 @@ def _shaker(head: dict[str, tuple[str, str]], path: Path) -> Shaker | None:
     text, where = head["shaker"]
     match = _SHAKER.match(text)
     if match is None:
-        raise DataError(f"shaker: '{text}' is no force at a plane", where=where, hint="for example 2 N in x, 0 N in y at disc 1")
+        raise DataError(f"shaker: '{text}' is not a force at a plane", where=where, hint="for example 2 N in x, 0 N in y at disc 1")
     ratio = _value(head, "shaker frequency", "1", path)
     if not ratio > 0:
         raise DataError("shaker frequency: must be positive", where=head["shaker frequency"][1], hint="over the shaft's speed")
@@ -220,7 +219,7 @@ def _shaker(head: dict[str, tuple[str, str]], path: Path) -> Shaker | None:
 
 
 def write_run_up_csv(path: Path, run: RunUp) -> None:
-    """Write the run as `read_run_up_csv` reads it: rpm, um and degrees, six significant digits; one error for all where it is one."""
+    """Write the run as `read_run_up_csv` reads it: rpm, um and degrees, six significant digits; constant errors as comment lines."""
     columns = {"speed [rpm]": run.rpm}
     relative, phase = _common_errors(run)
     for n, plane in enumerate(run.planes):
@@ -239,10 +238,10 @@ def write_run_up_csv(path: Path, run: RunUp) -> None:
 
 
 def _common_errors(run: RunUp) -> tuple[float | None, float | None]:
-    """The errors of amplitude (a part of it) and phase [rad] where one value holds for the whole run."""
+    """Errors of amplitude (relative) and phase [rad] that are constant over the run, else None."""
     parts = (run.amplitude_error / np.abs(run.response), run.phase_error)
-    found = [float(np.mean(part)) if np.ptp(part) <= 1e-9 * np.mean(part) else None for part in parts]
-    return found[0], found[1]
+    constants = [float(np.mean(part)) if np.ptp(part) <= 1e-9 * np.mean(part) else None for part in parts]
+    return constants[0], constants[1]
 
 
 def _lines(run: RunUp) -> list[str]:
@@ -254,7 +253,7 @@ def _lines(run: RunUp) -> list[str]:
         lines.append(f"shaker: {run.shaker.x:.9g} N in x, {run.shaker.y:.9g} N in y at {run.shaker.plane}")
         lines.append(f"shaker frequency: {run.shaker.frequency_ratio:.9g}")
     if run.threshold is not None:
-        value, error = (30 / np.pi * one for one in (run.threshold.value, run.threshold.std_error))
+        value, error = (30 / np.pi * speed for speed in (run.threshold.value, run.threshold.std_error))
         lines.append(f"threshold: {value:.9g} rpm +- {error:.9g} rpm")
     if relative is not None:
         lines.append(f"amplitude error: {100 * relative:.9g} %")

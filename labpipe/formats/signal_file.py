@@ -8,15 +8,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pc
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 from scipy.io import wavfile
 
+from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import output_file
 from labpipe.errors import ConfigError
 
 
-def write_signal(path: Path, samples: NDArray[np.float64], sample_rate: float) -> None:
-    """Write samples [V] by the file's ending; a WAV file is scaled to its full range. ConfigError for other endings."""
+def write_signal(path: Path, samples: FloatArray, sample_rate: float) -> None:
+    """Write *samples* (n_sample,) [V] in the format of the suffix; a WAV file is scaled to full range. ConfigError for other suffixes."""
     suffix = path.suffix.lower()
     device = path.exists() and not path.is_file() and not path.is_dir()
     if suffix not in (".csv", ".parquet", ".wav") and not device:
@@ -32,8 +32,8 @@ def write_signal(path: Path, samples: NDArray[np.float64], sample_rate: float) -
             pc.write_csv(table, target, pc.WriteOptions(quoting_style="none"))
 
 
-def _write_wav(path: Path, samples: NDArray[np.float64], sample_rate: float) -> None:
-    """32-bit float WAV whose peak is 1; the file's rate is a whole number of hertz."""
+def _write_wav(path: Path, samples: FloatArray, sample_rate: float) -> None:
+    """32-bit float WAV with peak 1; the file's rate is a whole number of hertz."""
     if sample_rate != round(sample_rate):
         raise ConfigError(f"a WAV file cannot hold the sampling rate {sample_rate:g} Hz", hint="choose a whole number of hertz")
     wavfile.write(path, round(sample_rate), (samples / np.max(np.abs(samples))).astype(np.float32))

@@ -26,7 +26,7 @@ HEADER = (
 
 
 def write_study_csv(path: Path, study: Study) -> None:
-    """Write the table; what is not known is left empty."""
+    """Write the table; unknown values are left empty."""
     with path.open("w", encoding="utf-8", newline="") as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(HEADER)

@@ -6,9 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.packed import plain_suffix
 from labpipe.registry import Registry, nearest
@@ -29,22 +27,22 @@ READERS = Registry(
 
 
 class Table(Protocol):
-    """Columns by name; *units* and *sample_rate* [Hz] where the file itself states them; missing numbers are NaN."""
+    """Columns by name; *units* and *sample_rate* [Hz] where the file states them; missing numbers are NaN."""
 
     path: Path
     columns: tuple[str, ...]
     units: dict[str, str]
     sample_rate: float | None
 
-    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
-        """Consecutive chunks (n, len(columns)) of the named columns."""
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """Consecutive chunks (n, n_column) [unit of the file] of the named columns."""
         ...
 
 
 def open_table(path: Path) -> Table:
-    """The table of a file by its suffix; DataError when it is missing, a folder, or of no known kind."""
+    """The table of a file by its suffix; DataError for a missing file, a folder, or an unknown kind."""
     if path.is_dir():
-        raise DataError("is a folder, a file is needed", where=str(path))
+        raise DataError("is a folder, not a file", where=str(path))
     if not path.exists():
         raise DataError("no such file", where=str(path))
     suffix = plain_suffix(path)
@@ -54,11 +52,11 @@ def open_table(path: Path) -> Table:
     return table
 
 
-def check_columns(table: Table, wanted: Sequence[str]) -> None:
-    """DataError when a wanted column is missing (with the nearest name) or stands twice."""
-    for name in wanted:
+def check_columns(table: Table, required: Sequence[str]) -> None:
+    """DataError for a required column that is missing (with the nearest name) or not unique."""
+    for name in required:
         count = table.columns.count(name)
         if count == 0:
             raise DataError(f"no column '{name}'", where=str(table.path), hint=nearest(name, table.columns))
         if count > 1:
-            raise DataError(f"the column '{name}' stands {count} times", where=str(table.path), hint="rename one of them")
+            raise DataError(f"the column '{name}' appears {count} times", where=str(table.path), hint="rename one of them")

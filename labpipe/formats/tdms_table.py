@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from nptdms import TdmsFile
 from nptdms.log import log_manager
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.names import unique
 
@@ -23,36 +23,36 @@ _BROKEN = (ValueError, TypeError, OSError, KeyError, IndexError, EOFError, Overf
 
 
 class TdmsTable:
-    """The channels that are as long as the longest, called by name, or "group/name" where a name comes twice. Satisfies Table."""
+    """The longest channels, by name, or "group/name" for a repeated name. Satisfies Table."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        # What npTDMS says of a damaged file would stand beside our one message.
+        # Suppresses npTDMS's log of a damaged file: there is one error message.
         log_manager.set_level(logging.ERROR)
         if path.stat().st_size == 0:
             raise DataError("the file is empty", where=str(path))
         try:
             with path.open("rb") as stream, TdmsFile.open(stream) as file:
                 _check_whole(file, path)
-                known = [channel for group in file.groups() for channel in group.channels() if _is_numeric(channel)]
-                self._keep(known)
+                channels = [channel for group in file.groups() for channel in group.channels() if _is_numeric(channel)]
+                self._keep(channels)
         except _BROKEN as error:
             raise self._damaged(error) from None
 
-    def _keep(self, known: list[Any]) -> None:
-        length = max((len(channel) for channel in known), default=0)
+    def _keep(self, candidates: list[Any]) -> None:
+        length = max((len(channel) for channel in candidates), default=0)
         if length < 1:
             raise DataError("holds no channel of numbers", where=str(self.path))
-        kept = [channel for channel in known if len(channel) == length]
-        names = [channel.name for channel in kept]
-        self.columns = unique([c.name if names.count(c.name) == 1 else f"{c.group_name}/{c.name}" for c in kept])
-        self._places = {name: (c.group_name, c.name) for name, c in zip(self.columns, kept, strict=True)}
+        channels = [channel for channel in candidates if len(channel) == length]
+        names = [channel.name for channel in channels]
+        self.columns = unique([c.name if names.count(c.name) == 1 else f"{c.group_name}/{c.name}" for c in channels])
+        self._places = {name: (c.group_name, c.name) for name, c in zip(self.columns, channels, strict=True)}
         self._length = length
-        self.units = {name: unit for name, channel in zip(self.columns, kept, strict=True) if (unit := _unit(channel))}
-        self.sample_rate = _rate(kept, self.path)
+        self.units = {name: unit for name, channel in zip(self.columns, channels, strict=True) if (unit := _unit(channel))}
+        self.sample_rate = _rate(channels, self.path)
 
-    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
-        """Consecutive chunks (n, len(columns)), scaled; DataError when the file is damaged."""
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """Consecutive chunks (n, n_column) [unit of the file], scaled; DataError when the file is damaged."""
         try:
             with self.path.open("rb") as stream, TdmsFile.open(stream) as file:
                 channels = [file[group][name] for group, name in (self._places[column] for column in columns)]
@@ -68,7 +68,7 @@ class TdmsTable:
 
 def _check_whole(file: TdmsFile, path: Path) -> None:
     if file.file_status.incomplete_final_segment:
-        raise DataError("its last segment is cut off", where=str(path), hint="the logger was interrupted, or the file was not copied whole")
+        raise DataError("its last segment is truncated", where=str(path), hint="the logger was interrupted, or the copy is incomplete")
 
 
 def _is_numeric(channel: Any) -> bool:
@@ -86,6 +86,6 @@ def _rate(channels: list[Any], path: Path) -> float | None:
         return None
     low, high = min(steps.values()), max(steps.values())
     if low <= 0 or high > low * (1 + _SAME):
-        raise DataError(f"its channels are {low:g} s to {high:g} s from sample to sample", where=str(path), hint="one rate is needed")
+        raise DataError(f"its channels have time steps from {low:g} s to {high:g} s", where=str(path), hint="one rate is required")
     rate = 1 / low
     return float(round(rate)) if abs(round(rate) / rate - 1) < _SAME else rate

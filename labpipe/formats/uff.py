@@ -1,4 +1,4 @@
-"""Universal files: the records 58 and 58b (functions at nodal dofs) and 164 (units), found without reading their numbers.
+"""Universal files: the records 58 and 58b (functions at nodal dofs) and 164 (units), located without reading their numbers.
 
 Layout: I-DEAS universal dataset 58, records 1-12, and its binary header 58b.
 """
@@ -17,7 +17,7 @@ from labpipe.formats.uff_numbers import NumberLayout, binary_layout, text_layout
 UFF_SUFFIXES = (".uff", ".unv", ".uf")
 TIME, FRF, COHERENCE = 1, 4, 6
 _MARK = re.compile(rb"^[ \t]*-1[ \t]*\r?$", re.MULTILINE)
-# Binary numbers end wherever they end: the closing -1 need not begin a line.
+# After binary numbers the closing -1 need not begin a line.
 _CLOSING = re.compile(rb"\s*-1[ \t]*\r?(?:\n|\Z)")
 _HEADER_LINES = 11
 _POINT = (5, 10, 5, 10, 11, 10, 4, 11, 10, 4)
@@ -27,7 +27,7 @@ _AXIS = (10, 5, 5, 5, 21, 21)
 
 @dataclass(frozen=True)
 class UffPoint:
-    """Where a function is measured or acts: entity name ('' for none), node, direction (0 scalar, 1..3 x y z, 4..6 about them)."""
+    """Point of measurement or excitation: entity name ('' for none), node, direction (0 scalar, 1..3 x y z, 4..6 about them)."""
 
     name: str
     node: int
@@ -51,7 +51,7 @@ class UffScale:
     force: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class UffRecord:
     """One record 58 or 58b; *start* and *step* of its abscissa, or an abscissa beside the numbers where *even* is false."""
 
@@ -72,7 +72,7 @@ class UffRecord:
 
     @property
     def where(self) -> str:
-        """How a message names the record."""
+        """Name of the record in messages."""
         return f"record {self.number} ({self.title or 'without a title'})"
 
 
@@ -93,12 +93,12 @@ class _Lines:
         return _decoded(line)
 
     def needed(self, count: int) -> list[str]:
-        """The next lines; DataError when the file ends before."""
+        """The next lines; DataError at the end of the file."""
         lines = [self.next() for _ in range(count)]
-        found = [line for line in lines if line is not None]
-        if len(found) < count:
-            raise DataError("ends within the header of a record", where=str(self.path), hint="the file is cut off")
-        return found
+        complete = [line for line in lines if line is not None]
+        if len(complete) < count:
+            raise DataError("ends within the header of a record", where=str(self.path), hint="the file is truncated")
+        return complete
 
     def mark(self) -> re.Match[bytes] | None:
         """The -1 here, or the next line that is one."""
@@ -122,7 +122,7 @@ def open_uff(path: Path) -> mmap.mmap:
 
 
 def read_uff(path: Path) -> tuple[UffRecord, ...]:
-    """All records 58 and 58b of a universal file; DataError when it is none, is cut off or has no such record."""
+    """All records 58 and 58b of a universal file; DataError for another or truncated file, or without such a record."""
     with open_uff(path) as buffer:
         records = tuple(_records(_Lines(path, buffer)))
     if not records:
@@ -137,7 +137,7 @@ def _records(lines: _Lines) -> Iterator[UffRecord]:
         if not line.strip(" \t\r\0\x1a"):
             continue
         if line.strip() != "-1":
-            raise DataError(f"is no universal file: '-1' is needed, not '{line.strip()[:30]!s}'", where=str(lines.path))
+            raise DataError(f"is not a universal file: '-1' is required, not '{line.strip()[:30]!s}'", where=str(lines.path))
         kind = lines.needed(1)[0]
         if kind[:6].strip() == "58":
             number += 1
@@ -150,7 +150,7 @@ def _records(lines: _Lines) -> Iterator[UffRecord]:
 def _to_end(lines: _Lines, kind: str) -> None:
     mark = lines.mark()
     if mark is None:
-        raise DataError(f"the record {kind.strip()[:6]} has no end", where=str(lines.path), hint="the file is cut off")
+        raise DataError(f"the record {kind.strip()[:6]} has no end", where=str(lines.path), hint="the file is truncated")
     lines.position = mark.end() + 1
 
 
@@ -167,7 +167,7 @@ def _scale(lines: _Lines) -> UffScale:
 
 
 def _record(lines: _Lines, kind: str, number: int, scale: UffScale | None) -> UffRecord:
-    """The record whose first line is *kind*; leaves the position behind its numbers."""
+    """The record whose first line is *kind*; leaves the position after its numbers."""
     header = lines.needed(_HEADER_LINES)
     title = _name(header[0])
     try:
@@ -175,12 +175,27 @@ def _record(lines: _Lines, kind: str, number: int, scale: UffScale | None) -> Uf
         function, ordinate_type, n_value = _integer(point[0]), _integer(form[0]), _integer(form[1])
         even, start, step = _integer(form[2]) == 1, _real(form[3]), _real(form[4])
         response, reference = _point(point[4:7]), _point(point[7:10])
-        axes = [_axis(_cut(line, _AXIS)) for line in header[7:10]]
+        abscissa, ordinate, denominator = (_axis(_cut(line, _AXIS)) for line in header[7:10])
         layout = _layout(lines, kind, ordinate_type, n_value, even)
     except ValueError as error:
         raise DataError(f"record {number} ({title}): {error}", where=str(lines.path)) from None
     lines.position = layout.end
-    return UffRecord(number, title, function, response, reference, n_value, even, start, step, *axes, scale, layout)
+    return UffRecord(
+        number=number,
+        title=title,
+        function=function,
+        response=response,
+        reference=reference,
+        n_value=n_value,
+        even=even,
+        start=start,
+        step=step,
+        abscissa=abscissa,
+        ordinate=ordinate,
+        denominator=denominator,
+        scale=scale,
+        layout=layout,
+    )
 
 
 def _layout(lines: _Lines, kind: str, ordinate_type: int, n_value: int, even: bool) -> NumberLayout:

@@ -7,7 +7,8 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from labpipe.arrays import ComplexArray, FloatArray
 
 # Ordinate data types of record 7: width of a text field, bytes of a binary number, numbers per value.
 _TEXT_WIDTH = {2: 13, 4: 20, 5: 13, 6: 20}
@@ -21,7 +22,7 @@ _END = re.compile(rb"\s*-1\s")
 
 @dataclass(frozen=True)
 class NumberLayout:
-    """Where the numbers stand (bytes *begin* to *end*), what one value is made of; *dtype* is None for text."""
+    """Position of the numbers (bytes *begin* to *end*) and parts of one value; *dtype* is None for text."""
 
     begin: int
     end: int
@@ -39,14 +40,14 @@ def text_layout(begin: int, end: int, ordinate_type: int, n_value: int, even: bo
 
 
 def binary_layout(buffer: mmap.mmap, begin: int, codes: list[str], ordinate_type: int, n_value: int, even: bool) -> NumberLayout:
-    """The layout of binary numbers, at whose end the closing -1 must stand; ValueError when it does not.
+    """The layout of binary numbers, up to the closing -1; ValueError when it is missing.
 
-    The byte count of the 58b header is not used: programs are found to count complex values once. Where the abscissa or single
-    precision data were written as doubles, which the format does not provide but programs do, the -1 shows it.
+    The byte count of the 58b header is not used: some programs count complex values once. Some programs write the abscissa or single
+    precision data as doubles, contrary to the format; the position of the -1 shows it.
     """
     _check(ordinate_type)
     if len(codes) < 2 or codes[0] not in _BYTE_ORDER or codes[1] != _IEEE:
-        raise ValueError("the byte order or number format of the 58b header is not known")
+        raise ValueError("the byte order or number format of the 58b header is unknown")
     order, parts = _BYTE_ORDER[codes[0]], _PARTS[ordinate_type]
     for abscissa, ordinate in ((4, _BYTES[ordinate_type]), (8, 8)):
         fields = [] if even else [("x", f"{order}f{abscissa}")]
@@ -62,8 +63,11 @@ def _check(ordinate_type: int) -> None:
         raise ValueError(f"unknown ordinate data type {ordinate_type}")
 
 
-def read_numbers(buffer: mmap.mmap, layout: NumberLayout) -> tuple[NDArray[np.float64] | None, NDArray[np.generic]]:
-    """(abscissa or None, ordinates): (n_value,) real or complex; ValueError when there are more or fewer than stated."""
+def read_numbers(buffer: mmap.mmap, layout: NumberLayout) -> tuple[FloatArray | None, FloatArray | ComplexArray]:
+    """Abscissa (n_value,) or None, and ordinates (n_value,), real or complex [unit of the file].
+
+    ValueError when their number differs from that of the header.
+    """
     if layout.dtype is None:
         abscissa, ordinate = _text_numbers(buffer[layout.begin : layout.end], layout)
     else:
@@ -72,7 +76,7 @@ def read_numbers(buffer: mmap.mmap, layout: NumberLayout) -> tuple[NDArray[np.fl
     return abscissa, ordinate[:, 0] if layout.parts == 1 else ordinate[:, 0] + 1j * ordinate[:, 1]
 
 
-def _text_numbers(text: bytes, layout: NumberLayout) -> tuple[NDArray[np.float64] | None, NDArray[np.float64]]:
+def _text_numbers(text: bytes, layout: NumberLayout) -> tuple[FloatArray | None, FloatArray]:
     columns = layout.parts + (not layout.even)
     numbers = _split(text.upper().replace(b"D", b"E"), layout)
     if numbers.size != columns * layout.n_value:
@@ -81,8 +85,8 @@ def _text_numbers(text: bytes, layout: NumberLayout) -> tuple[NDArray[np.float64
     return (None, table) if layout.even else (table[:, 0], table[:, 1:])
 
 
-def _split(text: bytes, layout: NumberLayout) -> NDArray[np.float64]:
-    """Numbers between blanks, or, where a long exponent lets fields touch, by their widths."""
+def _split(text: bytes, layout: NumberLayout) -> FloatArray:
+    """Numbers separated by blanks or, where fields touch (long exponents), by their widths."""
     try:
         return np.array(text.split(), dtype=np.float64)
     except ValueError:

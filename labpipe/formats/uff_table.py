@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.names import unique
 from labpipe.formats.uff import TIME, UffRecord, open_uff, read_uff
@@ -15,27 +15,27 @@ from labpipe.formats.uff_numbers import read_numbers
 from labpipe.formats.uff_units import time_unit
 
 CHUNK_ROWS = 1 << 17
-# The time step is printed with six digits; a whole number of hertz within these is what was meant.
+# The time step is printed with six digits: rates are rounded to a whole number of hertz within this relative tolerance.
 _STEP_DIGITS = 1e-5
 _DIRECTIONS = ("", "X", "Y", "Z", "RX", "RY", "RZ")
 
 
 class UffTable:
-    """Equally long time records of one file. Satisfies Table."""
+    """Time records of equal length of one file. Satisfies Table."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         records = [record for record in read_uff(path) if record.function == TIME or (record.function, record.abscissa.kind) == (0, 17)]
         if not records:
-            raise DataError("holds no time records", where=str(path), hint="FRFs are named under frfs: in a pipeline")
+            raise DataError("holds no time records", where=str(path), hint="FRFs belong under frfs: in a pipeline")
         _check_alike(records, path)
         self.columns = unique([channel_name(record) for record in records])
         self._records = dict(zip(self.columns, records, strict=True))
         self.units = {name: unit for name, record in self._records.items() if (unit := time_unit(record)[0])}
         self.sample_rate: float | None = whole_rate(1 / records[0].step)
 
-    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
-        """Consecutive chunks (n, len(columns)); DataError when a record is cut off."""
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """Consecutive chunks (n, n_column) [unit of the column]; DataError for a truncated record."""
         with open_uff(self.path) as buffer:
             try:
                 table = [np.asarray(read_numbers(buffer, self._records[name].layout)[1], float) for name in columns]
@@ -59,7 +59,7 @@ def _check_alike(records: list[UffRecord], path: Path) -> None:
 
 
 def channel_name(record: UffRecord) -> str:
-    """The entity name of the response, else its node and direction, else the axis label, the title or the record's number."""
+    """Entity name of the response, else its node and direction, else the axis label, the title or the record's number."""
     point = record.response
     sign = "-" if point.direction < 0 else "+"
     dof = f"{point.node}{sign}{_DIRECTIONS[abs(point.direction)]}" if point.direction else str(point.node)
@@ -67,5 +67,5 @@ def channel_name(record: UffRecord) -> str:
 
 
 def whole_rate(rate: float) -> float:
-    """The sampling rate [Hz], a whole number where the printed time step allows one."""
+    """The sampling rate [Hz], rounded to a whole number within the precision of the printed time step."""
     return float(round(rate)) if abs(round(rate) / rate - 1) < _STEP_DIGITS else rate

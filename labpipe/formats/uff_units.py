@@ -1,4 +1,4 @@
-"""From the numbers of a universal file to SI units: by its 164 record, else by the unit labels of the record, else as they stand."""
+"""Conversion of universal files to SI units: by their 164 record, else by the unit labels of the record, else unchanged."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SAME = 1e-4
 
 
 def readable_unit(label: str, kind: int) -> str:
-    """The label as labpipe writes units ("m/s2" -> "m/s^2", and g of an acceleration -> gn), or '' when it is not understood."""
+    """The label in labpipe's notation ("m/s2" -> "m/s^2", and g of an acceleration -> gn), '' for an unknown one."""
     text = re.sub(r"(?<=[A-Za-z])(-?\d)", r"^\1", label.strip().strip("[]"))
     if kind == 12:
         text = re.sub(r"(?<![A-Za-z])g(?![A-Za-z])", "gn", text)
@@ -29,7 +29,7 @@ def readable_unit(label: str, kind: int) -> str:
 
 
 def axis_unit(axis: UffAxis) -> str:
-    """The unit an axis states by its label, '' when it states none that is understood."""
+    """The unit of an axis by its label, '' for none or an unknown one."""
     return readable_unit(axis.unit, axis.kind) if axis.unit else ""
 
 
@@ -37,19 +37,19 @@ def form_of(record: UffRecord) -> str:
     """receptance, mobility or accelerance by the data types of the two axes; DataError for any other function."""
     if record.ordinate.kind not in FORMS or record.denominator.kind not in _FORCES:
         types = f"{record.ordinate.kind} per {record.denominator.kind}"
-        what = f"{record.where}: the data types {types} are no displacement, velocity or acceleration per force"
-        raise DataError(what, hint="8, 11 or 12 per 13 are needed")
+        what = f"{record.where}: the data types {types} are not displacement, velocity or acceleration per force"
+        raise DataError(what, hint="8, 11 or 12 per 13 are required")
     if max(abs(record.response.direction), abs(record.reference.direction)) > 3:
-        raise DataError(f"{record.where}: rotations and moments are not read")
+        raise DataError(f"{record.where}: rotations and moments are not supported")
     return FORMS[record.ordinate.kind]
 
 
 def frf_factor(record: UffRecord) -> float:
-    """SI value per value of an FRF record; DataError when its label is not understood, or is another unit than the 164 record's."""
+    """SI value per value of an FRF record; DataError for an unknown label, or one that contradicts the 164 record."""
     labelled = _labelled_factor(record)
     if record.scale is None:
         if labelled is None:
-            raise DataError(f"{record.where}: the unit '{record.ordinate.unit}' is not understood", hint="no record 164 gives the units")
+            raise DataError(f"{record.where}: unknown unit '{record.ordinate.unit}'", hint="there is no record 164 with the units")
         return labelled
     factor = record.scale.force / record.scale.length
     stated = bool(record.ordinate.unit) and labelled is not None
@@ -59,26 +59,26 @@ def frf_factor(record: UffRecord) -> float:
 
 
 def _labelled_factor(record: UffRecord) -> float | None:
-    """The factor of the labels: one for the whole quotient, or one for each part; 1 without labels, None when not understood."""
+    """The factor of the labels: one for the whole quotient, or one for each part; 1 without labels, None for unknown ones."""
     kind, label = record.ordinate.kind, record.ordinate.unit
     if not label:
         return 1.0
     unit = readable_unit(label, kind)
     if not unit:
         return None
-    found = parse_unit(unit)
-    if found.dimension == parse_unit(_FORM_UNITS[kind]).dimension:
-        return found.factor
+    ordinate = parse_unit(unit)
+    if ordinate.dimension == parse_unit(_FORM_UNITS[kind]).dimension:
+        return ordinate.factor
     force = parse_unit(axis_unit(record.denominator) or "N")
-    if found.dimension == parse_unit(SI_UNITS[kind]).dimension and force.dimension == parse_unit("N").dimension:
-        return found.factor / force.factor
+    if ordinate.dimension == parse_unit(SI_UNITS[kind]).dimension and force.dimension == parse_unit("N").dimension:
+        return ordinate.factor / force.factor
     return None
 
 
 def time_unit(record: UffRecord) -> tuple[str, float]:
-    """(unit, factor) of a time record: the numbers times the factor are in the unit; ('', 1) where nothing is stated.
+    """(unit, factor) of a time record: the numbers times the factor are in the unit; ('', 1) without a unit.
 
-    With a record 164 that is SI by data type; else the unit is that of the label and the numbers stay as they are.
+    With a record 164 the SI unit by data type; else the unit of the label, and factor 1.
     """
     kind = record.ordinate.kind
     if record.scale is not None and kind in (8, 9, 11, 12, 13):

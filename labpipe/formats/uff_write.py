@@ -10,6 +10,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.uff import COHERENCE, FRF, TIME, UffAxis, UffPoint
 from labpipe.formats.uff_frf import AXES
@@ -27,10 +28,10 @@ _EVEN = 1e-9
 
 
 def write_frf_uff(path: Path, response: FrequencyResponse, binary: bool = False) -> None:
-    """Write the FRFs, and coherences where known, as `read_frf_uff` reads them; covariances find no place in the format."""
+    """Write the FRFs, and coherences if available, as `read_frf_uff` reads them; the format has no covariances."""
     kind = next((number for number, form in FORMS.items() if form == response.form), None)
     if kind is None:
-        raise DataError(f"a response of the form '{response.form}' finds no place in a universal file")
+        raise DataError(f"a response of the form '{response.form}' cannot be written as a universal file")
     points = _points([*response.outputs, *response.inputs])
     outputs, inputs = points[: len(response.outputs)], points[len(response.outputs) :]
     ordinate = UffAxis(kind, response.form, SI_UNITS[kind])
@@ -45,7 +46,7 @@ def write_frf_uff(path: Path, response: FrequencyResponse, binary: bool = False)
 
 
 def write_recording_uff(path: Path, recording: Recording, binary: bool = False) -> None:
-    """Write one time record per channel as `UffTable` reads it; the format holds seven digits of a small time step."""
+    """Write one time record per channel as `UffTable` reads it; a small time step has seven digits in the format."""
     time = np.arange(recording.n_sample) / recording.sample_rate
     points = _points([Port(channel.name, channel.name, channel.dof, channel.angle) for channel in recording.channels])
     with path.open("wb") as stream:
@@ -56,14 +57,14 @@ def write_recording_uff(path: Path, recording: Recording, binary: bool = False) 
 
 
 def _points(ports: Iterable[Port]) -> list[UffPoint]:
-    """Entity name, node and direction of each port; DataError where two would have one name."""
-    known = list(ports)
-    places = list(dict.fromkeys(_place(port.dof)[0] for port in known))
-    points = {port: _point(port, places) for port in known}
-    for one, other in itertools.combinations(dict.fromkeys(known), 2):
-        if points[one] == points[other] and one.label != other.label:
-            raise DataError(f"'{one.label}' and '{other.label}' are one name in a universal file", hint="use ten letters at most")
-    return [points[port] for port in known]
+    """Entity name, node and direction of each port; DataError for two ports with the same name."""
+    all_ports = list(ports)
+    places = list(dict.fromkeys(_place(port.dof)[0] for port in all_ports))
+    points = {port: _point(port, places) for port in all_ports}
+    for first, second in itertools.combinations(dict.fromkeys(all_ports), 2):
+        if points[first] == points[second] and first.label != second.label:
+            raise DataError(f"'{first.label}' and '{second.label}' have the same name in a universal file", hint="use ten letters at most")
+    return [points[port] for port in all_ports]
 
 
 def _place(dof: str) -> tuple[str, int]:
@@ -84,7 +85,7 @@ def _write(
     title: str,
     function: int,
     ends: tuple[UffPoint, UffPoint],
-    abscissa: NDArray[np.floating],
+    abscissa: FloatArray,
     values: NDArray[np.generic],
     axes: tuple[UffAxis, UffAxis],
     binary: bool,
@@ -109,8 +110,8 @@ def _write(
     stream.write(numbers + (b"\n" if binary else b"") + b"    -1\n")
 
 
-def _printed_step(abscissa: NDArray[np.floating]) -> float | None:
-    """The step as it is printed, or None where the axis it gives is not the abscissa."""
+def _printed_step(abscissa: FloatArray) -> float | None:
+    """The printed step, or None where it does not reproduce the abscissa."""
     if abscissa.size < 2:
         return None
     step = float(_short((abscissa[-1] - abscissa[0]) / (abscissa.size - 1)))
@@ -127,12 +128,12 @@ def _axis(axis: UffAxis) -> str:
 
 
 def _short(value: float) -> str:
-    """A number in 13 columns with as many digits as they hold beside a blank."""
+    """A number in 13 columns with as many digits as fit beside a blank."""
     texts = (f"{float(value):.{digits}g}" for digits in range(12, 4, -1))
     return f"{next(text for text in texts if len(text) <= 12):>13}"
 
 
-def _binary(table: NDArray[np.float64], abscissa: NDArray[np.floating], step: float | None) -> bytes:
+def _binary(table: FloatArray, abscissa: FloatArray, step: float | None) -> bytes:
     if step is not None:
         return np.ascontiguousarray(table, "<f8").tobytes()
     pairs = np.empty(len(table), np.dtype([("x", "<f4"), ("y", "<f8", (table.shape[1],))]))
@@ -140,7 +141,7 @@ def _binary(table: NDArray[np.float64], abscissa: NDArray[np.floating], step: fl
     return pairs.tobytes()
 
 
-def _text(table: NDArray[np.float64], abscissa: NDArray[np.floating], step: float | None) -> bytes:
+def _text(table: FloatArray, abscissa: FloatArray, step: float | None) -> bytes:
     if step is None:
         rows = zip(abscissa, table, strict=True)
         return "".join(_short(x) + "".join(f"{y:20.12E}" for y in row) + "\n" for x, row in rows).encode()

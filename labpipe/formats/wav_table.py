@@ -1,4 +1,4 @@
-"""WAV files: one column per track, 1 at full scale; the rig's sensitivity says what full scale means."""
+"""WAV files: one column per track, 1 at full scale; the rig's sensitivity converts full scale."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import wavfile
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 
 CHUNK_ROWS = 1 << 17
@@ -28,19 +29,19 @@ class WavTable:
         self.units = dict.fromkeys(self.columns, "1")
         self.sample_rate: float | None = float(rate)
 
-    def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
-        """Consecutive chunks (n, len(columns))."""
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """Consecutive chunks (n, n_column) [1], relative to full scale."""
         indices = [self.columns.index(name) for name in columns]
         for start in range(0, self._samples.shape[0], CHUNK_ROWS):
             yield _share(self._samples[start : start + CHUNK_ROWS, indices])
 
 
 def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
-    """(rate [Hz], samples (n, n_track)), mapped from the file where its format (not 24 bit) allows it."""
+    """(rate [Hz], samples (n, n_track)), mapped from the file where its format (not 24 bit) permits it."""
     if path.stat().st_size == 0:
         raise DataError("the file is empty", where=str(path))
     try:
-        with warnings.catch_warnings(record=True) as said:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             try:
                 rate, samples = wavfile.read(str(path), mmap=True)
@@ -49,14 +50,14 @@ def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
     except (ValueError, TypeError, OSError, EOFError, struct.error, UnboundLocalError, ZeroDivisionError) as error:
         reason = (str(error).splitlines() or ["cut off"])[0].rstrip(".")
         raise DataError(f"is not a readable WAV file ({reason[:80]})", where=str(path)) from None
-    if any("EOF" in str(warning.message) for warning in said):
-        raise DataError("ends before its last sample", where=str(path), hint="the file is cut off")
+    if any("EOF" in str(warning.message) for warning in caught):
+        raise DataError("ends before its last sample", where=str(path), hint="the file is truncated")
     if rate <= 0:
-        raise DataError("states no sampling rate", where=str(path))
+        raise DataError("has no sampling rate", where=str(path))
     return rate, samples.reshape(samples.shape[0], -1)
 
 
-def _share(samples: NDArray[np.generic]) -> NDArray[np.float64]:
+def _share(samples: NDArray[np.generic]) -> FloatArray:
     """Samples by full scale: integers by 2^(bits - 1), bytes around 128; scipy gives 24 bit as the upper part of 32."""
     if samples.dtype.kind == "f":
         return samples.astype(np.float64)

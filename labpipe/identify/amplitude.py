@@ -1,12 +1,12 @@
-"""amplitude: one degree of freedom from the amplitudes of the FRF alone, for measurements whose phase cannot be trusted."""
+"""amplitude: one degree of freedom from the amplitudes of the FRF alone, for measurements with unreliable phase."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
@@ -22,42 +22,42 @@ NO_DAMPING = "the amplitudes fit no real damping: c^2 came out negative"
 
 @dataclass(frozen=True)
 class _Amplitudes:
-    """|H| (n_line,) [m/N] with its standard deviation (n_line,), or None where the noise is not known."""
+    """|H| (n_line,) [m/N] with its standard deviation (n_line,), None for an unknown noise."""
 
     measured: Measured
     model: DynamicModel
-    amplitude: NDArray[np.floating]
-    std: NDArray[np.floating] | None
+    amplitude: FloatArray
+    std: FloatArray | None
 
     @property
     def size(self) -> float:
         return float(np.linalg.norm(self.scaled(self.amplitude)))
 
-    def residual(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
+    def residual(self, parameters: FloatArray) -> FloatArray:
         fitted = np.abs(self.model.receptance(parameters, self.measured.omega)).reshape(-1)
         return self.scaled(self.amplitude - fitted)
 
-    def jacobian(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
         """d|H| = Re(H^* dH) / |H|."""
         h = self.model.receptance(parameters, self.measured.omega).reshape(-1)
         slopes = self.model.jacobian(parameters, self.measured.omega).reshape(len(self.model.terms), -1)
         return -self.scaled((h.conj() * slopes).real / np.abs(h)).T
 
-    def chi2(self, parameters: NDArray[np.floating]) -> float:
+    def chi2(self, parameters: FloatArray) -> float:
         return sum_of_squares(self.residual, parameters)
 
-    def scaled(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
+    def scaled(self, values: FloatArray) -> FloatArray:
         return values / (self.std if self.std is not None else float(np.max(self.amplitude)))
 
 
 def amplitude_fit(measured: Measured, model: DynamicModel, weight: str = "none") -> Estimate:
     """|H|^2 [(w_0^2 - w^2)^2 + (c w / m)^2] = 1 / m^2, linear in (w_0^4, c^2 / m^2 - 2 w_0^2, 1 / m^2) (Knaapen 1997, sec. 4.2).
 
-    weight none: linear least squares of the equation times |H|, as the source; noise: amplitudes weighted by their noise, started
-    from there. FitError where the amplitudes fit no real stiffness or damping.
+    weight none: linear least squares of the equation times |H|, as in the source; noise: amplitudes weighted by their noise, started
+    from the former. FitError where the amplitudes correspond to no real stiffness or damping.
     """
     if model.names not in (("k", "c"), ("k", "c", "m")):
-        raise ConfigError("the amplitude fit takes k and c, and m, all of them to estimate", hint="leave `fixed` and `eliminate` out")
+        raise ConfigError("the amplitude fit estimates k and c, or k, c and m", hint="leave `fixed` and `eliminate` out")
     amplitude = np.abs(measured.matrix).reshape(-1)
     dof = amplitude.size - len(model.terms)
     if dof <= 0:
@@ -74,25 +74,34 @@ def amplitude_fit(measured: Measured, model: DynamicModel, weight: str = "none")
         covariance = solve_scaled(problem.jacobian(values), problem.residual(values))[1]
     design = triangle_of(problem.jacobian(values))
     gof = _goodness(problem, values, dof)
-    return Estimate(values, measured.shared_noise * covariance, design, gof, dof, converged, steps, (NOTE,))
+    return Estimate(
+        values=values,
+        covariance=measured.shared_noise * covariance,
+        scaled_design=design,
+        gof=gof,
+        dof=dof,
+        converged=converged,
+        iterations=steps,
+        notes=(NOTE,),
+    )
 
 
-def _amplitude_noise(measured: Measured) -> NDArray[np.floating] | None:
-    """Standard deviation of |H|: the half of the variance that lies along H."""
+def _amplitude_noise(measured: Measured) -> FloatArray | None:
+    """Standard deviation of |H| [m/N]: half of the variance of H is along H."""
     if measured.covariance is None or not has_noise(measured):
         return None
     variance = measured.covariance.reshape(-1).real
     return np.sqrt(variance / 2) if np.all(variance > 0) else None
 
 
-def _linear(problem: _Amplitudes) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """(k, c[, m]) and their covariance from A^3 x_1 + A^3 w^2 x_2 - A x_3 = -A^3 w^4; x_3 = 1 / m^2 is given with the mass."""
+def _linear(problem: _Amplitudes) -> tuple[FloatArray, FloatArray]:
+    """(k, c[, m]) and their covariance from A^3 x_1 + A^3 w^2 x_2 - A x_3 = -A^3 w^4; x_3 = 1 / m^2 is known with the mass."""
     a, w = problem.amplitude, problem.measured.omega
     # Amplitude and frequency near 1: fourth powers span too many digits otherwise.
     a_unit, w_unit = float(np.max(a)), float(np.max(w))
     a, w = a / a_unit, w / w_unit
     columns, side = np.column_stack([a**3, a**3 * w**2, -a]), -(a**3) * w**4
-    mass = float(problem.model.given.mass[0, 0])
+    mass = float(problem.model.constant.mass[0, 0])
     if "m" not in problem.model.names:
         if mass == 0:
             raise FitError("the amplitude fit needs a mass above zero", hint="give the mass, or `estimate`")
@@ -110,7 +119,7 @@ def _linear(problem: _Amplitudes) -> tuple[NDArray[np.floating], NDArray[np.floa
     return values * units, (slopes @ covariance @ slopes.T) * np.outer(units, units)
 
 
-def _physical(x: NDArray[np.floating], n: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _physical(x: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
     """k = sqrt(x_1 / x_3), c = sqrt((x_2 + 2 sqrt(x_1)) / x_3), m = 1 / sqrt(x_3), and their slopes by x, (n, n)."""
     if x[0] <= 0 or x[2] <= 0:
         raise FitError("the amplitudes fit no real stiffness and mass", hint="widen the band to both sides of the resonance")
@@ -128,8 +137,8 @@ def _physical(x: NDArray[np.floating], n: int) -> tuple[NDArray[np.floating], ND
     return np.array([k, c, m])[:n], slopes[:n, :n]
 
 
-def _goodness(problem: _Amplitudes, values: NDArray[np.floating], dof: int) -> Goodness:
-    """R^2 of the amplitudes, and chi-square of their residual where the noise is known."""
+def _goodness(problem: _Amplitudes, values: FloatArray, dof: int) -> Goodness:
+    """R^2 of the amplitudes, and chi-square of their residual for a known noise."""
     residual, amplitude = problem.residual(values), problem.amplitude
     scaled = problem.scaled(amplitude)
     total = float(np.sum((scaled - scaled.mean()) ** 2))

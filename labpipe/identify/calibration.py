@@ -1,12 +1,12 @@
-"""Straight lines through calibration points: slope with its doubt, a check for curvature, the range in which the line holds."""
+"""Calibration lines: slope with standard error, test of curvature, linear range."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.distributions import student_tail
 from labpipe.errors import FitError
 from labpipe.identify.regression import solve_scaled
@@ -19,11 +19,14 @@ CURVATURE_P = 0.01
 
 @dataclass(frozen=True)
 class Line:
-    """y = slope x + intercept: values and covariance in this order (slope alone through the origin), residuals (n_point,)."""
+    """y = slope x + intercept: values (1 or 2,) and covariance (2, 2) in this order (slope alone through the origin), residual (n_point,).
 
-    values: NDArray[np.floating]
-    covariance: NDArray[np.floating]
-    residual: NDArray[np.floating]
+    Units: slope [y unit / x unit], intercept and residual [y unit].
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    residual: FloatArray
     r2: float
     dof: int
     condition_number: float
@@ -33,10 +36,10 @@ class Line:
         return float(self.values[0])
 
 
-def fit_line(x: NDArray[np.floating], y: NDArray[np.floating], *, through_origin: bool = False) -> Line:
-    """Least-squares line with standard errors from the residual; R^2 about the mean, or about zero through the origin.
+def fit_line(x: FloatArray, y: FloatArray, *, through_origin: bool = False) -> Line:
+    """Least-squares line through points x, y (n_point,) [any unit]; standard errors from the residual.
 
-    Raises FitError with fewer points than parameters + 1, or when x does not vary.
+    R^2 about the mean, or about zero through the origin. Raises FitError with fewer points than parameters + 1, or when x does not vary.
     """
     columns = x[:, None] if through_origin else np.column_stack([x, np.ones_like(x)])
     n_parameter = columns.shape[1]
@@ -53,8 +56,8 @@ def fit_line(x: NDArray[np.floating], y: NDArray[np.floating], *, through_origin
     return Line(values, inverse * float(residual @ residual) / dof, residual, r2, dof, condition_number(scaled))
 
 
-def curvature_p(x: NDArray[np.floating], y: NDArray[np.floating]) -> float | None:
-    """p-value of a quadratic term beside the line (t-test); None with too few points."""
+def curvature_p(x: FloatArray, y: FloatArray) -> float | None:
+    """p-value [1] of a quadratic term beside the line (t-test) for points x, y (n_point,); None with too few points."""
     if x.size < 5:
         return None
     centred = (x - x.mean()) / np.ptp(x)
@@ -67,16 +70,22 @@ def curvature_p(x: NDArray[np.floating], y: NDArray[np.floating]) -> float | Non
     return 2 * student_tail(abs(values[0]) / np.sqrt(variance * inverse[0, 0]), x.size - 3)
 
 
-def linear_range(positions: NDArray[np.floating], slopes: NDArray[np.floating], tolerance: float) -> float:
-    """Largest position up to which every slope stays within *tolerance* of the one at the first position (sorted by size)."""
+def linear_range(positions: FloatArray, slopes: FloatArray, tolerance: float) -> float:
+    """Largest |position| [unit of positions] up to which every slope is within *tolerance* [1] of that at the smallest |position|.
+
+    positions, slopes (n_position,).
+    """
     order = np.argsort(np.abs(positions))
     within = np.abs(slopes[order] / slopes[order[0]] - 1) <= tolerance
     last = int(np.argmin(within)) - 1 if not np.all(within) else within.size - 1
     return float(np.abs(positions[order[last]]))
 
 
-def linear_range_of_curve(x: NDArray[np.floating], y: NDArray[np.floating], tolerance: float) -> float:
-    """Largest range of x, from the smallest up, whose line has a slope within *tolerance* of the line through the first third."""
+def linear_range_of_curve(x: FloatArray, y: FloatArray, tolerance: float) -> float:
+    """Largest range of x [its unit], from the smallest up, with a slope within *tolerance* [1] of the line through the first third.
+
+    x, y (n_point,).
+    """
     order = np.argsort(x)
     x, y = x[order], y[order]
     start = max(3, x.size // 3)
@@ -95,11 +104,11 @@ def line_fit(
     test: str,
     line: Line,
     units: tuple[str, str],
-    x: NDArray[np.floating],
-    y: NDArray[np.floating],
+    x: FloatArray,
+    y: FloatArray,
     extra: tuple[Parameter, ...] = (),
 ) -> Fit:
-    """A line as a Fit: parameters slope and intercept [units], a finding when the points bend."""
+    """A line through x, y (n_point,) as a Fit: parameters slope and intercept [*units*], a warning for curved points."""
     names = ("slope", "intercept")[: line.values.size]
     std_errors = np.sqrt(np.diag(line.covariance))
     parameters = tuple(
@@ -120,12 +129,12 @@ def line_fit(
         parameters=(*parameters, *extra),
         condition_number=line.condition_number,
         correlation=correlation(line.covariance),
-        findings=_bent(curvature_p(x, y), line, y),
+        findings=_curvature_findings(curvature_p(x, y), line, y),
         test=test,
     )
 
 
-def _bent(p_value: float | None, line: Line, y: NDArray[np.floating]) -> tuple[Finding, ...]:
+def _curvature_findings(p_value: float | None, line: Line, y: FloatArray) -> tuple[Finding, ...]:
     if p_value is None or p_value >= CURVATURE_P:
         return ()
     share = 100 * np.max(np.abs(line.residual)) / np.ptp(y)

@@ -1,4 +1,4 @@
-"""Which structure do the data ask for? The model of a fit held against simpler and richer ones on the same lines."""
+"""Comparison of model structures: the model of a fit against simpler and richer ones on the same lines."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from labpipe.identify.weights import has_noise, weight_doubt, whitener
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Candidate
 
-# A model this much worse in AIC than the best has practically no support (Burnham and Anderson 2002, sec. 2.6).
+# Difference in AIC to the best model beyond which a model has practically no support (Burnham and Anderson 2002, sec. 2.6).
 NO_SUPPORT = 10.0
 
 
 @dataclass(frozen=True)
 class _Variant:
-    """A model to compare: its name, how it differs, and the names of the richer variants that contain it."""
+    """A model to compare: its name, its settings, and the names of the richer variants that contain it."""
 
     name: str
     settings: FitSettings
@@ -30,19 +30,18 @@ class _Variant:
 
 
 def candidates(measured: Measured, setup: Setup) -> tuple[Candidate, ...]:
-    """Every variant fitted by ml, the best by AIC = chi-square + 2 parameters first; none where the noise is not known.
+    """Every variant fitted by ml, in ascending order of AIC = chi-square + 2 parameters; none for an unknown noise.
 
-    Without `compare` only what proportional damping is held against: damping coefficients of their own.
-
-    p_value: chance of so large a fall of chi-square to the richest variant that contains this one, if this one is right
-    (likelihood ratio, chi-square with as many degrees of freedom as parameters were added).
+    Without `compare` only the alternative to proportional damping: independent damping coefficients.
+    p_value: probability of an equal or larger decrease of chi-square to the richest variant that contains this one, if this one is true
+    (likelihood ratio, chi-square with as many degrees of freedom as additional parameters).
     """
     if not has_noise(measured):
         return ()
     whole = setup.settings.compare
     variants = _variants(setup.settings) if whole else _damping_variants(setup.settings)
-    found = {variant.name: _fitted(measured, replace(setup, settings=variant.settings), variant.name) for variant in variants}
-    fitted = {name: candidate for name, candidate in found.items() if candidate is not None}
+    results = {variant.name: _fitted(measured, replace(setup, settings=variant.settings), variant.name) for variant in variants}
+    fitted = {name: candidate for name, candidate in results.items() if candidate is not None}
     if whole:
         fitted.update(_orders(measured, setup))
     inside = {variant.name: [fitted[name] for name in variant.inside if name in fitted] for variant in variants}
@@ -50,14 +49,15 @@ def candidates(measured: Measured, setup: Setup) -> tuple[Candidate, ...]:
     return tuple(sorted(tested, key=lambda candidate: candidate.aic))
 
 
-def comparison_findings(found: tuple[Candidate, ...]) -> tuple[Finding, ...]:
-    """A warning where another model than the one asked for (named first by `this`) is much better supported."""
-    own = next((candidate for candidate in found if candidate.name.startswith(THIS)), None)
-    if own is None or own.aic - found[0].aic < NO_SUPPORT:
+def comparison_findings(ranking: tuple[Candidate, ...]) -> tuple[Finding, ...]:
+    """A warning where another model than the fit's (its name begins with THIS) is much better supported."""
+    this_model = next((candidate for candidate in ranking if candidate.name.startswith(THIS)), None)
+    if this_model is None or this_model.aic - ranking[0].aic < NO_SUPPORT:
         return ()
+    best = ranking[0]
     message = (
-        f"the data ask for another model: '{found[0].name}' with {found[0].parameters} parameters has AIC {found[0].aic:.4g}, this one "
-        f"with {own.parameters} parameters {own.aic:.4g}"
+        f"another model is better supported by the data: '{best.name}' with {best.parameters} parameters has AIC {best.aic:.4g}, this one "
+        f"with {this_model.parameters} parameters {this_model.aic:.4g}"
     )
     return (Finding("other-model", message),)
 
@@ -66,9 +66,9 @@ THIS = "this model"
 
 
 def _orders(measured: Measured, setup: Setup) -> dict[str, Candidate]:
-    """Rational fits with one mode less than dofs, as many, and one more: is there a mode that the model does not have?"""
+    """Rational fits with one mode less than dofs, as many, and one more: a test for modes missing in the model."""
     n_output = len(setup.outputs)
-    found = {}
+    orders = {}
     for modes in range(max(n_output - 1, 1), n_output + 2):
         fitted = modal_chi2(measured, whitener(measured), modes)
         if fitted is not None:
@@ -76,12 +76,12 @@ def _orders(measured: Measured, setup: Setup) -> dict[str, Candidate]:
             name = f"{modes} mode{'s' if modes > 1 else ''}, any structure"
             dof = measured.n_equation - n_parameter
             chi2 = raw / weight_doubt(measured, dof).inflation
-            found[name] = Candidate(name, n_parameter, chi2, dof, chi2 + 2 * n_parameter)
-    return found
+            orders[name] = Candidate(name, n_parameter, chi2, dof, chi2 + 2 * n_parameter)
+    return orders
 
 
 def _variants(settings: FitSettings) -> list[_Variant]:
-    """What a person would try: with and without cross terms, mass, symmetry, proportional damping."""
+    """Plausible alternatives: with and without cross terms, mass, symmetry, proportional damping."""
     plain = replace(settings, estimator="ml", weight="none", eliminate=False, sliding=None, bands=())
     return [_Variant(f"{THIS}: {_described(plain)}", plain, tuple(v.name for v in _richer(plain))), *_richer(plain), *_simpler(plain)]
 
@@ -93,30 +93,30 @@ def _damping_variants(settings: FitSettings) -> list[_Variant]:
 
 
 def _richer(settings: FitSettings) -> list[_Variant]:
-    found = []
+    settings_of_variants = []
     if settings.model == "rotor-2dof-direct":
-        found.append(replace(settings, model="rotor-2dof"))
+        settings_of_variants.append(replace(settings, model="rotor-2dof"))
     if settings.model == "mdof" and settings.symmetric:
-        found.append(replace(settings, symmetric=False))
+        settings_of_variants.append(replace(settings, symmetric=False))
     if settings.damping == "proportional":
-        found.append(replace(settings, damping="viscous"))
+        settings_of_variants.append(replace(settings, damping="viscous"))
     if settings.model in ("sdof", "mdof") and settings.mass != ESTIMATE:
-        found.append(replace(settings, mass=ESTIMATE, scale_mass=False))
-    return [_Variant(_described(other), other) for other in found]
+        settings_of_variants.append(replace(settings, mass=ESTIMATE, scale_mass=False))
+    return [_Variant(_described(other), other) for other in settings_of_variants]
 
 
 def _simpler(settings: FitSettings) -> list[_Variant]:
     this = f"{THIS}: {_described(settings)}"
-    found = []
+    settings_of_variants = []
     if settings.model == "rotor-2dof":
-        found.append(replace(settings, model="rotor-2dof-direct"))
+        settings_of_variants.append(replace(settings, model="rotor-2dof-direct"))
     if settings.model == "mdof" and not settings.symmetric:
-        found.append(replace(settings, symmetric=True))
+        settings_of_variants.append(replace(settings, symmetric=True))
     if settings.model in ("mdof", "rotor-2dof") and settings.damping == "viscous":
-        found.append(replace(settings, damping="proportional"))
+        settings_of_variants.append(replace(settings, damping="proportional"))
     if settings.model == "mdof" and settings.mass == ESTIMATE and not settings.lumped_mass:
-        found.append(replace(settings, lumped_mass=True))
-    return [_Variant(_described(other), other, (this,)) for other in found]
+        settings_of_variants.append(replace(settings, lumped_mass=True))
+    return [_Variant(_described(other), other, (this,)) for other in settings_of_variants]
 
 
 def _described(settings: FitSettings) -> str:
@@ -131,7 +131,7 @@ def _described(settings: FitSettings) -> str:
 
 
 def _fitted(measured: Measured, setup: Setup, name: str) -> Candidate | None:
-    """The variant's fit; None where it does not suit these ports, or the data cannot support it."""
+    """The variant's fit; None where it does not suit these ports, or does not converge."""
     try:
         model = constrained(MODELS[setup.settings.model](setup), setup.settings)
         estimate = maximum_likelihood(measured, model)
@@ -141,7 +141,7 @@ def _fitted(measured: Measured, setup: Setup, name: str) -> Candidate | None:
     reduced = estimate.gof.chi2_reduced
     if not estimate.converged or reduced is None:
         return None
-    # Differences between models are judged like parameters: by the weights' lost efficiency, not by the residual's expectation.
+    # Differences between models follow the covariance of parameters (lost efficiency), not the expectation of the residual.
     chi2 = reduced * estimate.dof * doubt.excess / doubt.inflation
     return Candidate(name, len(model.names), chi2, estimate.dof, chi2 + 2 * len(model.names))
 

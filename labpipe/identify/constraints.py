@@ -1,4 +1,4 @@
-"""What is known of single coefficients: given ones, equal ones, proportional damping."""
+"""Constraints on single coefficients: fixed values, equal values, proportional damping."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def constrained(model: DynamicModel, settings: FitSettings) -> DynamicModel | Pr
     for group in settings.tied:
         model = _tied(model, group)
     if not model.terms:
-        raise ConfigError("every coefficient is given, so nothing is left to estimate", hint="shorten `fixed`")
+        raise ConfigError("every coefficient is fixed, so nothing is left to estimate", hint="shorten `fixed`")
     return proportional(model) if settings.damping == "proportional" else model
 
 

@@ -1,27 +1,25 @@
-"""From estimates to what is reported: derived quantities, the support subtracted, the load shared between equal bearings."""
+"""Corrections of estimates: the support subtracted, the load shared between equal bearings."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.identify.settings import FitSettings, Support
 from labpipe.records.settings import Uncertain
 
-Vector = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class Estimated:
-    """Estimates with their joint covariance, by name."""
+    """Estimates (n_parameter,) with their joint covariance (n_parameter, n_parameter), by name, in *units* [SI]."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    values: Vector
-    covariance: NDArray[np.floating]
+    values: FloatArray
+    covariance: FloatArray
 
     def index(self, name: str) -> int:
         return self.names.index(name)
@@ -34,7 +32,7 @@ class Estimated:
 
 
 def is_direct(name: str) -> bool:
-    """Whether a coefficient acts in the direction of its own motion: k, c, m, k_xx, c_yy, k_1_1, m_2_2."""
+    """True for a coefficient in the direction of its own motion: k, c, m, k_xx, c_yy, k_1_1, m_2_2."""
     letter, _, place = name.partition("_")
     if letter not in ("k", "c", "m"):
         return False
@@ -45,8 +43,8 @@ def is_direct(name: str) -> bool:
 def corrected(total: Estimated, settings: FitSettings) -> Estimated:
     """(total - support) / share for stiffness and damping: k_bearing = (k_total - k_support) / n.
 
-    The support is one and the same for every direct coefficient, so its uncertainty adds fully correlated between them:
-    cov = (cov_total + s^2 1 1^T) / n^2.
+    The support is common to all direct coefficients, so its uncertainty adds fully correlated between them:
+    cov = (cov_total + s^2 1 1^T) / n^2. ConfigError for a share below 1.
     """
     if settings.share < 1:
         raise ConfigError("share must be at least 1")
@@ -61,6 +59,6 @@ def corrected(total: Estimated, settings: FitSettings) -> Estimated:
 
 
 def is_corrected(settings: FitSettings) -> bool:
-    """Whether the reported coefficients differ from the measured totals."""
+    """True if the reported coefficients differ from the measured totals."""
     support = settings.subtract or Support()
     return settings.share > 1 or any(amount != Uncertain(0.0) for amount in (support.stiffness, support.damping))

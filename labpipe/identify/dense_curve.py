@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+
+from labpipe.arrays import ComplexArray, FloatArray
 
 # Parts of the step between two lines, least number of frequencies in a band, and the largest.
 PARTS, FEWEST, MOST = 2, 200, 2000
@@ -13,12 +14,10 @@ PARTS, FEWEST, MOST = 2, 200, 2000
 FLATNESS = 0.005
 ROUNDS = 12
 
-Frequencies = NDArray[np.floating]
-Responses = NDArray[np.complexfloating]
-Model = Callable[[Frequencies], Responses]
+Model = Callable[[FloatArray], ComplexArray]
 
 
-def drawn_densely(model: Model, lines: Frequencies) -> tuple[Frequencies, Responses]:
+def drawn_densely(model: Model, lines: FloatArray) -> tuple[FloatArray, ComplexArray]:
     """Frequencies (n,) [Hz] from the first to the last of *lines*, all of which they hold, and the model there (n, n_output, n_input).
 
     Between two lines stand PARTS - 1 more, or as many as make FEWEST in all; where the model still bends by more than FLATNESS from
@@ -42,7 +41,7 @@ def drawn_densely(model: Model, lines: Frequencies) -> tuple[Frequencies, Respon
     return frequency, values
 
 
-def between(lines: Frequencies) -> Frequencies:
+def between(lines: FloatArray) -> FloatArray:
     """The lines with equal parts of every step between them."""
     steps = max(lines.size - 1, 1)
     parts = max(1, min(max(PARTS, -(-(FEWEST - 1) // steps)), (MOST - 1) // steps))
@@ -50,7 +49,7 @@ def between(lines: Frequencies) -> Frequencies:
     return np.interp(places, np.arange(lines.size), lines)
 
 
-def _bend(values: Responses, at_middle: Responses) -> NDArray[np.floating]:
+def _bend(values: ComplexArray, at_middle: ComplexArray) -> FloatArray:
     """(n - 1,) largest distance of any element from the straight line across each step, as part of its size there."""
     across = np.abs(at_middle - (values[:-1] + values[1:]) / 2)
     size = np.maximum(np.abs(at_middle), np.finfo(float).tiny)

@@ -1,12 +1,12 @@
-"""What follows from the estimates: resonance, modes, direction of the force, coefficients that are given or tied."""
+"""Quantities derived from the estimates: resonance, modes, direction of the force, fixed or tied coefficients."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.identify.corrections import Estimated, is_corrected
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.modes import Quantities, modal_quantities
@@ -21,59 +21,60 @@ STEP, SMALLEST_STEP = 1e-3, 1e-7
 
 
 def derived_parameters(total: Estimated, model: DynamicModel | ProportionalModel, setup: Setup, dof: int) -> list[Parameter]:
-    """f_n and zeta (sdof), modes (mdof), the forcing angle (rotor-2dof, one force), damping coefficients of proportional damping,
-    the totals where support or share changed the coefficients, and coefficients that were given."""
+    """f_n and zeta (sdof), modes (mdof), forcing angle (rotor-2dof, one force), damping coefficients of proportional damping,
+    totals where support or share changed the coefficients, and fixed coefficients.
+    """
     settings = setup.settings
-    found: list[Parameter] = []
+    parameters: list[Parameter] = []
     if settings.model == "sdof":
-        found.extend(_resonance(total, settings, dof))
+        parameters.extend(_resonance(total, settings, dof))
     if isinstance(model, ProportionalModel):
-        found.extend(_propagated_all(total, lambda values: _damping_coefficients(model, values), dof))
+        parameters.extend(_propagated_all(total, lambda values: _damping_coefficients(model, values), dof))
     if settings.model == "mdof":
         ports = tuple(port.dof or port.label for port in setup.outputs), tuple(port.label for port in setup.inputs)
-        found.extend(_propagated_all(total, lambda values: modal_quantities(model.whole(values), *ports), dof))
+        parameters.extend(_propagated_all(total, lambda values: modal_quantities(model.whole(values), *ports), dof))
     if "b_x" in total.names and "b_y" in total.names:
-        found.append(_forcing_angle(total, dof))
+        parameters.append(_forcing_angle(total, dof))
     if is_corrected(settings):
         for name, unit in zip(total.names, total.units, strict=True):
             if unit in ("N/m", "N.s/m"):
-                found.append(derived(f"{name}_total", unit, total.value(name), total.std_error(name), dof))
-    found.extend(Parameter(name, value, COEFFICIENT_UNITS[name[0]], derived=True) for name, value in settings.fixed)
-    return found
+                parameters.append(derived(f"{name}_total", unit, total.value(name), total.std_error(name), dof))
+    parameters.extend(Parameter(name, value, COEFFICIENT_UNITS[name[0]], derived=True) for name, value in settings.fixed)
+    return parameters
 
 
-def _damping_coefficients(model: ProportionalModel, values: NDArray[np.floating]) -> Quantities:
+def _damping_coefficients(model: ProportionalModel, values: FloatArray) -> Quantities:
     """c_i_j = alpha m_i_j + beta k_i_j of every stiffness coefficient; *values* (n_case, n_parameter)."""
     damping = model.whole(values).damping
-    found: Quantities = {}
+    coefficients: Quantities = {}
     for term in model.terms:
         places = np.argwhere(term.matrices.stiffness != 0)
         if places.size:
-            found[f"c{term.name[1:]}"] = ("N.s/m", damping[:, places[0][0], places[0][1]])
-    return found
+            coefficients[f"c{term.name[1:]}"] = ("N.s/m", damping[:, places[0][0], places[0][1]])
+    return coefficients
 
 
-def _propagated_all(total: Estimated, quantities: Callable[[NDArray[np.floating]], Quantities], dof: int) -> list[Parameter]:
-    """Functions of the estimates with their standard errors to first order, slopes by centred differences.
+def _propagated_all(total: Estimated, quantities: Callable[[FloatArray], Quantities], dof: int) -> list[Parameter]:
+    """Functions of the estimates with their standard errors to first order, derivatives by centred differences.
 
     Values without standard errors where the functions do not exist on both sides of the estimate.
     """
     steps = np.maximum(STEP * np.sqrt(np.diag(total.covariance)), SMALLEST_STEP * np.abs(total.values))
-    around = quantities(np.vstack([total.values, total.values + np.diag(steps), total.values - np.diag(steps)]))
-    if not around or np.any(steps == 0):
+    quantities_at_steps = quantities(np.vstack([total.values, total.values + np.diag(steps), total.values - np.diag(steps)]))
+    if not quantities_at_steps or np.any(steps == 0):
         centre = quantities(total.values[None])
         return [Parameter(name, float(value[0]), unit, derived=True) for name, (unit, value) in centre.items()]
     n = steps.size
-    found = []
-    for name, (unit, values) in around.items():
+    parameters = []
+    for name, (unit, values) in quantities_at_steps.items():
         slope = (values[1 : n + 1] - values[n + 1 :]) / (2 * steps)
         error = float(np.sqrt(max(slope @ total.covariance @ slope, 0.0)))
-        found.append(derived(name, unit, float(values[0]), error, dof))
-    return found
+        parameters.append(derived(name, unit, float(values[0]), error, dof))
+    return parameters
 
 
 def _resonance(total: Estimated, settings: FitSettings, dof: int) -> list[Parameter]:
-    """f_n = sqrt(k/m) / 2 pi [Hz] and zeta = c / (2 sqrt(k m)) of the measured system; none where k or m is negative or dropped."""
+    """f_n = sqrt(k/m) / 2 pi [Hz] and zeta = c / (2 sqrt(k m)) of the measured system; none where k or m is negative or eliminated."""
     if "k" not in total.names:
         return []
     k = total.value("k")
@@ -82,13 +83,13 @@ def _resonance(total: Estimated, settings: FitSettings, dof: int) -> list[Parame
         return []
     f_n = np.sqrt(k / m) / (2 * np.pi)
     slopes = {"k": f_n / (2 * k), "m": -f_n / (2 * m)}
-    found = [derived("f_n", "Hz", float(f_n), propagated(total, slopes), dof)]
+    resonance = [derived("f_n", "Hz", float(f_n), propagated(total, slopes), dof)]
     if "c" in total.names:
         c = total.value("c")
         zeta = c / (2 * np.sqrt(k * m))
         slopes = {"c": 1 / (2 * np.sqrt(k * m)), "k": -zeta / (2 * k), "m": -zeta / (2 * m)}
-        found.append(derived("zeta", "1", float(zeta), propagated(total, slopes), dof))
-    return found
+        resonance.append(derived("zeta", "1", float(zeta), propagated(total, slopes), dof))
+    return resonance
 
 
 def _forcing_angle(total: Estimated, dof: int) -> Parameter:
@@ -99,6 +100,6 @@ def _forcing_angle(total: Estimated, dof: int) -> Parameter:
 
 
 def propagated(total: Estimated, slopes: dict[str, float]) -> float:
-    """Standard error of a function of the estimates to first order: sqrt(g^T cov g), g its slopes by name."""
+    """Standard error of a function of the estimates to first order: sqrt(g^T cov g), g its derivatives by name."""
     gradient = np.array([slopes.get(name, 0.0) for name in total.names])
     return float(np.sqrt(max(gradient @ total.covariance @ gradient, 0.0)))

@@ -1,4 +1,4 @@
-"""What a fit must say about itself, in words: each finding has a code and what to do about it."""
+"""Diagnostics of a fit: warnings with a code, the cause and a remedy."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.identify.corrections import is_direct
 from labpipe.identify.statistics import Estimate, condition_number
 from labpipe.records.finding import Finding
@@ -18,7 +18,7 @@ from labpipe.records.response import FrequencyResponse
 # there more than half of a parameter's variance comes from the weak direction.
 COLLINEAR_CONDITION = 30.0
 VARIANCE_PROPORTION = 0.5
-# An error of the FRF that grows by less than this in the coefficients is no reason to distrust their signs.
+# Amplification of an FRF error in the coefficients below which their signs are reliable.
 HARMFUL_GROWTH = 30.0
 # Estimates from products of columns lose the square of the condition number in rounding (1e-16 x 1e4^2 leaves eight digits, 1e6^2 four,
 # and the lost ones differ from processor to processor): larger numbers are written as a power of ten.
@@ -32,37 +32,40 @@ POOR_SHARE = 0.1
 
 
 def estimate_findings(estimate: Estimate, names: Sequence[str], n_line: int, estimator: str, units: Sequence[str] = ()) -> list[Finding]:
-    """Findings on the estimate itself: convergence, collinearity, few lines, model mismatch."""
-    found: list[Finding] = []
+    """Warnings on the estimate: convergence, collinearity, few lines, model mismatch."""
+    warnings: list[Finding] = []
     if not estimate.converged:
         message = f"the estimator did not converge in {estimate.iterations} iterations; its numbers are not a result"
-        found.append(Finding("no-convergence", message))
-    found.extend(_collinear(estimate, names, units))
+        warnings.append(Finding("no-convergence", message))
+    warnings.extend(_collinear(estimate, names, units))
     n_equation = estimate.dof + len(names)
     if estimate.dof < FEW_DOF or n_equation < EQUATIONS_PER_PARAMETER * len(names):
         message = f"{n_line} lines give {n_equation} equations for {len(names)} parameters; widen the band or measure with finer spacing"
-        found.append(Finding("few-lines", message))
-    found.extend(_mismatch(estimate, estimator))
-    return found
+        warnings.append(Finding("few-lines", message))
+    warnings.extend(_mismatch(estimate, estimator))
+    return warnings
 
 
 def _collinear(estimate: Estimate, names: Sequence[str], units: Sequence[str]) -> list[Finding]:
-    """Which parameters cannot be told apart, by Belsley's variance proportions of the weak directions.
+    """Parameters that are not separately identifiable, by Belsley's variance proportions of the weak directions.
 
-    Correlated columns alone do no harm: stiffness and mass of a resonance stand on columns alike but are known well. It takes an error
-    of the FRF that grows in the parameters.
+    Correlated columns alone are harmless: stiffness and mass of a resonance have similar columns but small errors. The warning requires
+    an error of the FRF to be amplified in the parameters.
     """
     condition = condition_number(estimate.scaled_design)
     if condition < COLLINEAR_CONDITION:
         return []
-    group = [name for own in collinear_groups(estimate.scaled_design, names) for name in own] or list(names)
+    groups = collinear_groups(estimate.scaled_design, names)
+    group = [name for members in groups for name in members] or list(names)
     growth = _growth(estimate, names, units, group) if units else None
     if growth is not None and growth < HARMFUL_GROWTH:
         return []
-    grown = f" A systematic error of 1 % in the FRF can become {_rough(growth)} % in them, which no standard error shows." if growth else ""
+    amplified = (
+        f" A systematic error of 1 % in the FRF can become {_rough(growth)} % in them, which no standard error shows." if growth else ""
+    )
     message = (
         f"the excitation does not tell these parameters apart: {', '.join(group)} (condition number {_rough(condition)}, limit "
-        f"{COLLINEAR_CONDITION:g}).{grown} Do not trust their values and signs, however good the fit looks. Remedy: {_remedy(group)}."
+        f"{COLLINEAR_CONDITION:g}).{amplified} Their values and signs are unreliable, however good the fit. Remedy: {_remedy(group)}."
     )
     return [Finding("collinear", message)]
 
@@ -73,7 +76,7 @@ def _rough(number: float) -> str:
 
 
 def _growth(estimate: Estimate, names: Sequence[str], units: Sequence[str], group: Sequence[str]) -> float | None:
-    """The largest amplification in the group, relative to the largest coefficient of its unit; None where it is not known."""
+    """The largest amplification in the group, relative to the largest coefficient of its unit; None where it is unknown."""
     if estimate.amplification is None:
         return None
     largest = {unit: max(abs(v) for v, u in zip(estimate.values, units, strict=True) if u == unit) for unit in units}
@@ -85,7 +88,7 @@ def _growth(estimate: Estimate, names: Sequence[str], units: Sequence[str], grou
 
 
 def _remedy(group: Sequence[str]) -> str:
-    """What separates the parameters of a collinear group."""
+    """Remedy that separates the parameters of a collinear group."""
     if any(name.split("_")[-1] in ("xy", "yx") for name in group):
         return "measure a second, independent force direction, or fit the model rotor-2dof-direct"
     if "m" in group:
@@ -93,8 +96,8 @@ def _remedy(group: Sequence[str]) -> str:
     return "widen the band, measure a second, independent force direction, or fit a model with fewer parameters"
 
 
-def collinear_groups(scaled_design: NDArray[np.floating], names: Sequence[str]) -> list[list[str]]:
-    """Parameters with most of their variance in weak directions; directions that share a parameter form one group.
+def collinear_groups(scaled_design: FloatArray, names: Sequence[str]) -> list[list[str]]:
+    """Parameters with most of their variance in weak directions, as one group; *scaled_design* (n_parameter, n_parameter) [1].
 
     Variance proportion of direction j in parameter i: (v_ij^2 / s_j^2) / sum_j (v_ij^2 / s_j^2).
     """
@@ -111,8 +114,8 @@ def _mismatch(estimate: Estimate, estimator: str) -> list[Finding]:
     if reduced is None or p_value is None or p_value >= MISMATCH_P:
         return []
     factor = np.sqrt(reduced)
-    # Equation errors are biased and inefficient: their residual exceeds the noise for a right model as well.
-    cause = "the model lacks something" if estimator == "ml" else f"the model lacks something, or {estimator} is off; compare with ml"
+    # Equation errors are biased and inefficient: their residual exceeds the noise for a correct model as well.
+    cause = "the model is incomplete" if estimator == "ml" else f"the model is incomplete, or {estimator} is biased; compare with ml"
     message = (
         f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom {reduced:.3g}, "
         f"p = {p_value:.2g}): {cause}. Multiply the standard errors by {factor:.3g} at least, or narrow the band."
@@ -121,25 +124,23 @@ def _mismatch(estimate: Estimate, estimator: str) -> list[Finding]:
 
 
 def parameter_findings(parameters: Sequence[Parameter]) -> list[Finding]:
-    """Findings on the reported parameters: insignificant ones, and what no passive support can have."""
-    found: list[Finding] = []
+    """Warnings on the reported parameters: insignificant ones, and values impossible for a passive support."""
+    warnings: list[Finding] = []
     weak = [p.name for p in parameters if p.significant is False and not p.derived]
     if weak:
-        message = f"{', '.join(weak)} cannot be told from zero at 95 %; a fit without them (`eliminate: true`) describes the data as well"
-        found.append(Finding("insignificant", message))
+        message = f"{', '.join(weak)} cannot be told from zero at 95 %; a fit without them (`eliminate: true`) is as good"
+        warnings.append(Finding("insignificant", message))
     negative = [p.name for p in parameters if is_direct(p.name) and p.value < 0 and p.significant]
     if negative:
-        found.append(
-            Finding("unphysical", f"{', '.join(negative)} came out negative; check the mass, the sign of the channels and the band")
-        )
-    return [*found, *_modal_findings(parameters)]
+        warnings.append(Finding("unphysical", f"{', '.join(negative)} is negative; check the mass, the sign of the channels and the band"))
+    return [*warnings, *_modal_findings(parameters)]
 
 
 def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:
-    """Damping ratios that no passive oscillator has, and models without oscillating modes."""
+    """Warnings on damping ratios impossible for a passive oscillator, and on models without oscillating modes."""
     ratios = [p for p in parameters if p.name == "zeta" or p.name.startswith("zeta_")]
     over = [
-        Finding("unphysical", f"{p.name} = {p.value:.3g} is above 1: there is no resonance in this fit, f_n means little")
+        Finding("unphysical", f"{p.name} = {p.value:.3g} is above 1: this fit has no resonance, f_n has no meaning")
         for p in ratios
         if p.value > 1
     ]
@@ -149,8 +150,8 @@ def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:
     return over
 
 
-def quality_findings(response: FrequencyResponse, rows: list[int], columns: list[int], lines: NDArray[np.bool_]) -> list[Finding]:
-    """Poor coherence or signal-to-noise ratio on the lines of this fit."""
+def quality_findings(response: FrequencyResponse, rows: list[int], columns: list[int], lines: BoolArray) -> list[Finding]:
+    """A warning for low coherence or signal-to-noise ratio on the fit's *lines*, a mask (n_frequency,)."""
     if response.multiple_coherence is not None:
         share = float(np.mean(np.min(response.multiple_coherence[lines][:, rows], axis=1) < LOW_COHERENCE))
         what = f"the coherence is below {LOW_COHERENCE:g}"

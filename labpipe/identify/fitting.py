@@ -6,8 +6,8 @@ import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.identify.bootstrap import bootstrapped
 from labpipe.identify.comparison import candidates, comparison_findings
@@ -82,7 +82,7 @@ def sliding_bands(whole: Band, width: float, step: float) -> list[Band]:
     return [(whole[0] + n * step, whole[0] + n * step + width) for n in range(count)]
 
 
-def _bands(response: FrequencyResponse, settings: FitSettings) -> list[tuple[Band, NDArray[np.bool_]]]:
+def _bands(response: FrequencyResponse, settings: FitSettings) -> list[tuple[Band, BoolArray]]:
     """Every band with its lines; sliding bands hold the lines from their lower edge up to, not including, the upper one."""
     frequency = response.frequency
     if settings.bands:
@@ -99,9 +99,9 @@ class _BandFit:
     """A fit, the model that it is of, and the receptance that this gives on the lines (n_line, n_output, n_input)."""
 
     fit: Fit
-    fitted: NDArray[np.complexfloating]
+    fitted: ComplexArray
     model: DynamicModel | ProportionalModel
-    values: NDArray[np.floating]
+    values: FloatArray
 
 
 def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: Measured, band: Band) -> _BandFit:
@@ -194,7 +194,7 @@ def _curve(response: FrequencyResponse, measured: Measured, fit: _BandFit) -> Fi
 def _between_lines(response: FrequencyResponse, curve: FittedCurve, fit: _BandFit) -> FittedCurve:
     """The curve with the model between its lines too, so close that no resonance is cut off."""
 
-    def model(frequency: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    def model(frequency: FloatArray) -> ComplexArray:
         factor = receptance_factor(response.form, frequency)[:, None, None]
         return fit.model.receptance(fit.values, 2 * np.pi * frequency) * factor
 

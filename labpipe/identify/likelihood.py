@@ -1,7 +1,7 @@
 """ml: output error weighted with the full FRF covariance, maximum likelihood for circular Gaussian noise.
 
 Minimises sum over lines of e^H C^-1 e, e = vec(H_measured - H(p)), C the measured covariance, by Levenberg-Marquardt with the
-analytic Jacobian. For C known this is the maximum-likelihood estimate and reaches the Cramer-Rao bound.
+analytic Jacobian. For a known C this is the maximum-likelihood estimate and reaches the Cramer-Rao bound.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from labpipe.identify.weights import WeightDoubt, equal_weights, has_noise, weig
 from labpipe.optimise.levenberg import Minimum, minimise
 from labpipe.records.identification import Goodness
 
-# A minimum less probable than this for a right model, or one that was not reached, is looked for from other starts as well.
+# p-value of a minimum below which, as without convergence, further starts are tried.
 DOUBTFUL_P = 1e-3
 UNWEIGHTED_NOTE = (
-    "ml: the noise of the FRF is not known (it came without covariance, or free of noise), so all lines weigh alike, the standard "
+    "ml: the noise of the FRF is not known (no covariance, or noise-free data), so all lines have equal weight, the standard "
     "errors come from the residual, and the chi-square test of the model is not possible."
 )
 
@@ -32,9 +32,8 @@ UNWEIGHTED_NOTE = (
 def maximum_likelihood(measured: Measured, model: ResponseModel, weight: str = "noise") -> Estimate:  # noqa: ARG001 (always by noise)
     """Weighted output-error estimate with standard errors from the information matrix, cov = (J^T J)^-1.
 
-    Chi-square and covariance are corrected for a weight that was itself estimated (weights.py). Without measured noise all lines
-    weigh alike and the residual gives the standard errors. FitError when there are fewer equations than parameters, or when the
-    covariance cannot serve as a weight.
+    Chi-square and covariance are corrected for the estimated weights (weights.py). Without measured noise all lines have equal weight and
+    the residual gives the standard errors. FitError for fewer equations than parameters, or for a covariance that cannot be inverted.
     """
     n_parameter = len(model.names)
     dof = measured.n_equation - n_parameter
@@ -55,19 +54,39 @@ def maximum_likelihood(measured: Measured, model: ResponseModel, weight: str = "
         notes = (*notes, UNWEIGHTED_NOTE)
         inverse = measured.shared_noise * inverse
         covariance, gof = reduced * inverse, Goodness(r2, adjusted)
-        return Estimate(values, covariance, design, gof, dof, converged, iterations, notes, amplification=amplification)
+        return Estimate(
+            values=values,
+            covariance=covariance,
+            scaled_design=design,
+            gof=gof,
+            dof=dof,
+            converged=converged,
+            iterations=iterations,
+            notes=notes,
+            amplification=amplification,
+        )
     reduced /= doubt.excess
     gof = Goodness(r2, adjusted, reduced, doubt.p_value(reduced, dof))
-    return Estimate(values, doubt.inflation * inverse, design, gof, dof, converged, iterations, notes, amplification=amplification)
+    return Estimate(
+        values=values,
+        covariance=doubt.inflation * inverse,
+        scaled_design=design,
+        gof=gof,
+        dof=dof,
+        converged=converged,
+        iterations=iterations,
+        notes=notes,
+        amplification=amplification,
+    )
 
 
 def _best_minimum(problem: OutputError, doubtful: Callable[[float], bool]) -> tuple[Minimum, Start]:
-    """The lowest minimum of the starts that were needed: further ones only where the last minimum's chi-square is *doubtful*."""
-    found: list[tuple[float, Minimum, Start]] = []
+    """The lowest minimum of the starts; further starts only where the last minimum's chi-square is *doubtful*."""
+    minima: list[tuple[float, Minimum, Start]] = []
     for start in starts(problem):
         minimum = minimise(problem, start.values)
-        found.append((problem.chi2(minimum.values), minimum, start))
-        if minimum.converged and not doubtful(found[-1][0]):
+        minima.append((problem.chi2(minimum.values), minimum, start))
+        if minimum.converged and not doubtful(minima[-1][0]):
             break
-    _, best, start = min(found, key=lambda entry: (not entry[1].converged, entry[0]))
+    _, best, start = min(minima, key=lambda entry: (not entry[1].converged, entry[0]))
     return best, start

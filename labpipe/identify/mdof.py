@@ -1,12 +1,12 @@
-"""mdof: any number of degrees of freedom, (K + j w C - w^2 M) H = B, one entry of K, C (and M) per parameter."""
+"""mdof: any number of degrees of freedom, (K + j w C - w^2 M) H = B, one parameter per entry of K, C (and M)."""
 
 from __future__ import annotations
 
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.identify.model import DynamicModel, Term
 from labpipe.identify.settings import ESTIMATE, Mass
@@ -17,11 +17,11 @@ MASS_SCALE = "mass_scale"
 
 
 def mdof(setup: Setup) -> DynamicModel:
-    """Stiffness k_i_j, damping c_i_j and, where it is not known, mass m_i_j between the dofs i, j of the responses.
+    """Stiffness k_i_j, damping c_i_j and, if unknown, mass m_i_j between the dofs i, j of the outputs.
 
-    One force is enough: every row of the equation of motion has its own coefficients (Knaapen 1997, ch. 4). *symmetric* settings
-    give k_i_j = k_j_i. The mass is a list (diagonal), a matrix, `estimate`, or, with `scale_mass`, known but for a factor.
-    ConfigError where a force acts on no measured dof, or the mass does not fit the dofs.
+    One force is sufficient: every row of the equation of motion has its own coefficients (Knaapen 1997, ch. 4). *symmetric* settings
+    give k_i_j = k_j_i. The mass is a list (diagonal), a matrix, `estimate`, or, with `scale_mass`, known up to a factor.
+    ConfigError for a force on a dof without output, or a mass of the wrong size.
     """
     settings = setup.settings
     dofs = [port.dof or port.label for port in setup.outputs]
@@ -55,12 +55,12 @@ def _mass_entries(setup: Setup, dofs: list[str]) -> list[Term]:
     return [term for term in entries if np.count_nonzero(np.diag(term.matrices.mass))]
 
 
-def _mass_factor(setup: Setup, mass: NDArray[np.floating]) -> Term:
+def _mass_factor(setup: Setup, mass: FloatArray) -> Term:
     term = entry_term(MASS_SCALE, "mass", [], setup.shape, droppable=False)
     return dataclasses.replace(term, unit="1", matrices=dataclasses.replace(term.matrices, mass=mass))
 
 
-def _known_mass(mass: Mass, n_dof: int) -> NDArray[np.floating] | None:
+def _known_mass(mass: Mass, n_dof: int) -> FloatArray | None:
     """The mass matrix [kg], (n_dof, n_dof); None when it is to be estimated."""
     if mass == ESTIMATE:
         return None
@@ -78,25 +78,25 @@ def _known_mass(mass: Mass, n_dof: int) -> NDArray[np.floating] | None:
 
 
 def _rectangular(mass: Mass) -> bool:
-    """Whether a mass is a number, a list of numbers, or a list of equally long lists of numbers."""
+    """True for a number, a list of numbers, or a list of equally long lists of numbers."""
     if not isinstance(mass, tuple):
         return True
     rows = [row if isinstance(row, tuple) else (row,) for row in mass]
     return len({len(row) for row in rows}) == 1 and all(isinstance(entry, (int, float)) for row in rows for entry in row)
 
 
-def _forces(setup: Setup, dofs: list[str]) -> NDArray[np.floating]:
-    """Where every force acts, (n_dof, n_input): on the response of its dof, or by its angle on x and y."""
+def _forces(setup: Setup, dofs: list[str]) -> FloatArray:
+    """Force distribution (n_dof, n_input): on the output of its dof, or by its angle on x and y."""
     return np.column_stack([_direction(port, dofs, setup) for port in setup.inputs])
 
 
-def _direction(port: Port, dofs: list[str], setup: Setup) -> NDArray[np.floating]:
+def _direction(port: Port, dofs: list[str], setup: Setup) -> FloatArray:
     if port.dof in dofs:
         return np.eye(len(dofs))[dofs.index(port.dof)]
     angle = angle_of(port)
-    own = [angle_of(output) for output in setup.outputs]
-    if angle is None or None in own:
+    output_angles = [angle_of(output) for output in setup.outputs]
+    if angle is None or None in output_angles:
         hint = f"known dofs: {', '.join(dofs)}; measure there as well, or name forces with `input`"
         raise ConfigError(f"the force {port.label} acts on dof '{port.dof}', which has no response", hint=hint)
-    shares = np.cos(angle - np.array(own, dtype=float))
+    shares = np.cos(angle - np.array(output_angles, dtype=float))
     return np.where(np.abs(shares) < 1e-15, 0.0, shares)

@@ -10,25 +10,24 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
-
-Parameters = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class Matrices:
-    """What one parameter (or all that is given) puts into the equation of motion.
+    """Contribution of one parameter (or of all constants) to the equation of motion.
 
     stiffness K [N/m], damping C [N.s/m], mass M [kg], each (n_dof, n_dof); force B (n_dof, n_input) [1].
     """
 
-    stiffness: NDArray[np.floating]
-    damping: NDArray[np.floating]
-    mass: NDArray[np.floating]
-    force: NDArray[np.floating]
+    stiffness: FloatArray
+    damping: FloatArray
+    mass: FloatArray
+    force: FloatArray
 
     def plus(self, other: Matrices, factor: float = 1.0) -> Matrices:
-        """The sum with *factor* times another one."""
+        """The sum with *factor* times other matrices."""
         return Matrices(
             self.stiffness + factor * other.stiffness,
             self.damping + factor * other.damping,
@@ -38,16 +37,16 @@ class Matrices:
 
 
 def no_matrices(n_dof: int, n_input: int) -> Matrices:
-    """All zero."""
+    """Matrices of zeros."""
     square = np.zeros((n_dof, n_dof))
     return Matrices(square, square, square, np.zeros((n_dof, n_input)))
 
 
 @dataclass(frozen=True)
 class Term:
-    """One parameter of a model and where it enters.
+    """One parameter of a model and its matrices.
 
-    *droppable*: whether backward elimination may set it to zero. *aliases*: further coefficients that are tied to its value.
+    *droppable*: True if backward elimination may set it to zero. *aliases*: further coefficients tied to its value.
     """
 
     name: str
@@ -58,7 +57,7 @@ class Term:
 
 
 class ResponseModel(Protocol):
-    """What an output-error fit needs: the FRF and its slopes, and a model linear in its parameters to start from."""
+    """Model of an output-error fit: the FRF and its Jacobian, and a model linear in its parameters for the start."""
 
     @property
     def names(self) -> tuple[str, ...]: ...
@@ -66,24 +65,29 @@ class ResponseModel(Protocol):
     def units(self) -> tuple[str, ...]: ...
     @property
     def linear(self) -> DynamicModel:
-        """The model linear in its parameters that holds this one as a special case."""
+        """The model linear in its parameters of which this one is a special case."""
         ...
 
-    def from_linear(self, values: Parameters) -> Parameters:
-        """Parameters near to those of `linear`, to start from."""
+    def from_linear(self, values: FloatArray) -> FloatArray:
+        """Start values (n_parameter,) [parameter units] from those of `linear`."""
         ...
 
-    def receptance(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]: ...
-    def jacobian(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]: ...
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """H(w) [m/N], (n_line, n_dof, n_input), at *omega* (n_line,) [rad/s]."""
+        ...
+
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """dH/dp, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
+        ...
 
 
 @dataclass(frozen=True)
 class DynamicModel:
-    """Z(w) H(w) = B with Z = K + j w C - w^2 M; *given*: what is known of the matrices, *terms*: what is estimated."""
+    """Z(w) H(w) = B with Z = K + j w C - w^2 M; *constant*: known part of the matrices, *terms*: parameters to estimate."""
 
     name: str
     terms: tuple[Term, ...]
-    given: Matrices
+    constant: Matrices
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -97,8 +101,8 @@ class DynamicModel:
     def linear(self) -> DynamicModel:
         return self
 
-    def from_linear(self, values: Parameters) -> Parameters:
-        """The parameters as they are."""
+    def from_linear(self, values: FloatArray) -> FloatArray:
+        """The parameters (n_parameter,) [parameter units], unchanged."""
         return values
 
     def without(self, name: str) -> DynamicModel:
@@ -106,96 +110,95 @@ class DynamicModel:
         return self.fixed(name, 0.0)
 
     def fixed(self, name: str, value: float) -> DynamicModel:
-        """The model with one parameter given instead of estimated."""
+        """The model with one parameter fixed instead of estimated."""
         (term,) = (term for term in self.terms if term.name == name)
         others = tuple(other for other in self.terms if other is not term)
-        return replace(self, terms=others, given=self.given.plus(term.matrices, value))
+        return replace(self, terms=others, constant=self.constant.plus(term.matrices, value))
 
     def tied(self, names: Sequence[str]) -> DynamicModel:
-        """The model with several parameters that have one value; it is named after the first."""
+        """The model with one common value for several parameters, named after the first."""
         joined = [term for term in self.terms if term.name in names]
         matrices = joined[0].matrices
         for term in joined[1:]:
             matrices = matrices.plus(term.matrices)
-        one = replace(joined[0], matrices=matrices, aliases=tuple(term.name for term in joined[1:]))
-        return replace(self, terms=tuple(one if term is joined[0] else term for term in self.terms if term not in joined[1:]))
+        common = replace(joined[0], matrices=matrices, aliases=tuple(term.name for term in joined[1:]))
+        return replace(self, terms=tuple(common if term is joined[0] else term for term in self.terms if term not in joined[1:]))
 
-    def whole(self, parameters: Parameters) -> Matrices:
-        """K, C, M and B of these parameters; of several cases in leading dimensions."""
-        n_dof, n_input = self.given.force.shape
+    def whole(self, parameters: FloatArray) -> Matrices:
+        """K [N/m], C [N.s/m], M [kg] and B of *parameters* (n_parameter,); cases in leading dimensions."""
+        n_dof, n_input = self.constant.force.shape
         joined = parameters @ self._joined[:-1] + self._joined[-1]
         square = joined[..., : 3 * n_dof**2].reshape(*joined.shape[:-1], 3, n_dof, n_dof)
         force = joined[..., 3 * n_dof**2 :].reshape(*joined.shape[:-1], n_dof, n_input)
         return Matrices(square[..., 0, :, :], square[..., 1, :, :], square[..., 2, :, :], force)
 
-    def dynamic_stiffness(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    def dynamic_stiffness(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s]."""
         return _dynamic_stiffness(self.whole(parameters), omega)
 
-    def receptance(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """H(w) = Z^-1 B [m/N], (n_line, n_dof, n_input); FitError where Z is singular."""
         whole = self.whole(parameters)
         return _solved(_dynamic_stiffness(whole, omega), whole.force.astype(np.complex128))
 
-    def jacobian(self, parameters: Parameters, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
-        """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input)."""
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
         return self.filtered(parameters, -self.equation_terms(self.receptance(parameters, omega), omega), omega)
 
-    def filtered(
-        self, parameters: Parameters, sides: NDArray[np.complexfloating], omega: NDArray[np.floating]
-    ) -> NDArray[np.complexfloating]:
-        """Z^-1 times each of *sides* (n_side, n_line, n_dof, n_input): one factorisation per line for all of them."""
+    def filtered(self, parameters: FloatArray, sides: ComplexArray, omega: FloatArray) -> ComplexArray:
+        """Z^-1 times all *sides* (n_side, n_line, n_dof, n_input) [N], one factorisation per line."""
         n_side, n_line, n_dof, n_input = sides.shape
         joined = sides.transpose(1, 2, 0, 3).reshape(n_line, n_dof, n_side * n_input)
         solved = _solved(self.dynamic_stiffness(parameters, omega), joined)
         return solved.reshape(n_line, n_dof, n_side, n_input).transpose(2, 0, 1, 3)
 
-    def equation_terms(self, h: NDArray[np.complexfloating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
-        """Z_j H - B_j: the regressors of the equation of motion, (n_parameter, n_line, n_dof, n_input)."""
+    def equation_terms(self, h: ComplexArray, omega: FloatArray) -> ComplexArray:
+        """Z_j H - B_j: the regressors of the equation of motion, (n_parameter, n_line, n_dof, n_input) [1 per parameter unit]."""
         n_line, n_dof, n_input = h.shape
-        # Lines last but one: every product below is one contiguous matrix product.
+        # Lines in the last axis but one: every product below is one contiguous matrix product.
         terms = np.zeros((len(self.terms), n_dof, n_line, n_input), np.complex128)
         by_dof = np.ascontiguousarray(h.transpose(1, 0, 2))
         factors: dict[str, NDArray[np.inexact]] = {"stiffness": np.ones_like(omega), "damping": 1j * omega, "mass": -(omega**2)}
         for kind, factor in factors.items():
             stack = self._stacks[kind]
-            own = np.flatnonzero(np.any(stack != 0, axis=(1, 2)))
-            if own.size:
+            acting = np.flatnonzero(np.any(stack != 0, axis=(1, 2)))
+            if acting.size:
                 moved = (by_dof * factor[:, None]).reshape(n_dof, -1).astype(np.complex128, copy=False)
-                terms[own] += (stack[own].reshape(-1, n_dof).astype(np.complex128) @ moved).reshape(own.size, n_dof, n_line, n_input)
+                products = stack[acting].reshape(-1, n_dof).astype(np.complex128) @ moved
+                terms[acting] += products.reshape(acting.size, n_dof, n_line, n_input)
         force = self._stacks["force"]
         if np.any(force):
             terms -= force[:, :, None]
         return terms.transpose(0, 2, 1, 3)
 
-    def equation_known(self, h: NDArray[np.complexfloating], omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
-        """B_0 - Z_0 H: the known side of the equation of motion, (n_line, n_dof, n_input)."""
-        return np.asarray(self.given.force - _dynamic_stiffness(self.given, omega) @ h, dtype=np.complex128)
+    def equation_constant(self, h: ComplexArray, omega: FloatArray) -> ComplexArray:
+        """B_0 - Z_0 H [1]: the right side of the equation of motion, (n_line, n_dof, n_input)."""
+        return np.asarray(self.constant.force - _dynamic_stiffness(self.constant, omega) @ h, dtype=np.complex128)
 
     @cached_property
-    def _joined(self) -> NDArray[np.floating]:
-        """K, C, M and B of every term, and last of all that is given, as rows of numbers: one product makes the whole of them."""
-        parts = [(m.stiffness, m.damping, m.mass, m.force) for m in (*(term.matrices for term in self.terms), self.given)]
+    def _joined(self) -> FloatArray:
+        """K, C, M and B of every term and of the constants as rows of numbers, so that one matrix product gives their sum."""
+        parts = [(m.stiffness, m.damping, m.mass, m.force) for m in (*(term.matrices for term in self.terms), self.constant)]
         return np.array([np.concatenate([matrix.reshape(-1) for matrix in row]) for row in parts])
 
     @cached_property
-    def _stacks(self) -> dict[str, NDArray[np.floating]]:
+    def _stacks(self) -> dict[str, FloatArray]:
         """Each kind of matrix of all terms, (n_parameter, n_dof, n_dof or n_input)."""
         stacks = {}
         for kind in ("stiffness", "damping", "mass", "force"):
-            own = [getattr(term.matrices, kind) for term in self.terms]
-            stacks[kind] = np.stack(own) if own else np.zeros((0, *getattr(self.given, kind).shape))
+            matrices = [getattr(term.matrices, kind) for term in self.terms]
+            stacks[kind] = np.stack(matrices) if matrices else np.zeros((0, *getattr(self.constant, kind).shape))
         return stacks
 
 
-def _dynamic_stiffness(matrices: Matrices, omega: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+def _dynamic_stiffness(matrices: Matrices, omega: FloatArray) -> ComplexArray:
     w = omega[:, None, None]
     return np.asarray(matrices.stiffness - w**2 * matrices.mass + 1j * w * matrices.damping, dtype=np.complex128)
 
 
-def _solved(z: NDArray[np.complexfloating], sides: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:
+def _solved(z: ComplexArray, sides: ComplexArray) -> ComplexArray:
     try:
-        solved: NDArray[np.complexfloating] = np.linalg.solve(z, np.broadcast_to(sides, (z.shape[0], *sides.shape[-2:])))
+        solved: ComplexArray = np.linalg.solve(z, np.broadcast_to(sides, (z.shape[0], *sides.shape[-2:])))
     except np.linalg.LinAlgError:
         raise FitError("the dynamic stiffness of the model is singular at a line", hint="check the band and the mass") from None
     return solved

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.identify.model import DynamicModel, Term
 from labpipe.identify.settings import ESTIMATE, Mass
@@ -60,7 +60,7 @@ def rotor_2dof(setup: Setup) -> DynamicModel:
         for row, r in sorted(zip("xy", np.argsort(axes).tolist(), strict=True))
         for column, c in sorted(zip("xy", np.argsort(axes).tolist(), strict=True))
     ]
-    force: NDArray[np.floating] = np.zeros(shape)
+    force: FloatArray = np.zeros(shape)
     angles = [angle_of(port) for port in setup.inputs]
     if len(angles) > 1 and None not in angles:
         force = _directions(setup.outputs, axes, [angle for angle in angles if angle is not None])
@@ -126,7 +126,7 @@ def _axes(outputs: tuple[Port, ...]) -> list[int]:
     return axes
 
 
-def _directions(outputs: tuple[Port, ...], axes: list[int], angles: list[float]) -> NDArray[np.floating]:
+def _directions(outputs: tuple[Port, ...], axes: list[int], angles: list[float]) -> FloatArray:
     """Share of every force along every response, cos(force - response), (n_output, n_input); rounding next to zero is zero.
 
     Responses along x and y have (cos, sin) of the force's angle; sensors turned by 45 deg see it in their own directions.

@@ -5,29 +5,29 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.identify.model import Matrices
 
-# A shape is scaled by its first entry of at least this share of its largest: which of two equal ones is larger is chance.
+# A shape is scaled by its first entry above this share of the largest one: among nearly equal entries the largest is random.
 LEADING = 0.8
 # Name -> (unit, value of every case).
-Quantities = dict[str, tuple[str, NDArray[np.floating]]]
+Quantities = dict[str, tuple[str, FloatArray]]
 
 
 @dataclass(frozen=True)
 class Modes:
-    """Oscillating modes in the order of their frequency; (n_case,) systems at once.
+    """Oscillating modes in ascending order of frequency, of (n_case,) systems.
 
     frequency (n_case, n_mode) [Hz] = |lambda| / 2 pi; damping (n_case, n_mode) = -Re lambda / |lambda|; shapes
     (n_case, n_dof, n_mode) real, the first large entry 1; participation (n_case, n_mode, n_input) [1/kg]:
     H = sum_r shape_r participation_r / (w_r^2 - w^2) without damping. Shapes and participation are those of the undamped system.
     """
 
-    frequency: NDArray[np.floating]
-    damping: NDArray[np.floating]
-    shapes: NDArray[np.floating]
-    participation: NDArray[np.floating]
+    frequency: FloatArray
+    damping: FloatArray
+    shapes: FloatArray
+    participation: FloatArray
 
 
 def modes(matrices: Matrices) -> Modes | None:
@@ -58,15 +58,15 @@ def modes(matrices: Matrices) -> Modes | None:
 
 
 def modal_quantities(matrices: Matrices, outputs: tuple[str, ...], inputs: tuple[str, ...]) -> Quantities:
-    """f_n_r, zeta_r, shape_r_dof and participation_r_force of every mode r; empty where there are no modes."""
-    found = modes(matrices)
-    if found is None:
+    """f_n_r, zeta_r, shape_r_dof and participation_r_force of every mode r; empty without modes."""
+    mode_set = modes(matrices)
+    if mode_set is None:
         return {}
     quantities: Quantities = {}
-    for r in range(found.frequency.shape[1]):
-        quantities[f"f_n_{r + 1}"] = ("Hz", found.frequency[:, r])
-        quantities[f"zeta_{r + 1}"] = ("1", found.damping[:, r])
-    for r in range(found.frequency.shape[1]):
-        quantities.update({f"shape_{r + 1}_{dof}": ("1", found.shapes[:, row, r]) for row, dof in enumerate(outputs)})
-        quantities.update({f"participation_{r + 1}_{force}": ("1/kg", found.participation[:, r, i]) for i, force in enumerate(inputs)})
+    for r in range(mode_set.frequency.shape[1]):
+        quantities[f"f_n_{r + 1}"] = ("Hz", mode_set.frequency[:, r])
+        quantities[f"zeta_{r + 1}"] = ("1", mode_set.damping[:, r])
+    for r in range(mode_set.frequency.shape[1]):
+        quantities.update({f"shape_{r + 1}_{dof}": ("1", mode_set.shapes[:, row, r]) for row, dof in enumerate(outputs)})
+        quantities.update({f"participation_{r + 1}_{force}": ("1/kg", mode_set.participation[:, r, i]) for i, force in enumerate(inputs)})
     return quantities

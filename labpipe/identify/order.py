@@ -1,4 +1,4 @@
-"""How many modes, how many independent motions: rational fits of rising order, and the singular values of the FRF."""
+"""Model order: rational fits with an increasing number of modes, and the singular values of the FRF."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.identify.measured import Measured
 from labpipe.identify.weights import has_noise, whitened
 from labpipe.optimise.levenberg import minimise, sum_of_squares
 
 PASSES = 8
-# A motion counts when its singular value is this much above the largest that noise alone would have.
+# Least ratio of a motion's singular value to the largest one of noise alone.
 STANDS_OUT = 1.5
 
 
@@ -21,12 +21,12 @@ STANDS_OUT = 1.5
 class RationalFit:
     """Elements of H as B_e(s) / A(s) with one common denominator: A of degree 2 n for n modes, B_e of degree 2 n - 2.
 
-    Receptances of n modes have just this form; coefficients of powers of s = j w / *unit*, A beginning with 1 at s^2n. *whitener*
+    Receptances of n modes have this form; coefficients of powers of s = j w / *unit*, A with 1 at s^2n. *whitener*
     (n_line, n_element, n_element) [N/m]. Parameters: 2 n of A, then 2 n - 1 of every element.
     """
 
     measured: Measured
-    whitener: NDArray[np.complexfloating]
+    whitener: ComplexArray
     modes: int
 
     @property
@@ -34,14 +34,14 @@ class RationalFit:
         return float(np.max(self.measured.omega))
 
     @cached_property
-    def elements(self) -> NDArray[np.complexfloating]:
-        """(n_line, n_element), in units of the largest."""
+    def elements(self) -> ComplexArray:
+        """Elements of H, (n_line, n_element), relative to the largest [1]."""
         flat = self.measured.matrix.reshape(self.measured.omega.size, -1)
         return flat / float(np.max(np.abs(flat)))
 
     @cached_property
-    def powers(self) -> NDArray[np.complexfloating]:
-        """s^0 ... s^2n, (n_line, 2 n + 1)."""
+    def powers(self) -> ComplexArray:
+        """s^0 ... s^2n, (n_line, 2 n + 1) [1]."""
         return np.asarray(np.vander(1j * self.measured.omega / self.unit, 2 * self.modes + 1, increasing=True))
 
     @property
@@ -52,41 +52,47 @@ class RationalFit:
     def size(self) -> float:
         return float(np.linalg.norm(self._whitened(self.elements)))
 
-    def residual(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
+    def residual(self, parameters: FloatArray) -> FloatArray:
+        """Whitened residual (n_equation,) [1] at *parameters* (n_parameter,)."""
         denominator, numerators = self._polynomials(parameters)
         return self._whitened(self.elements - numerators / denominator[:, None])
 
-    def jacobian(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
-        """d residual / d p = -(d B_e - H_e d A) / A, (n_equation, n_parameter)."""
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
+        """d residual / d p = -(d B_e - H_e d A) / A, (n_equation, n_parameter) [1]."""
         denominator, numerators = self._polynomials(parameters)
         return -self._equation(numerators / denominator[:, None], 1 / denominator)
 
-    def chi2(self, parameters: NDArray[np.floating]) -> float:
+    def chi2(self, parameters: FloatArray) -> float:
+        """Sum of squares [1] of the residual at *parameters* (n_parameter,); infinite without finite response."""
         return sum_of_squares(self.residual, parameters)
 
-    def start(self) -> NDArray[np.floating]:
-        """Equation error weighted by 1 / A of the last pass (Sanathanan and Koerner 1963); the pass of the lowest chi-square."""
-        weight: NDArray[np.complexfloating] = np.ones(self.measured.omega.size, np.complex128)
-        best, lowest = np.zeros(self.n_parameter), float("inf")
+    def start(self) -> FloatArray:
+        """Start values (n_parameter,) [1] by the equation error weighted with 1 / A of the last pass (Sanathanan and Koerner 1963).
+
+        Of all passes the one with the lowest chi-square.
+        """
+        weight: ComplexArray = np.ones(self.measured.omega.size, np.complex128)
+        best: FloatArray = np.zeros(self.n_parameter)
+        lowest = float("inf")
         for _ in range(PASSES):
-            known = self._whitened(self.elements * (self.powers[:, -1] * weight)[:, None])
+            right_side = self._whitened(self.elements * (self.powers[:, -1] * weight)[:, None])
             columns = self._equation(self.elements, weight)
-            values = np.linalg.lstsq(columns, known, rcond=None)[0]
+            values = np.linalg.lstsq(columns, right_side, rcond=None)[0]
             denominator, _ = self._polynomials(values)
             if np.any(denominator == 0):
                 break
             weight = 1 / denominator
-            if (found := self.chi2(values)) < lowest:
-                best, lowest = values, found
+            if (chi2 := self.chi2(values)) < lowest:
+                best, lowest = values, chi2
         return best
 
-    def _polynomials(self, parameters: NDArray[np.floating]) -> tuple[NDArray[np.complexfloating], NDArray[np.complexfloating]]:
+    def _polynomials(self, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """A (n_line,) and B (n_line, n_element)."""
         powers, n = self.powers, 2 * self.modes
         denominator = powers[:, :n] @ parameters[:n] + powers[:, n]
         return denominator, powers[:, : n - 1] @ parameters[n:].reshape(-1, n - 1).T
 
-    def _equation(self, elements: NDArray[np.complexfloating], weight: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+    def _equation(self, elements: ComplexArray, weight: ComplexArray) -> FloatArray:
         """Columns of B_e - H_e (a_0 + a_1 s + ...) = H_e s^2n times the weight, whitened, (n_equation, n_parameter)."""
         powers, n = (self.powers * weight[:, None]).T, 2 * self.modes
         n_element = elements.shape[1]
@@ -96,13 +102,16 @@ class RationalFit:
             columns[n + e * (n - 1) : n + (e + 1) * (n - 1), :, e] = powers[: n - 1]
         return self._whitened(columns).T
 
-    def _whitened(self, values: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+    def _whitened(self, values: ComplexArray) -> FloatArray:
         """(..., n_line, n_element) -> (..., n_equation), back in the unit of the FRF."""
         return whitened(self.whitener, float(np.max(np.abs(self.measured.matrix))) * values[..., None])
 
 
-def modal_chi2(measured: Measured, whitener: NDArray[np.complexfloating], modes: int) -> tuple[float, int] | None:
-    """(chi-square, number of parameters) of the best rational fit with *modes* modes; None where it does not converge."""
+def modal_chi2(measured: Measured, whitener: ComplexArray, modes: int) -> tuple[float, int] | None:
+    """Chi-square [1] and number of parameters of the best rational fit with *modes* modes; None without convergence.
+
+    *whitener* (n_line, n_element, n_element) [N/m].
+    """
     fit = RationalFit(measured, whitener, modes)
     if measured.n_equation <= fit.n_parameter:
         return None
@@ -110,11 +119,12 @@ def modal_chi2(measured: Measured, whitener: NDArray[np.complexfloating], modes:
     return (fit.chi2(minimum.values), fit.n_parameter) if minimum.converged else None
 
 
-def independent_motions(measured: Measured) -> tuple[NDArray[np.floating], int]:
-    """(singular values of the FRF in units of its noise, how many of them stand out of the noise), responses against lines and forces.
+def independent_motions(measured: Measured) -> tuple[FloatArray, int]:
+    """Singular values (n_output,) [1] of the FRF in units of its noise, and the number of them above the noise.
 
-    Circular noise of variance 1 has singular values up to sqrt(n_row) + sqrt(n_column) (Geman 1980). Each response counts by its own
-    noise only: a common factor of the responses is a motion, whatever its noise.
+    The matrix has outputs as columns, lines and forces as rows. Circular noise of variance 1 has singular values up to sqrt(n_row) +
+    sqrt(n_column) (Geman 1980). Only the variance of each output is used, not their covariance: a common factor of the outputs is a
+    motion, whatever its noise.
     """
     n_line, n_output, n_input = measured.matrix.shape
     assert measured.covariance is not None
@@ -126,12 +136,12 @@ def independent_motions(measured: Measured) -> tuple[NDArray[np.floating], int]:
 
 
 def motion_notes(measured: Measured) -> tuple[str, ...]:
-    """What to say where fewer motions stand out of the noise than responses were measured."""
+    """A note where fewer independent motions than outputs are above the noise."""
     if len(measured.outputs) < 2 or not has_noise(measured):
         return ()
     values, count = independent_motions(measured)
     if count >= values.size:
         return ()
-    shown = ", ".join(f"{value:.3g}" for value in values)
+    value_list = ", ".join(f"{value:.3g}" for value in values)
     moving = "one independent motion" if count == 1 else f"{count} independent motions"
-    return (f"The {values.size} responses hold {moving}: singular values of the FRF in units of its noise {shown}.",)
+    return (f"The {values.size} responses hold {moving}: singular values of the FRF in units of its noise {value_list}.",)

@@ -1,12 +1,12 @@
-"""The weighted output error of a model: residual, its slopes and its square, in real numbers."""
+"""Weighted output error of a model: residual, its Jacobian and its sum of squares, in real numbers."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import ResponseModel
 from labpipe.identify.weights import whitened
@@ -19,25 +19,25 @@ class OutputError:
 
     measured: Measured
     model: ResponseModel
-    whitener: NDArray[np.complexfloating]
+    whitener: ComplexArray
 
     @property
     def size(self) -> float:
-        """Length of the whitened measured FRF."""
+        """Norm of the whitened measured FRF."""
         return float(np.linalg.norm(self.whitened(self.measured.matrix)))
 
-    def whitened(self, values: NDArray[np.complexfloating]) -> NDArray[np.floating]:
-        """(..., n_line, n_output, n_input) -> (..., n_equation)."""
+    def whitened(self, values: ComplexArray) -> FloatArray:
+        """FRFs (..., n_line, n_output, n_input) [m/N] whitened to real equations (..., n_equation) [1]."""
         return whitened(self.whitener, values)
 
-    def residual(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
-        """(n_equation,), of variance 1 for a right model."""
+    def residual(self, parameters: FloatArray) -> FloatArray:
+        """Whitened residual (n_equation,) [1], of variance 1 for a correct model."""
         return self.whitened(self.measured.matrix - self.model.receptance(parameters, self.measured.omega))
 
-    def chi2(self, parameters: NDArray[np.floating]) -> float:
-        """Sum of the squared residual; infinite where the model has no finite response."""
+    def chi2(self, parameters: FloatArray) -> float:
+        """Sum of squares [1] of the residual at *parameters* (n_parameter,); infinite where the model has no finite response."""
         return sum_of_squares(self.residual, parameters)
 
-    def jacobian(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]:
-        """d residual / d p, (n_equation, n_parameter)."""
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
+        """d residual / d p, (n_equation, n_parameter) [1 per parameter unit]."""
         return -self.whitened(self.model.jacobian(parameters, self.measured.omega)).T

@@ -6,9 +6,9 @@ import contextlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
@@ -16,86 +16,104 @@ from labpipe.identify.statistics import Estimate, condition_number, determinatio
 from labpipe.identify.weights import has_noise, weight_doubt, whitened, whitener
 from labpipe.records.identification import Goodness
 
-# Condition number up to which products of columns keep eight digits and more.
+# Condition number up to which products of columns have at least eight digits.
 WELL_CONDITIONED = 1e4
 BIAS_NOTE = (
-    "ls: the standard errors come from the equation's residual; the bias that noise in the measured FRF causes is not in them "
-    "(the FRF stands among the regressors). The estimator ml has no such bias."
+    "ls: the standard errors come from the equation's residual; they do not include the bias caused by noise of the measured FRF "
+    "(the FRF is among the regressors). The estimator ml has no such bias."
 )
 
 
 def least_squares(measured: Measured, model: DynamicModel, weight: str = "none") -> Estimate:
-    """Equation-error estimate; rows of the equation of motion that share no parameter are separate regressions.
+    """Equation-error estimate; rows of the equation of motion without common parameters are separate regressions.
 
     Standard error = sqrt(residual variance * diag((W^T W)^-1)) with n - k real degrees of freedom (Lim et al. 2009, eq. 14-15, 25,
-    with n - k for the printed n - 3). FitError when there are fewer equations than parameters.
+    with n - k for the printed n - 3). FitError for fewer equations than parameters.
     """
     equation = regression(measured, model, weight)
     n_parameter = len(model.terms)
-    values, covariance, own_dof = equation_solution(equation, model)
-    r2, adjusted = determination(equation.known, equation.residual(values), n_parameter)
+    values, covariance, parameter_dof = equation_solution(equation, model)
+    r2, adjusted = determination(equation.right_side, equation.residual(values), n_parameter)
     design, amplification = _plain_design(measured, model, values, equation.terms)
     dof = measured.n_equation - n_parameter
     gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
     scaled, notes = measured.shared_noise * covariance, (BIAS_NOTE,)
-    return Estimate(values, scaled, design, gof, dof, notes=notes, own_dof=own_dof, amplification=amplification)
+    return Estimate(
+        values=values,
+        covariance=scaled,
+        scaled_design=design,
+        gof=gof,
+        dof=dof,
+        notes=notes,
+        parameter_dof=parameter_dof,
+        amplification=amplification,
+    )
 
 
-def equation_solution(equation: Regression, model: DynamicModel) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.int_]]:
-    """(estimate, its covariance, degrees of freedom of each parameter's own regression)."""
+def equation_solution(equation: Regression, model: DynamicModel) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Estimate (n_parameter,) [parameter units], its covariance (n_parameter, n_parameter), degrees of freedom (n_parameter,).
+
+    Degrees of freedom are those of the regression of each parameter. Raises FitError as solve_scaled does.
+    """
     n_parameter = len(model.terms)
     values, covariance = np.zeros(n_parameter), np.zeros((n_parameter, n_parameter))
-    own_dof = np.zeros(n_parameter, int)
-    for rows, own in _separate_regressions(model):
-        side = equation.known[:, rows]
-        values[own], covariance[np.ix_(own, own)] = _solve(equation.terms[own][:, :, rows], side)
-        own_dof[own] = 2 * side.size - len(own)
-    return values, covariance, own_dof
+    parameter_dof = np.zeros(n_parameter, int)
+    for rows, columns in _separate_regressions(model):
+        side = equation.right_side[:, rows]
+        values[columns], covariance[np.ix_(columns, columns)] = _solve(equation.terms[columns][:, :, rows], side)
+        parameter_dof[columns] = 2 * side.size - len(columns)
+    return values, covariance, parameter_dof
 
 
 @dataclass(frozen=True)
 class Regression:
-    """The equation of motion as a regression: *terms* (n_parameter, n_line, n_dof, n_input), *known* (n_line, n_dof, n_input)."""
+    """The equation of motion as a regression: *terms* (n_parameter, n_line, n_dof, n_input), *right_side* (n_line, n_dof, n_input) [1].
 
-    terms: NDArray[np.complexfloating]
-    known: NDArray[np.complexfloating]
-    line_weights: NDArray[np.floating]
+    line_weights (n_line,) [1].
+    """
 
-    def residual(self, values: NDArray[np.floating]) -> NDArray[np.complexfloating]:
-        """What the equation leaves, (n_line, n_dof, n_input)."""
-        residual: NDArray[np.complexfloating] = self.known - np.tensordot(values, self.terms, 1)
+    terms: ComplexArray
+    right_side: ComplexArray
+    line_weights: FloatArray
+
+    def residual(self, values: FloatArray) -> ComplexArray:
+        """Residual of the equation, (n_line, n_dof, n_input) [1]."""
+        residual: ComplexArray = self.right_side - np.tensordot(values, self.terms, 1)
         return residual
 
 
 def regression(measured: Measured, model: DynamicModel, weight: str) -> Regression:
-    """The weighted equation of motion of the measured FRF; FitError when there are fewer equations than parameters."""
+    """The weighted equation of motion of the measured FRF; FitError for fewer equations than parameters."""
     if measured.n_equation <= len(model.terms):
         raise FitError(f"{measured.n_equation} real equations cannot determine {len(model.terms)} parameters", hint="widen the band")
     weights = line_weights(measured, weight)
     terms = model.equation_terms(measured.matrix, measured.omega)
-    known = model.equation_known(measured.matrix, measured.omega)
+    right_side = model.equation_constant(measured.matrix, measured.omega)
     if weight != "none":
-        terms, known = terms * weights[:, None, None], known * weights[:, None, None]
-    return Regression(terms, known, weights)
+        terms, right_side = terms * weights[:, None, None], right_side * weights[:, None, None]
+    return Regression(terms, right_side, weights)
 
 
-def line_weights(measured: Measured, weight: str) -> NDArray[np.floating]:
-    """none: 1. noise: |H| / s per line, for the noise s of H becomes s |Z| = s / |H| in the equation of motion; (n_line,)."""
+def line_weights(measured: Measured, weight: str) -> FloatArray:
+    """Weight of every line, (n_line,) [1]; none: 1; noise: |H| / s, since noise s of H becomes s |Z| = s / |H| in the equation of motion.
+
+    FitError for an unknown or zero noise.
+    """
     if weight == "none":
         return np.ones(measured.omega.size)
     if not has_noise(measured):
-        raise FitError("the noise of the FRF is not known, so lines cannot weigh by it", hint="leave `weight` out")
+        raise FitError("the noise of the FRF is not known, so lines cannot be weighted by it", hint="leave `weight` out")
     assert measured.covariance is not None
     size = np.sqrt(np.sum(np.abs(measured.matrix) ** 2, axis=(1, 2)))
     noise = np.sqrt(np.einsum("lii->l", measured.covariance).real)
     if np.any(noise == 0):
-        raise FitError("a line of the FRF has no noise, so lines cannot weigh by it", hint="leave `weight` out")
-    weights: NDArray[np.floating] = size / noise
+        raise FitError("a line of the FRF has no noise, so lines cannot be weighted by it", hint="leave `weight` out")
+    weights: FloatArray = size / noise
     return weights / float(np.max(weights))
 
 
-def output_chi_square(measured: Measured, model: DynamicModel, values: NDArray[np.floating], dof: int) -> tuple[float | None, float | None]:
-    """(chi-square per degree of freedom, its p-value) of measured - fitted FRF; None where the noise is not known well enough."""
+def output_chi_square(measured: Measured, model: DynamicModel, values: FloatArray, dof: int) -> tuple[float | None, float | None]:
+    """chi-square per degree of freedom [1] and p-value of measured - fitted FRF at *values* (n_parameter,); None for an unknown noise."""
     if not has_noise(measured):
         return None, None
     try:
@@ -107,48 +125,44 @@ def output_chi_square(measured: Measured, model: DynamicModel, values: NDArray[n
     return (reduced, doubt.p_value(reduced, dof)) if np.isfinite(reduced) else (None, None)
 
 
-def _plain_design(
-    measured: Measured, model: DynamicModel, values: NDArray[np.floating], noisy_terms: NDArray[np.complexfloating]
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """The design by which collinearity is judged, and its amplification: the measured one, or the fitted model's where that is worse.
+def _plain_design(measured: Measured, model: DynamicModel, values: FloatArray, noisy_terms: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Design matrix for the test of collinearity, and its amplification: measured or fitted model's, whichever is worse.
 
-    Noise in the measured FRF makes collinear columns look different; the model's own FRF has none.
+    Noise in the measured FRF makes collinear columns appear different; the model's FRF has none.
     """
     designs = [noisy_terms]
     with contextlib.suppress(FitError):
         designs.append(model.equation_terms(model.receptance(values, measured.omega), measured.omega))
-    found = [equation_design(terms, model, values) for terms in designs]
-    return max(found, key=lambda design: condition_number(design[0]))
+    candidates = [equation_design(terms, model, values) for terms in designs]
+    return max(candidates, key=lambda design: condition_number(design[0]))
 
 
-def equation_design(
-    terms: NDArray[np.complexfloating], model: DynamicModel, values: NDArray[np.floating]
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """(triangular factor of the regressors with columns of length 1, amplification of every parameter).
+def equation_design(terms: ComplexArray, model: DynamicModel, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Triangular factor (n_parameter, n_parameter) [1] of the normalised regressors, and amplification (n_parameter,) [parameter units].
 
-    An error dH puts Z dH into the equation of motion, as large as Z H = B for dH as large as H.
+    An error dH adds Z dH to the equation of motion, which is as large as Z H = B for dH as large as H.
     """
     lengths, triangle, _ = _factorised(stacked_terms(terms).T)
     forces = np.sqrt(terms.shape[1]) * np.linalg.norm(model.whole(values).force)
     return triangle, forces * np.sqrt(inflation_factors(triangle)) / lengths
 
 
-def triangle_of(columns: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Triangular factor R of *columns* (n_equation, n_parameter) scaled to length 1."""
+def triangle_of(columns: FloatArray) -> FloatArray:
+    """Triangular factor R (n_parameter, n_parameter) [1] of *columns* (n_equation, n_parameter) scaled to length 1."""
     return _factorised(columns)[1]
 
 
-def _factorised(columns: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating], bool]:
-    """(lengths of the columns, R of the columns scaled by them, whether R came from their products).
+def _factorised(columns: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
+    """(lengths of the columns, R of the scaled columns, True if R comes from their products).
 
-    Products of columns (Cholesky) cost a fraction of Householder's QR and are as good while the condition number is far below
-    1 / sqrt(rounding); beyond that QR takes over.
+    Products of columns (Cholesky) cost a fraction of Householder's QR and are as accurate while the condition number is far below
+    1 / sqrt(rounding); QR is used beyond that.
     """
     products = columns.T @ columns
     scale = np.sqrt(np.diag(products))
     scale = np.where(scale > 0, scale, 1.0)
     try:
-        triangle: NDArray[np.floating] = np.linalg.cholesky(products / np.outer(scale, scale)).T
+        triangle: FloatArray = np.linalg.cholesky(products / np.outer(scale, scale)).T
         if np.linalg.cond(triangle) < WELL_CONDITIONED:
             return scale, triangle, True
     except np.linalg.LinAlgError:
@@ -156,30 +170,34 @@ def _factorised(columns: NDArray[np.floating]) -> tuple[NDArray[np.floating], ND
     return scale, np.asarray(np.linalg.qr(columns / scale, mode="r")), False
 
 
-def solve_scaled(columns: NDArray[np.floating], known: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Least-squares solution and (W^T W)^-1, columns scaled to length 1 in between so that units do not matter."""
+def solve_scaled(columns: FloatArray, right_side: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least-squares solution (n_parameter,) [parameter units] and (W^T W)^-1 (n_parameter, n_parameter).
+
+    *columns* (n_equation, n_parameter), *right_side* (n_equation,). Columns are scaled to length 1, so that units have no influence.
+    FitError for linearly dependent columns.
+    """
     n = columns.shape[1]
     scale, triangle, by_products = _factorised(columns)
-    left, singular, right = linalg.svd(triangle)
+    left_vectors, singular, right_vectors = linalg.svd(triangle)
     if singular[-1] <= singular[0] * np.finfo(float).eps * max(columns.shape):
         raise FitError(
             "the excitation leaves parameters undetermined: columns of the regression are linearly dependent",
             hint="excite a second force direction, or use a model with fewer parameters",
         )
-    inverse = (right.T / singular**2) @ right / np.outer(scale, scale)
+    inverse = (right_vectors.T / singular**2) @ right_vectors / np.outer(scale, scale)
     if by_products:
         # Corrected seminormal equations (Bjoerck 1987): one refinement makes them as accurate as QR.
-        values = inverse @ (columns.T @ known)
-        return values + inverse @ (columns.T @ (known - columns @ values)), inverse
-    side = np.asarray(np.linalg.qr(np.column_stack([columns / scale, known]), mode="r"))[:n, n]
-    # The last column shares the signs of its own factorisation, whose first columns are R up to rounding.
-    return right.T @ ((left.T @ side) / singular) / scale, inverse
+        values = inverse @ (columns.T @ right_side)
+        return values + inverse @ (columns.T @ (right_side - columns @ values)), inverse
+    side = np.asarray(np.linalg.qr(np.column_stack([columns / scale, right_side]), mode="r"))[:n, n]
+    # The right side keeps the signs of this factorisation, whose first columns are R up to rounding.
+    return right_vectors.T @ ((left_vectors.T @ side) / singular) / scale, inverse
 
 
-def _solve(terms: NDArray[np.complexfloating], known: NDArray[np.complexfloating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """One regression: estimates and their covariance from its own residual variance."""
+def _solve(terms: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """One regression: estimates and their covariance from its residual variance."""
     columns = stacked_terms(terms).T
-    side = stacked(known.reshape(-1))
+    side = stacked(right_side.reshape(-1))
     if side.size <= columns.shape[1]:
         message = f"{side.size} real equations cannot determine the {columns.shape[1]} parameters of a direction"
         raise FitError(message, hint="widen the band")
@@ -190,15 +208,15 @@ def _solve(terms: NDArray[np.complexfloating], known: NDArray[np.complexfloating
 
 
 def _separate_regressions(model: DynamicModel) -> list[tuple[list[int], list[int]]]:
-    """(rows of the equation of motion, parameters) of every group of rows that shares parameters."""
-    n_dof = model.given.mass.shape[0]
+    """(rows of the equation of motion, parameters) of every group of rows with common parameters."""
+    n_dof = model.constant.mass.shape[0]
     acts = [np.any(np.hstack([m.stiffness, m.damping, m.mass, m.force]) != 0, axis=1) for m in (term.matrices for term in model.terms)]
     groups: list[tuple[list[int], list[int]]] = []
     for row in range(n_dof):
-        rows, own = [row], {number for number, places in enumerate(acts) if places[row]}
-        for other in [group for group in groups if own & set(group[1])]:
+        rows, columns = [row], {number for number, places in enumerate(acts) if places[row]}
+        for other in [group for group in groups if columns & set(group[1])]:
             groups.remove(other)
-            rows, own = [*other[0], *rows], own | set(other[1])
-        groups.append((rows, sorted(own)))
-    # Elimination may leave a direction without any parameter: nothing is regressed there.
+            rows, columns = [*other[0], *rows], columns | set(other[1])
+        groups.append((rows, sorted(columns)))
+    # Elimination may leave a direction without any parameter: it has no regression.
     return [group for group in groups if group[1]]

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from labpipe.arrays import FloatArray
 from labpipe.identify.model import Matrices, Term, no_matrices
 from labpipe.identify.settings import FitSettings
 from labpipe.records.response import Port
@@ -38,7 +36,7 @@ def entry_term(name: str, kind: str, places: list[tuple[int, int]], shape: tuple
     return Term(name, UNITS[kind], replace(empty, **{kind: matrix}), droppable)
 
 
-def given_matrices(mass: NDArray[np.floating], force: NDArray[np.floating]) -> Matrices:
+def given_matrices(mass: FloatArray, force: FloatArray) -> Matrices:
     """Known mass [kg] and force factors; nothing known of stiffness and damping."""
     return replace(no_matrices(*force.shape), mass=mass, force=force)
 

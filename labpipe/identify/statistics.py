@@ -1,4 +1,4 @@
-"""Goodness of fit, standard errors and what follows from them."""
+"""Goodness of fit, standard errors, intervals and collinearity measures."""
 
 from __future__ import annotations
 
@@ -6,46 +6,47 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.distributions import student_quantile
 from labpipe.records.identification import Goodness, Parameter
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """What an estimator gives: parameters, their covariance, and what the fit leaves.
+    """Result of an estimator: parameters, their covariance, goodness of fit.
 
-    values (n_parameter,); covariance (n_parameter, n_parameter); scaled_design (n_parameter, n_parameter): triangular factor of the
-    real design or Jacobian with columns of length 1; dof: real equations - parameters; own_dof (n_parameter,): the same of the
-    regression that gave each parameter, where a fit consists of several (ls: one per direction), else None.
-    amplification (n_parameter,), in the parameters' units: the most that a parameter can change per relative error of the FRF; half of
-    it for an error of half the FRF's size in the worst possible direction. None where the estimator does not tell.
+    values (n_parameter,) [parameter units]; covariance (n_parameter, n_parameter); scaled_design (n_parameter, n_parameter): triangular
+    factor of the real design or Jacobian with columns of length 1; dof: real equations - parameters; parameter_dof (n_parameter,): the
+    same of the regression of each parameter, where a fit consists of several (ls: one per direction), else None.
+    amplification (n_parameter,), in the parameters' units: largest change of a parameter per relative error of the FRF; half of
+    it for an error of half the FRF's size in the worst possible direction. None where the estimator does not compute it.
     """
 
-    values: NDArray[np.floating]
-    covariance: NDArray[np.floating]
-    scaled_design: NDArray[np.floating]
+    values: FloatArray
+    covariance: FloatArray
+    scaled_design: FloatArray
     gof: Goodness
     dof: int
     converged: bool = True
     iterations: int = 0
     notes: tuple[str, ...] = ()
-    own_dof: NDArray[np.int_] | None = None
-    amplification: NDArray[np.floating] | None = None
+    parameter_dof: IntArray | None = None
+    amplification: FloatArray | None = None
 
     @property
-    def student_dof(self) -> NDArray[np.int_]:
+    def student_dof(self) -> IntArray:
         """Degrees of freedom of every parameter's t-ratio, (n_parameter,)."""
-        return np.full(self.values.size, self.dof) if self.own_dof is None else self.own_dof
+        return np.full(self.values.size, self.dof) if self.parameter_dof is None else self.parameter_dof
 
 
-def determination(known: NDArray[np.complexfloating], residual: NDArray[np.complexfloating], n_parameter: int) -> tuple[float, float]:
-    """R^2 = 1 - SS_residual / SS_total, and its adjusted form 1 - (1 - R^2)(n - 1)/(n - k), n real equations.
+def determination(right_side: ComplexArray, residual: ComplexArray, n_parameter: int) -> tuple[float, float]:
+    """R^2 = 1 - SS_residual / SS_total [1], and its adjusted form 1 - (1 - R^2)(n - 1)/(n - k), n real equations.
 
-    SS_total is about the mean of the real and imaginary parts in one column, as the regression stacks them (Lim et al. 2009, eq. 23).
+    right_side, residual (n_line, n_dof, n_input). SS_total is about the mean of the real and imaginary parts in one column, as in the
+    regression (Lim et al. 2009, eq. 23).
     """
-    side = stacked(known.reshape(-1))
+    side = stacked(right_side.reshape(-1))
     n = side.size
     total = float(np.sum((side - side.mean()) ** 2))
     r2 = 1 - float(np.sum(np.abs(residual) ** 2)) / total if total > 0 else 0.0
@@ -76,36 +77,39 @@ def derived(name: str, unit: str, value: float, std_error: float, dof: int) -> P
     return Parameter(name, value, unit, std_error, None, interval, derived=True)
 
 
-def inflation_factors(scaled_design: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Variance inflation of each parameter: diag((W^T W)^-1) of columns of length 1; 1 when no other column resembles it."""
+def inflation_factors(scaled_design: FloatArray) -> FloatArray:
+    """Variance inflation of each parameter, (n_parameter,) [1]: diag((W^T W)^-1) of columns of length 1; 1 for an orthogonal column.
+
+    *scaled_design* (n_parameter, n_parameter).
+    """
     _, singular, vectors = np.linalg.svd(scaled_design, full_matrices=False)
     with np.errstate(divide="ignore"):
-        factors: NDArray[np.floating] = np.sum((vectors / singular[:, None]) ** 2, axis=0)
+        factors: FloatArray = np.sum((vectors / singular[:, None]) ** 2, axis=0)
     return factors
 
 
-def condition_number(scaled_design: NDArray[np.floating]) -> float:
-    """Largest over smallest singular value of the design with columns of length 1 (Belsley, Kuh and Welsch 1980)."""
+def condition_number(scaled_design: FloatArray) -> float:
+    """Largest over smallest singular value [1] of the design (n_parameter, n_parameter) of unit columns (Belsley, Kuh and Welsch 1980)."""
     singular = np.linalg.svd(scaled_design, compute_uv=False)
     return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
 
 
-def correlation(covariance: NDArray[np.floating]) -> NDArray[np.floating]:
-    """The correlation matrix of a covariance."""
+def correlation(covariance: FloatArray) -> FloatArray:
+    """The correlation matrix (n, n) [1] of a covariance."""
     std = np.sqrt(np.diag(covariance))
     scale = np.where(std > 0, std, 1.0)
-    matrix: NDArray[np.floating] = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
+    matrix: FloatArray = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
     np.fill_diagonal(matrix, 1.0)
     return matrix
 
 
-def stacked(values: NDArray[np.complexfloating]) -> NDArray[np.floating]:
-    """Real and imaginary parts one below the other along the last axis."""
+def stacked(values: ComplexArray) -> FloatArray:
+    """Real and imaginary parts (..., 2 n) [unit of the values] of values (..., n), concatenated."""
     return np.concatenate([values.real, values.imag], axis=-1)
 
 
-def stacked_terms(terms: NDArray[np.complexfloating]) -> NDArray[np.floating]:
-    """Regressors (n_parameter, n_line, n_dof, n_input) as rows of real numbers, (n_parameter, n_equation); one copy, no more."""
+def stacked_terms(terms: ComplexArray) -> FloatArray:
+    """Regressors (n_parameter, n_line, n_dof, n_input) as real rows (n_parameter, n_equation) [same unit], with a single copy."""
     rows = np.empty((terms.shape[0], 2, *terms.shape[1:]))
     rows[:, 0], rows[:, 1] = terms.real, terms.imag
     return rows.reshape(terms.shape[0], -1)

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt for a sum of squares with known slopes."""
+"""Levenberg-Marquardt for a sum of squares with analytic derivatives."""
 
 from __future__ import annotations
 
@@ -7,36 +7,44 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
 
 MAX_ITERATIONS = 100
 MAX_DAMPING_STEPS = 20
-# Share of the residual that a further step could still remove: 1e-6 of it is far below a standard error, and near to where the
-# rounding of chi-square (its square) hides any further gain.
+# Convergence: share of the residual in the range of the Jacobian. 1e-6 is far below a standard error, and close to the rounding
+# of chi-square (its square).
 GRADIENT_TOLERANCE = 1e-6
-# Where rounding hides what a step gains: distance to the minimum in standard errors (residual per equation) that does not matter.
+# Distance to the minimum in standard errors (residual per equation) that counts as converged where no step lowers chi-square.
 NEGLIGIBLE = 1e-3
-# The same as the first for data without noise, as a share of the FRF itself.
+# Convergence for noise-free FRFs, as a share of the FRF.
 ROUNDING = 1e-12
 
 
 class SquareSum(Protocol):
-    """A residual (n_equation,) and its slopes (n_equation, n_parameter); chi2 is infinite where there is none."""
+    """A residual (n_equation,) [-] and its Jacobian (n_equation, n_parameter); chi2 is infinite where the model has no response."""
 
     @property
     def size(self) -> float:
-        """Length of what is fitted, in the residual's units."""
+        """Euclidean norm of the fitted values, in the residual's units."""
         ...
 
-    def residual(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]: ...
-    def jacobian(self, parameters: NDArray[np.floating]) -> NDArray[np.floating]: ...
-    def chi2(self, parameters: NDArray[np.floating]) -> float: ...
+    def residual(self, parameters: FloatArray) -> FloatArray:
+        """Weighted residual (n_equation,) [-] at *parameters* (n_parameter,)."""
+        ...
+
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
+        """Derivatives (n_equation, n_parameter) [1/parameter unit] of the residual."""
+        ...
+
+    def chi2(self, parameters: FloatArray) -> float:
+        """Sum of squares [-] of the residual at *parameters* (n_parameter,)."""
+        ...
 
 
-def sum_of_squares(residual: Callable[[NDArray[np.floating]], NDArray[np.floating]], parameters: NDArray[np.floating]) -> float:
-    """The squared length of a residual; infinite where the model has no finite response."""
+def sum_of_squares(residual: Callable[[FloatArray], FloatArray], parameters: FloatArray) -> float:
+    """Sum of squares [-] of a residual (n_equation,); infinite where the model has no finite response."""
     try:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             values = residual(parameters)
@@ -47,48 +55,51 @@ def sum_of_squares(residual: Callable[[NDArray[np.floating]], NDArray[np.floatin
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where the descent ended, whether that is a minimum, and the steps taken."""
+    """End point *values* (n_parameter,) [parameter units] of the descent, True for a minimum, and the number of steps."""
 
-    values: NDArray[np.floating]
+    values: FloatArray
     converged: bool
     steps: int
 
 
-def minimise(problem: SquareSum, start: NDArray[np.floating], near: float = 0.0) -> Minimum:
-    """Levenberg-Marquardt from *start*; *near*: distance to the minimum in standard errors (residual per equation) that will do."""
+def minimise(problem: SquareSum, start: FloatArray, near: float = 0.0) -> Minimum:
+    """Levenberg-Marquardt from *start* (n_parameter,) [parameter units].
+
+    *near*: distance to the minimum in standard errors (residual per equation) at which the descent stops.
+    """
     values, damping = start, 1e-3
     rounding = ROUNDING * problem.size
     for steps in range(MAX_ITERATIONS):
         residual, jacobian = problem.residual(values), problem.jacobian(values)
         scale = np.linalg.norm(jacobian, axis=0)
         scaled = jacobian / scale
-        left, size = _explained(scaled, residual), float(np.linalg.norm(residual))
-        if left <= max(GRADIENT_TOLERANCE * size, rounding, near * size / np.sqrt(residual.size)):
+        gain, size = _projection(scaled, residual), float(np.linalg.norm(residual))
+        if gain <= max(GRADIENT_TOLERANCE * size, rounding, near * size / np.sqrt(residual.size)):
             return Minimum(values, True, steps)
         step, damping = _damped_step(problem, values, residual, scaled, scale, damping)
         if step is None:
-            return Minimum(values, left <= NEGLIGIBLE * size / np.sqrt(residual.size), steps)
+            return Minimum(values, gain <= NEGLIGIBLE * size / np.sqrt(residual.size), steps)
         values = values + step
     return Minimum(values, False, MAX_ITERATIONS)
 
 
-def _explained(scaled: NDArray[np.floating], residual: NDArray[np.floating]) -> float:
-    """Length of the part of the residual that a further full step would remove: its projection on the Jacobian's columns.
+def _projection(scaled: FloatArray, residual: FloatArray) -> float:
+    """Norm of the residual's projection on the Jacobian's columns: the gain of a further full step.
 
-    Unlike the length of the last step it does not get small because the damping is large.
+    Unlike the length of the last step it does not become small through large damping.
     """
     return float(np.linalg.norm(np.linalg.qr(scaled)[0].T @ residual))
 
 
 def _damped_step(
     problem: SquareSum,
-    values: NDArray[np.floating],
-    residual: NDArray[np.floating],
-    scaled: NDArray[np.floating],
-    scale: NDArray[np.floating],
+    values: FloatArray,
+    residual: FloatArray,
+    scaled: FloatArray,
+    scale: FloatArray,
     damping: float,
-) -> tuple[NDArray[np.floating] | None, float]:
-    """A step that lowers chi-square and the damping for the next one; no step when none lowers it any more."""
+) -> tuple[FloatArray | None, float]:
+    """A step that lowers chi-square and the damping for the next one; None when no step lowers it."""
     n = values.size
     before = float(residual @ residual)
     for _ in range(MAX_DAMPING_STEPS):

@@ -1,9 +1,8 @@
-"""Compass search within bounds: many small problems side by side, each polled along its axes on a mesh that halves or doubles.
+"""Compass search within bounds: many small problems in parallel, each polled along its axes on a mesh that halves or doubles.
 
-Generalised pattern search (Torczon 1997; Lewis and Torczon 1999 for bounds): from the best point x so far the 2 n neighbours x +- m e_i
-are asked, all of them; the lowest one that is lower than x becomes x and the mesh m doubles, otherwise m halves. Neighbours beyond a
-bound are moved onto it. Without gradients, and without any statement on how well the minimum is determined. COBYQA of scipy is the
-alternative by name.
+Generalised pattern search (Torczon 1997; Lewis and Torczon 1999 for bounds): from the best point x the objective is evaluated at all
+2 n neighbours x +- m e_i; the lowest one, if lower than at x, becomes x and the mesh m doubles, otherwise m halves. Neighbours beyond
+a bound are moved onto it. No gradients, and no standard errors of the minimum. COBYQA of scipy is the alternative by name.
 """
 
 from __future__ import annotations
@@ -13,47 +12,46 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
+from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.registry import nearest
 
-Array = NDArray[np.floating]
 # Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of the problems *chosen* (n_chosen,).
-Objective = Callable[[Array, NDArray[np.intp]], Array]
+Objective = Callable[[FloatArray, IntArray], FloatArray]
 
 
 @dataclass(frozen=True)
 class SearchLimits:
-    """When a search begins and ends; meshes are parts of the box's width, *enough* is a part of the objective at the start."""
+    """Limits of a search; meshes are shares of the box's width, *target_share* is a share of the objective at the start."""
 
     first_mesh: float = 0.25
     smallest_mesh: float = 1e-4
     largest_mesh: float = 0.5
     most_evaluations: int = 4000
-    enough: float = 1e-9
+    target_share: float = 1e-9
 
     def __post_init__(self) -> None:
         if not 0 < self.smallest_mesh <= self.first_mesh <= self.largest_mesh <= 1:
             raise ConfigError("meshes of a pattern search rise: smallest, first, largest, up to 1", hint="for example 1e-4, 0.25, 0.5")
-        if self.most_evaluations < 1 or not 0 <= self.enough < 1:
-            raise ConfigError("a search needs one evaluation or more, and enough is a part of the first objective")
+        if self.most_evaluations < 1 or not 0 <= self.target_share < 1:
+            raise ConfigError("a search needs one evaluation or more, and a target below the first objective")
 
 
 @dataclass(frozen=True)
 class SearchHistory:
-    """One row per iteration, (n_iteration, n_problem) each: evaluations so far, lowest objective so far, mesh (NaN where there is none).
+    """One row per iteration, (n_iteration, n_problem) each: evaluations, lowest objective [its unit], mesh [-] (NaN without a mesh).
 
     A problem that has ended keeps its last row.
     """
 
-    evaluations: NDArray[np.intp]
-    objective: Array
-    mesh: Array
+    evaluations: IntArray
+    objective: FloatArray
+    mesh: FloatArray
 
     def of(self, problem: int) -> SearchHistory:
-        """One problem's own rows (n_iteration, 1), without those after its end."""
+        """Rows of one problem (n_iteration, 1), without those after its end."""
         column = self.evaluations[:, problem]
         rows = np.concatenate([[True], np.diff(column) > 0])
         return SearchHistory(*(getattr(self, name)[rows][:, [problem]] for name in ("evaluations", "objective", "mesh")))
@@ -61,55 +59,60 @@ class SearchHistory:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """The lowest points (n_problem, n_parameter) that were found; objective, mesh, evaluations (n_problem,).
+    """The lowest points (n_problem, n_parameter) [parameter units]; objective, mesh, evaluations (n_problem,).
 
-    capped (n_problem,): ended by the cap on evaluations, neither by the mesh nor by an objective that is low enough.
+    capped (n_problem,): ended by the limit of evaluations, neither by the mesh nor by the target of the objective.
     """
 
-    values: Array
-    objective: Array
-    mesh: Array
-    evaluations: NDArray[np.intp]
-    capped: NDArray[np.bool_]
+    values: FloatArray
+    objective: FloatArray
+    mesh: FloatArray
+    evaluations: IntArray
+    capped: BoolArray
     history: SearchHistory
 
 
-def compass_search(objective: Objective, start: Array, lower: Array, upper: Array, limits: SearchLimits | None = None) -> SearchResult:
-    """Searches from *start* (n_problem, n_parameter) between *lower* and *upper*, of the same shape; deterministic.
+def compass_search(
+    objective: Objective, start: FloatArray, lower: FloatArray, upper: FloatArray, limits: SearchLimits | None = None
+) -> SearchResult:
+    """Searches from *start* (n_problem, n_parameter) [parameter units] between *lower* and *upper*, same shape; deterministic.
 
     ConfigError where a start lies outside its box.
     """
     limits = limits or SearchLimits()
     values, width = _checked(start, lower, upper)
     n_problem, n_parameter = values.shape
-    everyone = np.arange(n_problem)
-    lowest = objective(values[None], everyone)[0]
-    enough = limits.enough * lowest
+    problems = np.arange(n_problem)
+    lowest = objective(values[None], problems)[0]
+    target = limits.target_share * lowest
     mesh, evaluations = np.full(n_problem, limits.first_mesh), np.ones(n_problem, np.intp)
     rows = [(evaluations.copy(), lowest.copy(), mesh.copy())]
     compass = np.concatenate([np.eye(n_parameter), -np.eye(n_parameter)])[:, None, :]
     unfinished = np.full(n_problem, True)
-    while (going := everyone[unfinished & (evaluations < limits.most_evaluations)]).size:
-        trial = values[going] + compass * (mesh[going, None] * width[going])
-        trial = np.clip(trial, lower[going], upper[going])
-        found = objective(trial, going)
-        best = np.argmin(found, axis=0)
-        least = found[best, np.arange(going.size)]
-        better = least < lowest[going]
-        values[going[better]] = trial[best[better], np.flatnonzero(better)]
-        lowest[going[better]] = least[better]
-        mesh[going] = np.where(better, np.minimum(2 * mesh[going], limits.largest_mesh), mesh[going] / 2)
-        evaluations[going] += 2 * n_parameter
-        unfinished = (mesh >= limits.smallest_mesh) & (lowest > enough)
+    while (active := problems[unfinished & (evaluations < limits.most_evaluations)]).size:
+        trial = values[active] + compass * (mesh[active, None] * width[active])
+        trial = np.clip(trial, lower[active], upper[active])
+        values_of_trial = objective(trial, active)
+        best = np.argmin(values_of_trial, axis=0)
+        least = values_of_trial[best, np.arange(active.size)]
+        better = least < lowest[active]
+        values[active[better]] = trial[best[better], np.flatnonzero(better)]
+        lowest[active[better]] = least[better]
+        mesh[active] = np.where(better, np.minimum(2 * mesh[active], limits.largest_mesh), mesh[active] / 2)
+        evaluations[active] += 2 * n_parameter
+        unfinished = (mesh >= limits.smallest_mesh) & (lowest > target)
         rows.append((evaluations.copy(), lowest.copy(), mesh.copy()))
     history = SearchHistory(*(np.array(column) for column in zip(*rows, strict=True)))
     return SearchResult(values, lowest, mesh, evaluations, unfinished, history)
 
 
-def cobyqa_search(objective: Objective, start: Array, lower: Array, upper: Array, limits: SearchLimits | None = None) -> SearchResult:
-    """The same by COBYQA (Ragonneau 2022; scipy 1.14 or newer), one problem after the other; its trust region has no mesh (NaN).
+def cobyqa_search(
+    objective: Objective, start: FloatArray, lower: FloatArray, upper: FloatArray, limits: SearchLimits | None = None
+) -> SearchResult:
+    """Searches by COBYQA (Ragonneau 2022; scipy 1.14 or newer), one problem after the other; its trust region has no mesh (NaN).
 
-    The objective is scaled by its value at the start, parameters by the box. ConfigError without COBYQA in the scipy at hand.
+    *start*, *lower*, *upper* (n_problem, n_parameter) [parameter units]. The objective is scaled by its value at the start, parameters by
+    the box. ConfigError without COBYQA in the installed scipy.
     """
     limits = limits or SearchLimits()
     values, width = _checked(start, lower, upper)
@@ -127,34 +130,34 @@ def cobyqa_search(objective: Objective, start: Array, lower: Array, upper: Array
 
 @dataclass(frozen=True)
 class _Trace:
-    """Everything one COBYQA run asked for, in parts of its box."""
+    """All evaluations of one COBYQA run, points as shares of its box."""
 
-    points: Array
-    objective: Array
+    points: FloatArray
+    objective: FloatArray
     capped: bool
 
 
-def _trace(objective: Objective, problem: int, start: Array, lower: Array, width: Array, limits: SearchLimits) -> _Trace:
-    points: list[Array] = []
-    asked: list[float] = []
+def _trace(objective: Objective, problem: int, start: FloatArray, lower: FloatArray, width: FloatArray, limits: SearchLimits) -> _Trace:
+    points: list[FloatArray] = []
+    objectives: list[float] = []
     number = np.array([problem])
 
-    def scaled(parts: NDArray[np.float64]) -> float:
+    def scaled(parts: FloatArray) -> float:
         inside = np.clip(parts, 0, 1)
         points.append(inside)
-        asked.append(float(objective((lower + inside * width)[None, None], number)[0, 0]))
-        return asked[-1] / (asked[0] or 1.0)
+        objectives.append(float(objective((lower + inside * width)[None, None], number)[0, 0]))
+        return objectives[-1] / (objectives[0] or 1.0)
 
     radii = {"initial_tr_radius": limits.first_mesh, "final_tr_radius": limits.smallest_mesh}
-    options: Any = {**radii, "maxfev": limits.most_evaluations, "f_target": limits.enough}
+    options: Any = {**radii, "maxfev": limits.most_evaluations, "f_target": limits.target_share}
     bounds = optimize.Bounds(np.zeros(start.size), np.ones(start.size))
     try:
-        ended = optimize.minimize(scaled, (start - lower) / width, method="COBYQA", bounds=bounds, options=options)
+        outcome = optimize.minimize(scaled, (start - lower) / width, method="COBYQA", bounds=bounds, options=options)
     except ValueError as error:
         if "Unknown solver" not in str(error):
             raise
         raise ConfigError("this scipy has no COBYQA", hint="install scipy 1.14 or newer, or search by method: pattern") from error
-    return _Trace(np.array(points), np.array(asked), not ended.success)
+    return _Trace(np.array(points), np.array(objectives), not outcome.success)
 
 
 SEARCHES = {"pattern": compass_search, "cobyqa": cobyqa_search}
@@ -167,7 +170,7 @@ def search_named(name: str) -> Callable[..., SearchResult]:
     return SEARCHES[name]
 
 
-def _checked(start: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+def _checked(start: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
     """A copy of the starts and the widths of their boxes."""
     if not np.all((lower < upper) & (start >= lower) & (start <= upper)):
         raise ConfigError("a search starts within its bounds, the lower ones below the upper ones")

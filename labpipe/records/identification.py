@@ -7,9 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.records.finding import Finding
 from labpipe.records.parameter import Parameter as Parameter
 from labpipe.records.response import FrequencyResponse
@@ -52,19 +50,19 @@ class FittedCurve:
     None where it was not computed.
     """
 
-    frequency: NDArray[np.floating]
-    measured: NDArray[np.complexfloating]
-    fitted: NDArray[np.complexfloating]
-    variance: NDArray[np.floating] | None
+    frequency: FloatArray
+    measured: ComplexArray
+    fitted: ComplexArray
+    variance: FloatArray | None
     outputs: tuple[str, ...]
     inputs: tuple[str, ...]
     form: str
-    before: NDArray[np.complexfloating] | None = None
-    dense_frequency: NDArray[np.floating] | None = None
-    dense: NDArray[np.complexfloating] | None = None
+    before: ComplexArray | None = None
+    dense_frequency: FloatArray | None = None
+    dense: ComplexArray | None = None
 
     @property
-    def drawn(self) -> tuple[NDArray[np.floating], NDArray[np.complexfloating]]:
+    def drawn(self) -> tuple[FloatArray, ComplexArray]:
         """Frequency [Hz] and the model as a curve: between the lines too where that was computed, else on the lines."""
         if self.dense_frequency is None or self.dense is None:
             return self.frequency, self.fitted
@@ -76,7 +74,7 @@ class Region:
     """The joint confidence region of two parameters: its *outline* (n, 2) in SI units, going round once; *level* e.g. 0.95."""
 
     names: tuple[str, str]
-    outline: NDArray[np.floating]
+    outline: FloatArray
     level: float
 
 
@@ -99,7 +97,7 @@ class Fit:
     gof: Goodness
     parameters: tuple[Parameter, ...]
     condition_number: float = field(metadata={"null": math.inf})
-    correlation: NDArray[np.floating]
+    correlation: FloatArray
     converged: bool = True
     iterations: int = 0
     findings: tuple[Finding, ...] = ()

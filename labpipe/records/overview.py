@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.records.arrays import frozen_array
 from labpipe.records.finding import Finding
 
@@ -16,8 +16,8 @@ class Envelope:
     """Smallest and largest of every stretch of *step* samples, (n_stretch,) each, in the channel's unit; NaN where all are missing."""
 
     step: int
-    low: NDArray[np.floating]
-    high: NDArray[np.floating]
+    low: FloatArray
+    high: FloatArray
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class Spectrum:
     Without a known rate the frequency is in cycles per sample and the density per that.
     """
 
-    frequency: NDArray[np.floating]
-    density: NDArray[np.floating]
+    frequency: FloatArray
+    density: FloatArray
     blocks: int
 
     def __post_init__(self) -> None:

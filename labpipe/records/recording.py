@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.quantities import QUANTITIES
 from labpipe.records.arrays import frozen_array
@@ -63,7 +63,7 @@ class SampleSource(Protocol):
     def findings(self) -> tuple[Finding, ...]: ...
     @property
     def name(self) -> str: ...
-    def blocks(self, n_sample: int) -> Iterator[NDArray[np.floating]]:
+    def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks of at most *n_sample* samples, each (n, n_channel) [SI]."""
 
 
@@ -72,7 +72,7 @@ class Recording:
     """A run in memory: *samples* (n_sample, n_channel) [SI] at *sample_rate* [Hz]. Satisfies SampleSource."""
 
     channels: tuple[Channel, ...]
-    samples: NDArray[np.floating]
+    samples: FloatArray
     sample_rate: float
     name: str = ""
     findings: tuple[Finding, ...] = ()
@@ -99,7 +99,7 @@ class Recording:
         """Samples per channel."""
         return int(self.samples.shape[0])
 
-    def blocks(self, n_sample: int) -> Iterator[NDArray[np.floating]]:
+    def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks of at most *n_sample* samples."""
         for start in range(0, self.n_sample, n_sample):
             yield self.samples[start : start + n_sample]

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.arrays import frozen_array
 from labpipe.records.finding import Finding
@@ -55,17 +55,17 @@ class FrequencyResponse:
     line_correlation of the noise with that of the next lines, 1, 2, ... line spacings away; empty where lines are independent
     """
 
-    frequency: NDArray[np.floating]
-    matrix: NDArray[np.complexfloating]
+    frequency: FloatArray
+    matrix: ComplexArray
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
     form: str = "receptance"
-    covariance: NDArray[np.complexfloating] | None = None
-    coherence: NDArray[np.floating] | None = None
-    multiple_coherence: NDArray[np.floating] | None = None
-    partial_coherence: NDArray[np.floating] | None = None
-    distortion: NDArray[np.floating] | None = None
-    snr: NDArray[np.floating] | None = None
+    covariance: ComplexArray | None = None
+    coherence: FloatArray | None = None
+    multiple_coherence: FloatArray | None = None
+    partial_coherence: FloatArray | None = None
+    distortion: FloatArray | None = None
+    snr: FloatArray | None = None
     snr_channels: tuple[str, ...] = ()
     averages: float = 1.0
     covariance_dof: float = float("inf")
@@ -117,7 +117,7 @@ class FrequencyResponse:
         return int(self.frequency.size)
 
     @property
-    def variance(self) -> NDArray[np.floating] | None:
+    def variance(self) -> FloatArray | None:
         """E|H - E H|^2 per element, (n_frequency, n_output, n_input), or None."""
         if self.covariance is None:
             return None
@@ -125,7 +125,7 @@ class FrequencyResponse:
         return diagonal.reshape(self.matrix.shape)
 
 
-def uncorrelated(variance: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+def uncorrelated(variance: FloatArray) -> ComplexArray:
     """The covariance (n_frequency, n, n) of elements known by their variance (n_frequency, n_output, n_input) only."""
     flat = variance.reshape(variance.shape[0], -1)
     covariance = np.zeros((*flat.shape, flat.shape[1]), np.complex128)

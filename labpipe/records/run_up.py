@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.arrays import frozen_array
 from labpipe.records.settings import Uncertain
@@ -37,11 +37,11 @@ class RunUp:
 
     name: str
     load: float
-    speed: NDArray[np.floating]
+    speed: FloatArray
     planes: tuple[str, ...]
-    response: NDArray[np.complexfloating]
-    amplitude_error: NDArray[np.floating]
-    phase_error: NDArray[np.floating]
+    response: ComplexArray
+    amplitude_error: FloatArray
+    phase_error: FloatArray
     unbalance: Mapping[str, complex] = field(default_factory=dict)
     shaker: Shaker | None = None
     threshold: Uncertain | None = None
@@ -80,6 +80,6 @@ class RunUp:
         return int(self.speed.size)
 
     @property
-    def rpm(self) -> NDArray[np.floating]:
+    def rpm(self) -> FloatArray:
         """Speeds [rpm], (n_speed,)."""
         return self.speed * 30 / np.pi

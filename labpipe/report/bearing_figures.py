@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.coefficients import BearingCoefficients
 from labpipe.quantities import display_unit, to_display
 from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Panel, Series, cells, curve, named_ticks, stacked
@@ -38,7 +38,7 @@ def _coefficient_text(bearing: BearingCoefficients, row: int, column: int) -> st
     return f"{to_display(bearing.stiffness[row, column], display_unit(unit)):.4g}\n{unit_text(unit)}"
 
 
-def sweep_figures(title: str, label: str, values: NDArray[np.float64], swept: Sequence[BearingCoefficients]) -> dict[str, Figure]:
+def sweep_figures(title: str, label: str, values: FloatArray, swept: Sequence[BearingCoefficients]) -> dict[str, Figure]:
     """The figures "stiffness" and, where there is any, "damping": every coefficient over the swept entry, one panel per unit.
 
     *label*: the entry with its unit, as in "speed [Hz]"; *values* (n,) in that unit.
@@ -49,7 +49,7 @@ def sweep_figures(title: str, label: str, values: NDArray[np.float64], swept: Se
     return figures
 
 
-def _sweep_figure(title: str, label: str, values: NDArray[np.float64], swept: Sequence[BearingCoefficients], kind: str) -> Figure:
+def _sweep_figure(title: str, label: str, values: FloatArray, swept: Sequence[BearingCoefficients], kind: str) -> Figure:
     groups = _coefficients_by_unit(swept, np.stack([getattr(bearing, kind) for bearing in swept]))
     name, _, unit = label.rstrip("]").partition(" [")
     panels = []
@@ -64,7 +64,7 @@ def _sweep_figure(title: str, label: str, values: NDArray[np.float64], swept: Se
     return Figure(stacked(panels, 0.7 + 2.3 * len(panels)), caption, f"{kind.capitalize()} coefficients of {title} over {label}")
 
 
-def _coefficients_by_unit(swept: Sequence[BearingCoefficients], matrices: NDArray[np.floating]) -> dict[str, list[tuple[int, int]]]:
+def _coefficients_by_unit(swept: Sequence[BearingCoefficients], matrices: FloatArray) -> dict[str, list[tuple[int, int]]]:
     """unit -> the (row, column) that are not zero throughout; one of each pair that is the same by symmetry."""
     relative = np.max([np.abs(bearing.relative) for bearing in swept], axis=0)
     symmetric = np.allclose(matrices, np.swapaxes(matrices, 1, 2), rtol=1e-9, atol=1e-9 * np.abs(matrices).max())
@@ -75,11 +75,11 @@ def _coefficients_by_unit(swept: Sequence[BearingCoefficients], matrices: NDArra
     return groups
 
 
-def _curve(values: NDArray[np.float64], swept: Sequence[BearingCoefficients], kind: str, entry: tuple[int, int], number: int) -> Series:
+def _curve(values: FloatArray, swept: Sequence[BearingCoefficients], kind: str, entry: tuple[int, int], number: int) -> Series:
     """One coefficient over the sweep, with its range over a ball passage where the model gives one."""
     dofs, factor = swept[0].dofs, scale_of(swept[0].unit(*entry))
 
-    def over_sweep(name: str) -> NDArray[np.float64]:
+    def over_sweep(name: str) -> FloatArray:
         return factor * np.array([getattr(bearing, name)[entry] for bearing in swept])
 
     ranged = kind == "stiffness" and all(bearing.lowest is not None and bearing.highest is not None for bearing in swept)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.campaign.bandwise import holm
 from labpipe.campaign.control import SETTLED, control_limits, from_the_rest, straight_trend
 from labpipe.errors import DataError, FitError
@@ -69,9 +69,9 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
 class _Differences:
     """Each value of a series against the others: difference, p-value and, once all have one, that corrected."""
 
-    difference: NDArray[np.floating]
-    p_value: NDArray[np.floating]
-    corrected: NDArray[np.floating]
+    difference: FloatArray
+    p_value: FloatArray
+    corrected: FloatArray
 
     @classmethod
     def of(cls, coefficient: CoefficientSeries) -> _Differences:
@@ -109,7 +109,7 @@ def _trends(coefficient: CoefficientSeries) -> list[Trend]:
 
 
 def _verdict(
-    series: Sequence[CoefficientSeries], trends: Sequence[Trend], corrected: NDArray[np.floating], differences: Sequence[_Differences]
+    series: Sequence[CoefficientSeries], trends: Sequence[Trend], corrected: FloatArray, differences: Sequence[_Differences]
 ) -> tuple[Block, ...]:
     """What a reader must know first: values out of control, trends, and values that differ."""
     outside = [f"{coefficient.title} ({_few(labels)})" for coefficient in series if (labels := _outside(coefficient))]
@@ -156,7 +156,7 @@ def _results(results: Sequence[tuple[str, Identification]]) -> Table:
     return Table(("result", "title", "tests", "fits", "verdict", "computed by"), tuple(rows), "Results read together", (2, 3))
 
 
-def _trend_table(trends: Sequence[Trend], corrected: NDArray[np.floating]) -> Table:
+def _trend_table(trends: Sequence[Trend], corrected: FloatArray) -> Table:
     rows = tuple(
         (
             trend.series.title,

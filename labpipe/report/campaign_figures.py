@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.campaign.control import ControlLimits, straight_trend
 from labpipe.errors import FitError
 from labpipe.records.identification import Fit, Identification
@@ -32,7 +32,7 @@ def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
     return Figure(chart, caption, f"{series.title} of {len(series.values)} tests over {condition}")
 
 
-def _line(series: CoefficientSeries, x: NDArray[np.floating]) -> tuple[Series, ...]:
+def _line(series: CoefficientSeries, x: FloatArray) -> tuple[Series, ...]:
     """The weighted line over x (n,) with its 95 % interval; nothing where the tests do not carry one."""
     try:
         line = straight_trend(x, series.shown(), series.errors())

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Numbers = NDArray[np.float64]
+from labpipe.arrays import FloatArray
+
 Ends = tuple[ArrayLike, ArrayLike]
 Ticks = tuple[tuple[float, str], ...]
 
@@ -35,11 +36,11 @@ class Series:
 
     kind: str
     name: str
-    x: Numbers
-    y: Numbers
+    x: FloatArray
+    y: FloatArray
     colour: int = 0
-    low: Numbers | None = None
-    high: Numbers | None = None
+    low: FloatArray | None = None
+    high: FloatArray | None = None
     interval: str = ""
     line: str = ""
     marker: str = ""
@@ -234,13 +235,13 @@ def _cell_limits(panel: Panel, which: str) -> tuple[float, float]:
     return (-0.5, columns - 0.5) if which == "x" else (rows - 0.5, -0.5)
 
 
-def _extent(series: Series, which: str) -> list[Numbers]:
+def _extent(series: Series, which: str) -> list[FloatArray]:
     """All values of a series along an axis."""
     parts = [series.x] if which == "x" else [series.y, series.low, series.high]
     return [part.reshape(-1) for part in parts if part is not None]
 
 
-def _with_margin(values: Numbers, logarithmic: bool) -> tuple[float, float]:
+def _with_margin(values: FloatArray, logarithmic: bool) -> tuple[float, float]:
     """Least and largest of the values with some room beyond; 0 to 1 (1 to 10) where there is none."""
     there = values[np.isfinite(values) & ((values > 0) | (not logarithmic))]
     if not there.size:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.quantities import QUANTITIES, display_unit, to_display
 from labpipe.records.identification import Fit, FittedCurve
 from labpipe.records.response import FrequencyResponse
@@ -57,7 +57,7 @@ def form_axis(form: str) -> Axis:
     return Axis(form, form_unit(form)[0], logarithmic=True)
 
 
-def phase_degrees(values: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+def phase_degrees(values: ComplexArray) -> FloatArray:
     """Phase [deg] of complex values."""
     return np.degrees(np.angle(values))
 
@@ -167,7 +167,7 @@ def response_figure(response: FrequencyResponse) -> Figure:
     return Figure(chart, f"Measured {response.form} of {name}, and {what}.", f"Measured {response.form} of {name} and {what}")
 
 
-def _elements(response: FrequencyResponse, values: NDArray[np.floating]) -> list[Series]:
+def _elements(response: FrequencyResponse, values: FloatArray) -> list[Series]:
     """One curve for every element of (n_frequency, n_output, n_input)."""
     return [curve(name, response.frequency, values[:, o, i], *look(number)) for number, (o, i, name) in enumerate(element_names(response))]
 

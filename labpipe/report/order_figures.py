@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.quantities import QUANTITIES, to_display
 from labpipe.report.chart import PALETTE_SIZE, WIDTH, Axis, Chart, Panel, Series, curve, dots, level, stacked
 from labpipe.report.document import Figure
@@ -51,7 +51,7 @@ def order_figure(name: str, track: OrderTrack, circles: Sequence[OrderTrack], qu
     return Figure(stacked(panels, 2.2 * len(panels)), caption, f"Amplitude and phase of order {track.order:g} of {name}")
 
 
-def _amplitudes(track: OrderTrack, across: NDArray[np.floating], factor: float) -> list[Series]:
+def _amplitudes(track: OrderTrack, across: FloatArray, factor: float) -> list[Series]:
     """The amplitude of every response with two standard deviations."""
     series = []
     for number, port in enumerate(track.ports):
@@ -72,7 +72,7 @@ def _largest(series: Sequence[Series]) -> float:
     return float(np.nanmax(np.concatenate(parts)))
 
 
-def _across(track: OrderTrack) -> tuple[NDArray[np.floating], Axis]:
+def _across(track: OrderTrack) -> tuple[FloatArray, Axis]:
     """What the run is drawn over, and its axis."""
     turning = bool(np.ptp(track.speed) > STEADY * np.max(track.speed))
     return (60 * track.speed, Axis("speed", "rpm")) if turning else (track.time, Axis("time", "s"))

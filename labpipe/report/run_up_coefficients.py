@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray, IntArray
 from labpipe.records.run_up_result import TWO_SIDED, Convergence, MeasuredRun, MetamodelResult, RunUpMethod, RunUpResult, StartSpread
 from labpipe.report.chart import INK, WIDTH, Axis, Chart, Drawing, Panel, Series, curve, dots, level, named_ticks, stacked
 from labpipe.report.document import Figure
@@ -24,9 +24,9 @@ ITERATION = Axis("iteration")
 class CoefficientSurfaces:
     """Surfaces of coefficients: *speed* (n_speed,) [rpm], *load* (n_load,) [N], *values* (n, n_load, n_speed) in the units of *titles*."""
 
-    speed: NDArray[np.float64]
-    load: NDArray[np.float64]
-    values: NDArray[np.float64]
+    speed: FloatArray
+    load: FloatArray
+    values: FloatArray
     titles: tuple[str, ...]
 
 
@@ -79,7 +79,7 @@ def convergence_figure(method: RunUpMethod, search: Convergence) -> Figure:
     return Figure(chart, caption, f"Convergence of the search of {method.title} at {search.where}")
 
 
-def _steps(name: str, steps: NDArray[np.int_], values: tuple[float, ...] | NDArray[np.floating]) -> Series:
+def _steps(name: str, steps: IntArray, values: tuple[float, ...] | FloatArray) -> Series:
     return curve(name, steps, values, marker=".")
 
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray
 from labpipe.records.run_up_result import (
     HELD_OUT,
     TWO_SIDED,
@@ -45,7 +45,7 @@ def short(method: RunUpMethod) -> str:
     return method.title.split(",")[0]
 
 
-def phasor(motion: Motion) -> NDArray[np.complexfloating]:
+def phasor(motion: Motion) -> ComplexArray:
     """The motion (n_speed,) as complex amplitudes [m]."""
     return np.array(motion.real) + 1j * np.array(motion.imag)
 

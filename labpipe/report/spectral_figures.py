@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse
 from labpipe.report.chart import INK, PALETTE_SIZE, WIDTH, Axis, Chart, Panel, Series, arrow, curve, dots, stacked
@@ -116,13 +117,13 @@ def _orbits(response: FrequencyResponse, label: str, peak: HalfPower) -> Panel:
     return Panel(Axis("x", unit), Axis("y", unit), tuple(series), f"force turning {TURNS[label]}", equal=True)
 
 
-def orbit(amplitude: NDArray[np.complexfloating], n_point: int = 181) -> NDArray[np.floating]:
+def orbit(amplitude: ComplexArray, n_point: int = 181) -> FloatArray:
     """x and y over one revolution from forward and backward amplitudes (2,), (2, n_point): [x, y] = Re(A [f, b] e^{j theta})."""
     turn = np.exp(1j * np.linspace(0, 2 * np.pi, n_point))
     return np.asarray(((FROM_DIRECTIONAL @ amplitude)[:, None] * turn).real)
 
 
-def _orbit(path: NDArray[np.floating], name: str, colour: int) -> list[Series]:
+def _orbit(path: FloatArray, name: str, colour: int) -> list[Series]:
     """An orbit (2, n) with a dot at its first point and an arrow along it."""
     tail, head = path[:, ARROW[0]], path[:, ARROW[1]]
     first = dots(name, path[0, :1], path[1, :1], colour, marker="o", size=4.0)
@@ -149,6 +150,6 @@ def distortion_figure(response: FrequencyResponse) -> Figure:
     return Figure(chart, caption[0].upper() + caption[1:], f"Distortion and noise of {name} over frequency")
 
 
-def _positive(values: NDArray[np.floating]) -> NDArray[np.floating]:
+def _positive(values: FloatArray) -> FloatArray:
     """Nothing where a value is zero: a logarithmic axis has no place for it."""
     return np.where(values > 0, values, np.nan)

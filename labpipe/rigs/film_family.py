@@ -15,8 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.journal import JournalBearing
 from labpipe.bearings.journal_curve import JournalCurve, journal_curve, sommerfeld_number
 from labpipe.rotors.threshold import CoefficientsAtSpeed
@@ -27,8 +27,6 @@ PARAMETERS = ("viscosity", "viscosity_speed", "viscosity_load", "clearance", *(f
 PRIOR = np.array([0.5, 0.3, 0.3, 0.1, *[0.1] * 8])
 # Largest departure of a logarithm: beyond, the rotor file describes another bearing.
 BOUND = np.array([1.5, 1.0, 1.0, 0.4, *[0.5] * 8])
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -43,19 +41,19 @@ class FilmFamily:
     def curve(self) -> JournalCurve:
         return journal_curve(self.bearing.length / self.bearing.diameter, self.bearing.groove_width)
 
-    def sommerfeld(self, values: Array, load: Array, speed: Array) -> Array:
+    def sommerfeld(self, values: FloatArray, load: FloatArray, speed: FloatArray) -> FloatArray:
         """S (n_point,) of the parameters *values* (12,) at loads [N] and speeds [rad/s], (n_point,)."""
         a, b, d, g = values[:4]
         change = a + b * np.log(speed / self.speed) + d * np.log(load / self.load) - 2 * g
         return sommerfeld_number(self.bearing, load, speed) * np.exp(change)
 
-    def coefficients(self, values: Array, load: Array | float, speed: Array) -> Array:
+    def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table."""
         load, speed = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
         found = self.curve.coefficients(self.sommerfeld(values, load, speed))
         return self._joined(found.stiffness, found.damping) * self._scale(values, load, speed)
 
-    def coefficients_and_slopes(self, values: Array, load: Array, speed: Array) -> tuple[Array, Array]:
+    def coefficients_and_slopes(self, values: FloatArray, load: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """`coefficients` and their derivatives by PARAMETERS, (n_point, 8, 12)."""
         found = self.curve.coefficients(self.sommerfeld(values, load, speed))
         scale = self._scale(values, load, speed)
@@ -70,39 +68,39 @@ class FilmFamily:
         slopes[:, numbers, 4 + numbers] = own
         return own, slopes
 
-    def at_load(self, values: Array, load: float) -> CoefficientsAtSpeed:
+    def at_load(self, values: FloatArray, load: float) -> CoefficientsAtSpeed:
         """K and C (n_speed, 2, 2) as a function of speed."""
         return lambda speed: as_matrices(self.coefficients(values, load, speed))
 
-    def _scale(self, values: Array, load: Array, speed: Array) -> Array:
+    def _scale(self, values: FloatArray, load: FloatArray, speed: FloatArray) -> FloatArray:
         per_length = load / (self.bearing.clearance * np.exp(values[3]))
         both = np.stack([per_length] * 4 + [per_length / speed] * 4, axis=-1)
         return both * np.exp(values[4:])
 
     @staticmethod
-    def _joined(stiffness: Array, damping: Array) -> Array:
+    def _joined(stiffness: FloatArray, damping: FloatArray) -> FloatArray:
         return np.concatenate([stiffness.reshape(*stiffness.shape[:-2], 4), damping.reshape(*damping.shape[:-2], 4)], axis=-1)
 
 
-def as_matrices(coefficients: Array) -> tuple[Array, Array]:
+def as_matrices(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
     """K and C, (..., 2, 2) each, from eight COEFFICIENTS (..., 8)."""
     split = coefficients.reshape(*coefficients.shape[:-1], 2, 2, 2)
     return split[..., 0, :, :], split[..., 1, :, :]
 
 
-def as_eight(stiffness: Array, damping: Array) -> Array:
+def as_eight(stiffness: FloatArray, damping: FloatArray) -> FloatArray:
     """The eight COEFFICIENTS (..., 8) from K and C (..., 2, 2)."""
     return FilmFamily._joined(np.asarray(stiffness), np.asarray(damping))
 
 
-def carried_beyond(eight: Callable[[Array], Array], low: float, high: float) -> CoefficientsAtSpeed:
+def carried_beyond(eight: Callable[[FloatArray], FloatArray], low: float, high: float) -> CoefficientsAtSpeed:
     """K and C over speed from coefficients (n_speed, 8) that are known from *low* to *high* [rad/s].
 
     Beyond, K and Omega C stay what they are there, as those of a film at one Sommerfeld number do; with C itself held, a rotor would
     hardly ever get unstable there.
     """
 
-    def coefficients(speed: Array) -> tuple[Array, Array]:
+    def coefficients(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         speed = np.asarray(speed, np.float64)
         known = np.clip(speed, low, high)
         stiffness, damping = as_matrices(eight(known))
@@ -111,6 +109,6 @@ def carried_beyond(eight: Callable[[Array], Array], low: float, high: float) -> 
     return coefficients
 
 
-def coefficient_errors(found: Array, true: Array) -> Array:
+def coefficient_errors(found: FloatArray, true: FloatArray) -> FloatArray:
     """rms over the points of found less true, over the rms of the true coefficient, (8,) [-], of (n_point, 8) each."""
     return np.sqrt(np.mean((found - true) ** 2, axis=0) / np.mean(true**2, axis=0))

@@ -11,8 +11,8 @@ from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.journal import JournalBearing
 from labpipe.bearings.journal_curve import journal_curve, sommerfeld_number
 from labpipe.bearings.kinds import OperatingPoint
@@ -31,9 +31,6 @@ N_CRITICAL, N_THRESHOLD, BEYOND = 131, 29, 2.0
 # From the bearing's frame (y, z; load along -z) to x along the load and y a quarter turn further with the spin.
 ALONG_LOAD = np.array([[0.0, -1.0], [1.0, 0.0]])
 
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
-
 
 class TabulatedCoefficients(Protocol):
     """The eight coefficients (n_point, 8) over load [N] and speed [rad/s], such as a metamodel gives them."""
@@ -43,7 +40,7 @@ class TabulatedCoefficients(Protocol):
         """Range of speeds [rad/s] that they hold for."""
         ...
 
-    def predict(self, load: Array | float, speed: Array) -> Array: ...
+    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray: ...
 
 
 @dataclass(frozen=True)
@@ -58,12 +55,12 @@ class SpeedSearch:
         return BEYOND * self.high
 
     @property
-    def critical(self) -> Array:
+    def critical(self) -> FloatArray:
         """Speeds (n_speed,) [rad/s] at which a peak is looked for."""
         return np.linspace(self.low, self.high, N_CRITICAL)
 
     @property
-    def threshold(self) -> Array:
+    def threshold(self) -> FloatArray:
         """Speeds (n_speed,) [rad/s] at which the sign of the growth rate is looked at."""
         return np.linspace(self.low, self.highest, N_THRESHOLD)
 
@@ -143,7 +140,7 @@ class RunUpRotor:
                 return name
         raise ConfigError(f"there is no plane at node {node}, where an unbalance sits", hint="name it under planes:")
 
-    def under_unbalance(self, speed: Array, unbalance: Mapping[str, complex]) -> CondensedRotor:
+    def under_unbalance(self, speed: FloatArray, unbalance: Mapping[str, complex]) -> CondensedRotor:
         """Condensed to the bearing at *speed* (n_speed,) [rad/s] under an *unbalance* [kg m] by plane; outputs x, y of every plane."""
         forces = unbalance_forces(self.pinned, {self.node(plane): size for plane, size in unbalance.items()}, speed)
         return condensed_rotor(self.pinned, self.place.node, speed, forces, tuple(node for _, node in self.planes))
@@ -163,7 +160,7 @@ class RunUpRotor:
         nodes = tuple(node for _, node in self.planes)
         return condensed_rotor(self.pinned, self.place.node, frequency, forces, nodes, run.speed)
 
-    def start_coefficients(self, load: float, speed: Array) -> tuple[Array, Array]:
+    def start_coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """K [N/m] and C [N s/m], (n_speed, 2, 2), of the rotor file's bearing (a film's from its Sommerfeld number), or as *tabulated*."""
         bearing, speed = self.place.bearing, np.asarray(speed, np.float64)
         if self.tabulated is not None:
@@ -175,7 +172,7 @@ class RunUpRotor:
         scale = load / bearing.clearance
         return found.stiffness * scale, found.damping * scale / speed[..., None, None]
 
-    def _by_speed(self, load: float, speed: Array) -> tuple[Array, Array]:
+    def _by_speed(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """K and C (n_speed, 2, 2) of a bearing that is asked speed by speed, in the frame of the load."""
         points = [self.place.bearing.at(OperatingPoint((0.0, -load), omega, omega)) for omega in speed.tolist()]
         stiffness, damping = (np.stack([getattr(point, name) for point in points]) for name in ("stiffness", "damping"))
@@ -185,7 +182,7 @@ class RunUpRotor:
         """The same as a function of speed alone."""
         return lambda speed: self.start_coefficients(load, speed)
 
-    def response(self, speed: Array, coefficients: CoefficientsAtSpeed) -> ComplexArray:
+    def response(self, speed: FloatArray, coefficients: CoefficientsAtSpeed) -> ComplexArray:
         """Phasors (n_speed, n_plane, 2) [m] under the known unbalance."""
         found = self.under_unbalance(speed, self.known_unbalance).response(*coefficients(speed))
         return found.reshape(np.size(speed), len(self.planes), 2)
@@ -210,7 +207,7 @@ class RunUpRotor:
         before, here, after = values[middle - 1 : middle + 2]
         return float(fine[middle] + (fine[1] - fine[0]) / 2 * (before - after) / (before - 2 * here + after))
 
-    def _displacement(self, speed: Array, coefficients: CoefficientsAtSpeed, direction: str) -> Array:
+    def _displacement(self, speed: FloatArray, coefficients: CoefficientsAtSpeed, direction: str) -> FloatArray:
         response = self.response(speed, coefficients)
         return np.abs(response[..., DIRECTIONS.index(direction)]) if direction else largest_displacement(response)
 
@@ -231,7 +228,7 @@ def searched_over(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
     return replace(rig, speeds=(min(low for low, _ in ends), max(high for _, high in ends))) if ends else rig
 
 
-def largest_displacement(response: ComplexArray) -> Array:
+def largest_displacement(response: ComplexArray) -> FloatArray:
     """The largest displacement on the orbit, its major semi-axis |X + jY| / 2 + |X - jY| / 2 [m], (...) of phasors (..., 2)."""
     return (np.abs(response[..., 0] + 1j * response[..., 1]) + np.abs(response[..., 0] - 1j * response[..., 1])) / 2
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.journal_kind import Wear
 from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, setting
@@ -15,8 +15,6 @@ from labpipe.rigs.rotor_rig import RotorRig
 from labpipe.rotors.response import forward_backward_motion, unbalance_response
 
 MOST_SPEEDS = 2000
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,7 @@ class UnbalanceSettings(Settings):
             self.rig.with_bearings((self.rig.place(self.bearing).name,), wear_depth=case.depth, wear_angle=case.angle)
 
     @property
-    def speed(self) -> Array:
+    def speed(self) -> FloatArray:
         """Every speed of the range [Hz], the last one at most its end."""
         low, high = self.speeds
         return low + self.step * np.arange(int(np.floor((high - low) / self.step + 1e-9)) + 1)
@@ -69,7 +67,7 @@ def unbalance_runs(settings: UnbalanceSettings) -> UnbalanceRuns:
     return UnbalanceRuns(rig.name, worn, rig.response, tuple(settings.speed.tolist()), tuple(cases))
 
 
-def orbit(rig: RotorRig) -> NDArray[np.complexfloating]:
+def orbit(rig: RotorRig) -> ComplexArray:
     """Phasors of the forward and the backward circle (2,) [m], 0-to-peak, at the rig's response node and speed."""
     amounts: dict[int, complex] = {}
     for part in rig.unbalances:

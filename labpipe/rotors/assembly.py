@@ -1,4 +1,4 @@
-"""The matrices of a whole rotor and the static loads on its bearings: M q'' + (C + Omega G) q' + K q = F."""
+"""System matrices of a rotor and static loads on its bearings: M q'' + (C + Omega G) q' + K q = F."""
 
 from __future__ import annotations
 
@@ -6,33 +6,31 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.rotors.elements import in_both_planes, inertia_matrices, plane_stiffness
 from labpipe.rotors.parts import Rotor, Support
 
 STANDARD_GRAVITY = 9.80665
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class RotorMatrices:
-    """mass M, damping C, gyroscopic G and stiffness K, (n_dof, n_dof), four dofs per node: y, z, rotations about y and z."""
+    """Mass M [kg], damping C [N s/m], gyroscopic G, stiffness K [N/m], (n_dof, n_dof), four dofs per node: y, z, rotations about y, z."""
 
-    mass: Array
-    damping: Array
-    gyroscopic: Array
-    stiffness: Array
+    mass: FloatArray
+    damping: FloatArray
+    gyroscopic: FloatArray
+    stiffness: FloatArray
 
-    def at_speed(self, speed: float) -> Array:
-        """C + Omega G; *speed* [rad/s]."""
+    def at_speed(self, speed: float) -> FloatArray:
+        """C + Omega G, (n_dof, n_dof) [N s/m]; *speed* [rad/s]."""
         return self.damping + speed * self.gyroscopic
 
 
 def free_rotor(rotor: Rotor) -> RotorMatrices:
-    """The rotor without supports; damping alpha M + beta K of the shaft alone, discs and sleeves left out."""
+    """The rotor without supports; damping alpha M + beta K of the shaft alone, without discs and sleeves."""
     mass, stiffness, gyroscopic = (np.zeros((4 * rotor.n_node, 4 * rotor.n_node)) for _ in range(3))
     for number, element in enumerate(rotor.elements):
         _add(number, (mass, gyroscopic), inertia_matrices(element))
@@ -49,14 +47,14 @@ def free_rotor(rotor: Rotor) -> RotorMatrices:
     return RotorMatrices(mass, damping, gyroscopic, stiffness)
 
 
-def _add(number: int, wholes: tuple[Array, ...], parts: tuple[Array, ...]) -> None:
+def _add(number: int, wholes: tuple[FloatArray, ...], parts: tuple[FloatArray, ...]) -> None:
     dofs = slice(4 * number, 4 * number + 8)
     for whole, part in zip(wholes, parts, strict=True):
         whole[dofs, dofs] += part
 
 
 def supported_rotor(rotor: Rotor, supports: Iterable[Support]) -> RotorMatrices:
-    """The rotor on its bearings. ConfigError when a bearing sits on no node."""
+    """The rotor on its bearings. ConfigError for a bearing on a node that does not exist."""
     free = free_rotor(rotor)
     damping, stiffness = free.damping.copy(), free.stiffness.copy()
     for support in supports:
@@ -68,7 +66,7 @@ def supported_rotor(rotor: Rotor, supports: Iterable[Support]) -> RotorMatrices:
 
 def bearing_loads(
     rotor: Rotor, nodes: Iterable[int], forces: Mapping[int, tuple[float, float]] | None = None, gravity: float = STANDARD_GRAVITY
-) -> Array:
+) -> FloatArray:
     """Static load of the rotor on rigid bearings at *nodes*, (n_bearing, 2) [N] in y and z: weight along -z and *forces* by node.
 
     More than two bearings share the load by the shaft's stiffness. ConfigError for fewer than two bearings.
@@ -83,10 +81,10 @@ def bearing_loads(
     applied = free.mass @ pull
     for node, force in (forces or {}).items():
         applied[rotor.dofs(node)] += force
-    held = [dof for node in nodes for dof in rotor.dofs(node)]
-    # Rigid supports as constraints; the stiffness scale keeps both kinds of equations alike.
+    fixed_dofs = [dof for node in nodes for dof in rotor.dofs(node)]
+    # Rigid supports as constraints, scaled by the stiffness so that both kinds of equations have one magnitude.
     scale = float(np.max(np.abs(free.stiffness)))
-    constraints = scale * np.eye(n_dof)[held]
-    system = np.block([[free.stiffness, constraints.T], [constraints, np.zeros((len(held), len(held)))]])
-    solution = np.linalg.solve(system, np.concatenate([applied, np.zeros(len(held))]))
+    constraints = scale * np.eye(n_dof)[fixed_dofs]
+    system = np.block([[free.stiffness, constraints.T], [constraints, np.zeros((len(fixed_dofs), len(fixed_dofs)))]])
+    solution = np.linalg.solve(system, np.concatenate([applied, np.zeros(len(fixed_dofs))]))
     return (scale * solution[n_dof:]).reshape(-1, 2)

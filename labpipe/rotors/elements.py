@@ -7,11 +7,9 @@ is N(xi) and the rotation of the cross-section D(xi) times these four.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.rotors.parts import ShaftElement
-
-Array = NDArray[np.floating]
 
 # Plane 1: y and the rotation about z. Plane 2: z and the rotation about y, which is minus the slope of z.
 PLANE_Y = np.array([0, 3, 4, 7])
@@ -21,7 +19,7 @@ SIGNS_Z = np.array([1.0, -1.0, 1.0, -1.0])
 GAUSS_POINTS = 4
 
 
-def shape_functions(element: ShaftElement, xi: Array) -> tuple[Array, Array]:
+def shape_functions(element: ShaftElement, xi: FloatArray) -> tuple[FloatArray, FloatArray]:
     """N(xi) and D(xi), (4, n_point) each: deflection [m] and rotation [rad] per end displacement and rotation."""
     l, phi = element.length, element.shear_parameter
     deflection = np.stack(
@@ -37,7 +35,7 @@ def shape_functions(element: ShaftElement, xi: Array) -> tuple[Array, Array]:
     return deflection / (1 + phi), rotation / (1 + phi)
 
 
-def plane_stiffness(element: ShaftElement) -> Array:
+def plane_stiffness(element: ShaftElement) -> FloatArray:
     """Bending and shear stiffness of one plane, (4, 4) [N/m, N, N m]."""
     l, phi = element.length, element.shear_parameter
     near, far = (4 + phi) * l**2, (2 - phi) * l**2
@@ -45,10 +43,10 @@ def plane_stiffness(element: ShaftElement) -> Array:
     return element.material.elastic_modulus * element.second_moment / (l**3 * (1 + phi)) * matrix
 
 
-def plane_inertia(element: ShaftElement, ring: ShaftElement | None = None) -> tuple[Array, Array]:
-    """Translational mass rho A l int N N' and rotary inertia rho I l int D D' of one plane, (4, 4) each.
+def plane_inertia(element: ShaftElement, ring: ShaftElement | None = None) -> tuple[FloatArray, FloatArray]:
+    """Translational mass rho A l int N N' and rotary inertia rho I l int D D' of one plane, (4, 4) each [kg, kg m, kg m^2].
 
-    *ring*: a sleeve's cross-section, carried by the deflection of *element*; without it the element's own.
+    *ring*: cross-section of a sleeve that follows the deflection of *element*; by default the element's cross-section.
     """
     tube = ring or element
     points, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
@@ -57,10 +55,10 @@ def plane_inertia(element: ShaftElement, ring: ShaftElement | None = None) -> tu
     return (deflection * (density * tube.area)) @ deflection.T, (rotation * (density * tube.second_moment)) @ rotation.T
 
 
-def inertia_matrices(element: ShaftElement, ring: ShaftElement | None = None) -> tuple[Array, Array]:
-    """M and G of an element or its sleeve, (8, 8), in the order y, z, rotation about y, about z at the left and at the right end.
+def inertia_matrices(element: ShaftElement, ring: ShaftElement | None = None) -> tuple[FloatArray, FloatArray]:
+    """M and G of an element or its sleeve, (8, 8) [kg, kg m, kg m^2], in the order y, z, rotation about y, about z, left end, right end.
 
-    G multiplies the spin speed: a rotation rate about z turns the angular momentum towards y, 2 rho I per length.
+    G is multiplied by the spin speed: a rotation rate about z turns the angular momentum towards y, 2 rho I per length.
     """
     translation, rotary = plane_inertia(element, ring)
     coupling = 2 * rotary * SIGNS_Z
@@ -70,8 +68,8 @@ def inertia_matrices(element: ShaftElement, ring: ShaftElement | None = None) ->
     return in_both_planes(translation + rotary), gyroscopic
 
 
-def in_both_planes(plane: Array) -> Array:
-    """A symmetric matrix of one plane (4, 4) written for both, (8, 8)."""
+def in_both_planes(plane: FloatArray) -> FloatArray:
+    """A symmetric matrix of one plane (4, 4) applied to both planes, (8, 8) [same unit]."""
     both = np.zeros((8, 8))
     both[np.ix_(PLANE_Y, PLANE_Y)] = plane
     both[np.ix_(PLANE_Z, PLANE_Z)] = plane * np.outer(SIGNS_Z, SIGNS_Z)

@@ -6,27 +6,25 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, optimize
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.rotors.assembly import RotorMatrices, supported_rotor
 from labpipe.rotors.parts import Rotor, Support
 
-# Growth rates [1/s] below this are rounding, of undamped modes for example.
+# Growth rates [1/s] below this are rounding errors, of undamped modes for example.
 GROWTH_TOLERANCE = 1e-3
-# Eigenvalues with less imaginary part, against the modulus, do not oscillate: rounding splits double real roots by this much.
+# Least imaginary part over modulus of an oscillating eigenvalue: rounding splits double real roots by this much.
 LEAST_OSCILLATION = 1e-3
 
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
 # Bearings as a function of the spin speed [rad/s].
 SupportsAtSpeed = Callable[[float], Iterable[Support]]
 
 
 @dataclass(frozen=True)
 class Modes:
-    """Oscillating modes at one spin speed [rad/s], by rising damped frequency.
+    """Oscillating modes at one spin speed [rad/s], in ascending order of damped frequency.
 
     eigenvalues (n_mode,) [1/s] with positive imaginary part; shapes (n_mode, n_node, 2), y and z, largest deflection 1.
     """
@@ -36,29 +34,29 @@ class Modes:
     shapes: ComplexArray
 
     @property
-    def damped_frequency(self) -> Array:
-        """Im(lambda) / 2 pi [Hz]: the frequency at which the mode rings."""
+    def damped_frequency(self) -> FloatArray:
+        """Damped natural frequency Im(lambda) / 2 pi [Hz], (n_mode,)."""
         return self.eigenvalues.imag / (2 * np.pi)
 
     @property
-    def natural_frequency(self) -> Array:
-        """|lambda| / 2 pi [Hz]."""
+    def natural_frequency(self) -> FloatArray:
+        """Undamped natural frequency |lambda| / 2 pi [Hz], (n_mode,)."""
         return np.abs(self.eigenvalues) / (2 * np.pi)
 
     @property
-    def damping_ratio(self) -> Array:
-        """zeta = -Re(lambda) / |lambda| [-]; negative for an unstable mode."""
+    def damping_ratio(self) -> FloatArray:
+        """zeta = -Re(lambda) / |lambda| [-], (n_mode,); negative for an unstable mode."""
         return -self.eigenvalues.real / np.abs(self.eigenvalues)
 
     @property
-    def whirl(self) -> Array:
-        """From -1 (circular backward) over 0 (a straight line) to +1 (circular forward), (n_mode,), over all nodes."""
+    def whirl(self) -> FloatArray:
+        """Whirl direction over all nodes, (n_mode,) [-]: -1 circular backward, 0 straight line, +1 circular forward."""
         forward, backward = (np.sum(np.abs(self.shapes @ [1, turn]) ** 2, axis=1) for turn in (1j, -1j))
         return (forward - backward) / (forward + backward)
 
 
 def eigenvalues(matrices: RotorMatrices, speed: float) -> tuple[ComplexArray, ComplexArray]:
-    """All eigenvalues [1/s] and displacement shapes (n_dof, 2 n_dof) of M q'' + (C + Omega G) q' + K q = 0."""
+    """All eigenvalues (2 n_dof,) [1/s] and displacement shapes (n_dof, 2 n_dof) of M q'' + (C + Omega G) q' + K q = 0."""
     n = matrices.mass.shape[0]
     inverse = linalg.cho_factor(matrices.mass)
     upper = np.concatenate([np.zeros((n, n)), np.eye(n)], axis=1)
@@ -70,16 +68,16 @@ def eigenvalues(matrices: RotorMatrices, speed: float) -> tuple[ComplexArray, Co
 def modes(rotor: Rotor, supports: Iterable[Support], speed: float) -> Modes:
     """The oscillating modes of a rotor at a spin *speed* [rad/s]."""
     roots, vectors = eigenvalues(supported_rotor(rotor, supports), speed)
-    kept = np.flatnonzero(roots.imag > LEAST_OSCILLATION * np.abs(roots))
-    kept = kept[np.argsort(roots[kept].imag)]
-    shapes = np.stack([vectors[0::4, kept], vectors[1::4, kept]], axis=-1).swapaxes(0, 1)
-    flat = shapes.reshape(kept.size, -1)
-    largest = flat[np.arange(kept.size), np.argmax(np.abs(flat), axis=1)]
-    return Modes(speed, roots[kept], shapes / largest[:, None, None])
+    oscillating = np.flatnonzero(roots.imag > LEAST_OSCILLATION * np.abs(roots))
+    oscillating = oscillating[np.argsort(roots[oscillating].imag)]
+    shapes = np.stack([vectors[0::4, oscillating], vectors[1::4, oscillating]], axis=-1).swapaxes(0, 1)
+    flat = shapes.reshape(oscillating.size, -1)
+    largest = flat[np.arange(oscillating.size), np.argmax(np.abs(flat), axis=1)]
+    return Modes(speed, roots[oscillating], shapes / largest[:, None, None])
 
 
 def campbell(rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float]) -> list[Modes]:
-    """Modes at every spin speed [rad/s], for a Campbell diagram; the bearings are asked for their coefficients at each."""
+    """Modes at every spin speed [rad/s], for a Campbell diagram; *supports* gives the bearings at each speed."""
     return [modes(rotor, supports(speed), speed) for speed in speeds]
 
 
@@ -90,9 +88,9 @@ def growth_rate(rotor: Rotor, supports: Iterable[Support], speed: float) -> floa
 
 
 def onset_speed(rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float], tolerance: float = 1e-3) -> float | None:
-    """Spin speed [rad/s] at which the rotor becomes unstable, between the first pair of *speeds* around it; None when it stays stable.
+    """Onset speed of instability [rad/s], between the first pair of *speeds* around it; None for a rotor stable at all of them.
 
-    FitError when the rotor is unstable already at the first speed.
+    FitError for a rotor unstable at the first speed.
     """
 
     def excess(speed: float) -> float:

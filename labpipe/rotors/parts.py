@@ -1,4 +1,4 @@
-"""What a rotor is made of: shaft elements, discs and supports. Nodes are numbered from 1, as in the tables of rig descriptions.
+"""Parts of a rotor: shaft elements, discs, sleeves and supports. Nodes are numbered from 1, as in rig descriptions.
 
 Axes: x along the shaft, y horizontal, z up, spin from y to z. Every node has y, z and the rotations about y and z.
 """
@@ -8,11 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
-
-Array = NDArray[np.floating]
 
 
 def _refuse_unless_positive(what: str, part: object, names: tuple[str, ...]) -> None:
@@ -104,14 +102,14 @@ class Disc:
 
 @dataclass(frozen=True)
 class Sleeve:
-    """A ring on the whole length of shaft element number *element* (from 1) that adds mass and inertia but no stiffness."""
+    """A ring over the whole length of shaft element *element* (from 1) that adds mass and inertia but no stiffness."""
 
     element: int
     outer_diameter: float
     material: Material = STEEL
 
     def tube(self, shaft: ShaftElement) -> ShaftElement:
-        """The ring as a tube around its piece of shaft."""
+        """The ring as a tube around its shaft element."""
         return ShaftElement(shaft.length, self.outer_diameter, self.material, shaft.outer_diameter)
 
 
@@ -120,8 +118,8 @@ class Support:
     """A bearing on a node: stiffness [N/m] and damping [N s/m], (2, 2) in y and z, `k_yz` = force in y per displacement in z."""
 
     node: int
-    stiffness: Array
-    damping: Array
+    stiffness: FloatArray
+    damping: FloatArray
 
     def __post_init__(self) -> None:
         for matrix in (self.stiffness, self.damping):
@@ -133,7 +131,7 @@ class Support:
 class Rotor:
     """Shaft elements from left to right, discs, sleeves, and the shaft's proportional damping C = alpha M + beta K, [1/s] and [s].
 
-    ConfigError when a disc sits on no node or a sleeve on no element.
+    ConfigError for a disc on a node, or a sleeve on an element, that does not exist.
     """
 
     elements: tuple[ShaftElement, ...]
@@ -164,6 +162,6 @@ class Rotor:
             raise ConfigError(f"{what} sits on node {node}, the rotor has nodes 1 to {self.n_node}")
 
     def dofs(self, node: int) -> list[int]:
-        """Numbers of the degrees of freedom y and z of a node."""
+        """Indices of the degrees of freedom y and z of a node; ConfigError for a node that does not exist."""
         self.check_node(node, "a degree of freedom")
         return [4 * (node - 1), 4 * (node - 1) + 1]

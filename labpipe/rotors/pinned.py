@@ -1,7 +1,7 @@
-"""A rotor in pinned ends with one bearing between them: few stations, and all else condensed to the bearing once per speed.
+"""A rotor between pinned ends with one bearing: few stations, and all other dofs condensed to the bearing once per speed.
 
-Pins hold y and z of their nodes; the rotations there carry no disc and are condensed statically, so that three stations between two
-pins leave twelve degrees of freedom. With b the bearing's two and i the others, at a speed Omega
+Pins fix y and z of their nodes; the rotations there carry no disc and are condensed statically, so that three stations between two
+pins have twelve degrees of freedom. With b the bearing's two and i the others, at a speed Omega
 
     x_i = Z_ii^-1 (f_i - Z_ib x_b),   (D + K_b + j Omega C_b) x_b = g,   D = Z_bb - Z_bi Z_ii^-1 Z_ib,   g = f_b - Z_bi Z_ii^-1 f_i.
 """
@@ -12,15 +12,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.rotors.assembly import RotorMatrices, free_rotor
 from labpipe.rotors.parts import Rotor
 from labpipe.rotors.response import dynamic_stiffness, solved
-
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
 
 
 @dataclass(frozen=True)
@@ -35,14 +32,14 @@ class PinnedRotor:
         return 4 * len(self.stations)
 
     def dofs(self, node: int) -> list[int]:
-        """Numbers of y and z of a station; ConfigError for a pin."""
+        """Indices of y and z of a station; ConfigError for a pin."""
         if node not in self.stations:
-            known = ", ".join(str(one) for one in self.stations)
-            raise ConfigError(f"node {node} is not between the pins", hint=f"stations: {known}")
+            stations = ", ".join(str(station) for station in self.stations)
+            raise ConfigError(f"node {node} is not between the pins", hint=f"stations: {stations}")
         first = 4 * self.stations.index(node)
         return [first, first + 1]
 
-    def with_bearing(self, node: int, stiffness: Array, damping: Array) -> RotorMatrices:
+    def with_bearing(self, node: int, stiffness: FloatArray, damping: FloatArray) -> RotorMatrices:
         """The matrices with a bearing's K [N/m] and C [N s/m], (2, 2), on a station."""
         place = np.ix_(self.dofs(node), self.dofs(node))
         k, c = self.matrices.stiffness.copy(), self.matrices.damping.copy()
@@ -52,7 +49,7 @@ class PinnedRotor:
 
 
 def pinned_rotor(rotor: Rotor, pins: tuple[int, ...]) -> PinnedRotor:
-    """The rotor between pins; ConfigError for fewer than two, a pin on no node, or a disc on one."""
+    """The rotor between pins; ConfigError for fewer than two, a pin on a node that does not exist, or a disc on a pin."""
     if len(set(pins)) < 2:
         raise ConfigError("a rotor needs pins at two different nodes")
     for pin in pins:
@@ -62,67 +59,67 @@ def pinned_rotor(rotor: Rotor, pins: tuple[int, ...]) -> PinnedRotor:
     stations = tuple(node for node in range(1, rotor.n_node + 1) if node not in pins)
     if not stations:
         raise ConfigError("there is no node between the pins")
-    kept = np.concatenate([np.arange(4 * node - 4, 4 * node) for node in stations])
+    free_dofs = np.concatenate([np.arange(4 * node - 4, 4 * node) for node in stations])
     condensed = np.concatenate([[4 * pin - 2, 4 * pin - 1] for pin in sorted(set(pins))])
     free = free_rotor(rotor)
-    held = np.linalg.solve(free.stiffness[np.ix_(condensed, condensed)], free.stiffness[np.ix_(condensed, kept)])
-    shape = np.zeros((4 * rotor.n_node, kept.size))
-    shape[kept] = np.eye(kept.size)
-    shape[condensed] = -held
+    static_shape = np.linalg.solve(free.stiffness[np.ix_(condensed, condensed)], free.stiffness[np.ix_(condensed, free_dofs)])
+    shape = np.zeros((4 * rotor.n_node, free_dofs.size))
+    shape[free_dofs] = np.eye(free_dofs.size)
+    shape[condensed] = -static_shape
     parts = (shape.T @ matrix @ shape for matrix in (free.mass, free.damping, free.gyroscopic, free.stiffness))
     return PinnedRotor(stations, RotorMatrices(*parts))
 
 
 @dataclass(frozen=True)
 class CondensedRotor:
-    """A pinned rotor seen from its bearing at every *speed* (n_speed,) [rad/s] under known synchronous forces.
+    """A pinned rotor condensed to its bearing, at every *speed* (n_speed,) [rad/s] under known synchronous forces.
 
-    at_bearing D (n_speed, 2, 2) [N/m]; force g (n_speed, 2) [N]; without (n_speed, n_output): motion of the outputs with the journal
-    held [m]; carried (n_speed, n_output, 2): their motion per motion of the journal. Phasors, 0-to-peak.
+    at_bearing D (n_speed, 2, 2) [N/m]; force g (n_speed, 2) [N]; fixed_journal (n_speed, n_output) [m]: motion of the outputs with a
+    fixed journal; per_journal (n_speed, n_output, 2): their motion per motion of the journal. Phasors, 0-to-peak.
     """
 
-    speed: Array
+    speed: FloatArray
     at_bearing: ComplexArray
     force: ComplexArray
-    without: ComplexArray
-    carried: ComplexArray
+    fixed_journal: ComplexArray
+    per_journal: ComplexArray
 
-    def at(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> CondensedRotor:
-        """Some of the speeds, by index or mask."""
-        return CondensedRotor(*(getattr(self, name)[chosen] for name in ("speed", "at_bearing", "force", "without", "carried")))
+    def at(self, chosen: IntArray | BoolArray) -> CondensedRotor:
+        """The rotor at the speeds *chosen*, an index array (n,) or a mask (n_speed,)."""
+        return CondensedRotor(*(getattr(self, name)[chosen] for name in ("speed", "at_bearing", "force", "fixed_journal", "per_journal")))
 
-    def journal(self, stiffness: Array, damping: Array) -> tuple[ComplexArray, ComplexArray]:
+    def journal(self, stiffness: FloatArray, damping: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Motion of the journal x_b (..., n_speed, 2) [m] and the compliance (D + K + j Omega C)^-1 (..., n_speed, 2, 2) [m/N]."""
         compliance = inverse(self.at_bearing + stiffness + 1j * self.speed[:, None, None] * damping)
         return (compliance @ self.force[..., None])[..., 0], compliance
 
-    def response(self, stiffness: Array, damping: Array) -> ComplexArray:
+    def response(self, stiffness: FloatArray, damping: FloatArray) -> ComplexArray:
         """Phasors of the outputs (..., n_speed, n_output) [m] under K [N/m] and C [N s/m], (..., n_speed, 2, 2)."""
         motion, _ = self.journal(stiffness, damping)
-        return self.without + (self.carried @ motion[..., None])[..., 0]
+        return self.fixed_journal + (self.per_journal @ motion[..., None])[..., 0]
 
-    def response_and_slopes(self, stiffness: Array, damping: Array) -> tuple[ComplexArray, ComplexArray]:
-        """`response`, and its derivatives (n_speed, n_output, 8) by K_xx K_xy K_yx K_yy, C_xx C_xy C_yx C_yy.
+    def response_and_slopes(self, stiffness: FloatArray, damping: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """`response`, and its derivatives (n_speed, n_output, 8) by K_xx K_xy K_yx K_yy [m^2/N], C_xx C_xy C_yx C_yy [m^2/(N s)].
 
         d x_b / d K_kl = -(compliance column k) x_b[l], and j Omega times that for C_kl.
         """
         motion, compliance = self.journal(stiffness, damping)
-        by_force = self.carried @ compliance
+        by_force = self.per_journal @ compliance
         by_stiffness = -(by_force[..., :, None] * motion[..., None, None, :]).reshape(*by_force.shape[:-1], 4)
         slopes = np.concatenate([by_stiffness, 1j * self.speed[:, None, None] * by_stiffness], axis=-1)
-        return self.without + (self.carried @ motion[..., None])[..., 0], slopes
+        return self.fixed_journal + (self.per_journal @ motion[..., None])[..., 0], slopes
 
 
 def inverse(matrix: ComplexArray) -> ComplexArray:
-    """The inverse of 2 x 2 matrices (..., 2, 2) in closed form."""
+    """The inverses of 2 x 2 matrices (..., 2, 2) [any unit] in closed form."""
     a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
     adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
     inverted: ComplexArray = adjugate / (a * d - b * c)[..., None, None]
     return inverted
 
 
-def unbalance_forces(rotor: PinnedRotor, unbalance: Mapping[int, complex], speed: Array) -> ComplexArray:
-    """F_y = u Omega^2, F_z = -j u Omega^2, turning from y to z, (n_speed, n_dof) [N]; *unbalance* [kg m] by node."""
+def unbalance_forces(rotor: PinnedRotor, unbalance: Mapping[int, complex], speed: FloatArray) -> ComplexArray:
+    """F_y = u Omega^2, F_z = -j u Omega^2, rotating from y to z, (n_speed, n_dof) [N]; *unbalance* [kg m] by node."""
     forces = np.zeros((np.size(speed), rotor.n_dof), np.complex128)
     for node, amount in unbalance.items():
         y, z = rotor.dofs(node)
@@ -132,22 +129,22 @@ def unbalance_forces(rotor: PinnedRotor, unbalance: Mapping[int, complex], speed
 
 
 def condensed_rotor(
-    rotor: PinnedRotor, bearing: int, speed: Array, forces: ComplexArray, outputs: tuple[int, ...], spin: Array | None = None
+    rotor: PinnedRotor, bearing: int, speed: FloatArray, forces: ComplexArray, outputs: tuple[int, ...], spin: FloatArray | None = None
 ) -> CondensedRotor:
-    """The rotor at frequencies *speed* (n_speed,) [rad/s] under *forces* (n_speed, n_dof) [N], seen from the node *bearing*.
+    """The rotor at frequencies *speed* (n_speed,) [rad/s] under *forces* (n_speed, n_dof) [N], condensed to the node *bearing*.
 
-    outputs: nodes whose y and z are wanted; *spin* [rad/s]: of the shaft, where it differs from the frequency (zero for a rotor at rest).
+    outputs: nodes whose y and z are outputs; *spin* [rad/s] of the shaft, where it differs from the frequency (zero at rest).
     """
     speed = np.asarray(speed, np.float64)
     z = dynamic_stiffness(rotor.matrices, speed, speed if spin is None else spin)
-    held = rotor.dofs(bearing)
-    free = [dof for dof in range(rotor.n_dof) if dof not in held]
-    sides = np.concatenate([forces[:, free, None], -z[:, free][:, :, held]], axis=-1)
-    found = np.zeros((speed.size, rotor.n_dof, 3), np.complex128)
-    found[:, free] = solved(z[:, free][:, :, free], sides)
-    found[:, held, 1:] = np.eye(2)
-    to_bearing = z[:, held]
+    bearing_dofs = rotor.dofs(bearing)
+    free = [dof for dof in range(rotor.n_dof) if dof not in bearing_dofs]
+    sides = np.concatenate([forces[:, free, None], -z[:, free][:, :, bearing_dofs]], axis=-1)
+    motion = np.zeros((speed.size, rotor.n_dof, 3), np.complex128)
+    motion[:, free] = solved(z[:, free][:, :, free], sides)
+    motion[:, bearing_dofs, 1:] = np.eye(2)
+    to_bearing = z[:, bearing_dofs]
     dofs = [dof for node in outputs for dof in rotor.dofs(node)]
-    return CondensedRotor(
-        speed, to_bearing @ found[:, :, 1:], forces[:, held] - (to_bearing @ found[:, :, :1])[..., 0], found[:, dofs, 0], found[:, dofs, 1:]
-    )
+    at_bearing, per_journal = to_bearing @ motion[:, :, 1:], motion[:, dofs, 1:]
+    force = forces[:, bearing_dofs] - (to_bearing @ motion[:, :, :1])[..., 0]
+    return CondensedRotor(speed, at_bearing, force, motion[:, dofs, 0], per_journal)

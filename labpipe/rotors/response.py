@@ -1,22 +1,19 @@
-"""Steady vibration of a rotor on its bearings: frequency response between chosen places, and response to unbalance."""
+"""Steady vibration of a rotor on its bearings: frequency response between chosen dofs, and unbalance response."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.rotors.assembly import RotorMatrices, supported_rotor
 from labpipe.rotors.parts import Rotor, Support
 from labpipe.spectra.directional import FROM_DIRECTIONAL
 
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
 
-
-def dynamic_stiffness(matrices: RotorMatrices, omega: Array, speed: float | Array) -> ComplexArray:
+def dynamic_stiffness(matrices: RotorMatrices, omega: FloatArray, speed: float | FloatArray) -> ComplexArray:
     """Z(w) = K - w^2 M + j w (C + Omega G), (n_line, n_dof, n_dof) [N/m]; *omega* (n_line,) and *speed* in [rad/s]."""
     w = np.asarray(omega, np.float64)[:, None, None]
     spin = np.broadcast_to(speed, np.shape(omega))[:, None, None]
@@ -25,8 +22,11 @@ def dynamic_stiffness(matrices: RotorMatrices, omega: Array, speed: float | Arra
     return z
 
 
-def solved(stiffness: ComplexArray, forces: ComplexArray | Array) -> ComplexArray:
-    """Displacements under *forces*; FitError at a resonance without damping."""
+def solved(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> ComplexArray:
+    """Displacements (..., n_dof, n_force) [m] under *forces* [N], same shape; FitError at an undamped resonance.
+
+    *stiffness*: dynamic stiffness (..., n_dof, n_dof) [N/m].
+    """
     try:
         displacements: ComplexArray = np.linalg.solve(stiffness, forces)
     except np.linalg.LinAlgError:
@@ -35,9 +35,9 @@ def solved(stiffness: ComplexArray, forces: ComplexArray | Array) -> ComplexArra
 
 
 def frequency_response(
-    rotor: Rotor, supports: Iterable[Support], frequency: Array, speed: float, outputs: list[int], inputs: list[int]
+    rotor: Rotor, supports: Iterable[Support], frequency: FloatArray, speed: float, outputs: list[int], inputs: list[int]
 ) -> ComplexArray:
-    """Receptance H [m/N], (n_line, n_output, n_input), at *frequency* (n_line,) [Hz]; dof numbers as `Rotor.dofs` gives them."""
+    """Receptance H [m/N], (n_line, n_output, n_input), at *frequency* (n_line,) [Hz]; dof indices from `Rotor.dofs`."""
     matrices = supported_rotor(rotor, supports)
     forces = np.zeros((matrices.mass.shape[0], len(inputs)))
     forces[inputs, np.arange(len(inputs))] = 1
@@ -46,12 +46,12 @@ def frequency_response(
 
 
 def unbalance_response(
-    rotor: Rotor, supports: Iterable[Support], speed: Array, unbalance: Mapping[int, complex], outputs: list[int]
+    rotor: Rotor, supports: Iterable[Support], speed: FloatArray, unbalance: Mapping[int, complex], outputs: list[int]
 ) -> ComplexArray:
     """Displacements [m], 0-to-peak phasors, (n_speed, n_output), at spin *speed* (n_speed,) [rad/s].
 
-    *unbalance* [kg m] by node, its angle from the y axis at time zero: F_y = u Omega^2, F_z = -j u Omega^2, so that the force turns
-    from y to z. The same bearings serve all speeds.
+    *unbalance* [kg m] by node, its angle from the y axis at time zero: F_y = u Omega^2, F_z = -j u Omega^2, so that the force rotates
+    from y to z. The bearings do not change with speed.
     """
     speed = np.asarray(speed, np.float64)
     matrices = supported_rotor(rotor, supports)
@@ -64,6 +64,6 @@ def unbalance_response(
 
 
 def forward_backward_motion(displacements: ComplexArray) -> ComplexArray:
-    """[f, b] = A^-1 [y, z] of phasors (..., 2) in y and z: radii of the forward and the backward circle of an orbit, 0-to-peak."""
+    """[f, b] = A^-1 [y, z] of phasors (..., 2) in y and z [m]: radii of the forward and the backward circle of an orbit, 0-to-peak."""
     turned: ComplexArray = displacements @ np.linalg.inv(FROM_DIRECTIONAL).T
     return turned

@@ -1,7 +1,7 @@
 """Stability of a pinned rotor on one bearing whose coefficients change with speed: growth rates, critical and threshold speed.
 
-Modes that leave the journal at rest (the anti-phase modes of a symmetric rotor) are damped by nothing and decide nothing: they are
-left out, and what remains is unstable above a growth rate of GROWTH_TOLERANCE.
+Modes without motion of the journal (the anti-phase modes of a symmetric rotor) are undamped by the bearing and not considered; the
+rotor is unstable if one of the other modes grows faster than GROWTH_TOLERANCE.
 """
 
 from __future__ import annotations
@@ -10,29 +10,27 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, optimize
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.rotors.modes import GROWTH_TOLERANCE
 from labpipe.rotors.pinned import PinnedRotor
 
-# Part of a mode's squared deflections that the journal must have for its bearing to matter.
+# Least share of the journal in a mode's squared deflections.
 LEAST_PARTICIPATION = 1e-8
 
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
 # K [N/m] and C [N s/m], (n_speed, 2, 2) each, at speeds (n_speed,) [rad/s].
-CoefficientsAtSpeed = Callable[[Array], tuple[Array, Array]]
+CoefficientsAtSpeed = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True)
 class LeastStable:
-    """The least stable mode that moves the journal: eigenvalue [1/s]; growth by K and by C (2, 2): d Re / d K_kl, d Re / d C_kl."""
+    """The least stable mode with motion of the journal: eigenvalue [1/s], and derivatives (2, 2) of its real part by K_kl and C_kl."""
 
     eigenvalue: complex
-    by_stiffness: Array
-    by_damping: Array
+    by_stiffness: FloatArray
+    by_damping: FloatArray
 
     @property
     def growth(self) -> float:
@@ -42,23 +40,27 @@ class LeastStable:
 
 @dataclass(frozen=True)
 class Stability:
-    """A pinned *rotor* and the node of its *bearing*; *inverse_mass* is kept, since searches ask for modes hundreds of times."""
+    """A pinned *rotor* and the node of its *bearing*; *inverse_mass* (n_dof, n_dof) [1/kg] is stored for repeated eigenvalue problems."""
 
     rotor: PinnedRotor
     bearing: int
-    inverse_mass: Array
+    inverse_mass: FloatArray
 
     @classmethod
     def of(cls, rotor: PinnedRotor, bearing: int) -> Stability:
+        """The stability problem of a rotor with its bearing on the node *bearing*."""
         return cls(rotor, bearing, np.linalg.inv(rotor.matrices.mass))
 
-    def system(self, speed: Array, stiffness: Array, damping: Array) -> Array:
-        """A of y' = A y, y = (q, q'), (n_speed, 2 n_dof, 2 n_dof), G with it."""
+    def system(self, speed: FloatArray, stiffness: FloatArray, damping: FloatArray) -> FloatArray:
+        """System matrix A of y' = A y, y = (q, q'), (n_speed, 2 n_dof, 2 n_dof) [SI], with gyroscopic terms.
+
+        *speed* (n_speed,) [rad/s], *stiffness* [N/m] and *damping* [N s/m] (n_speed, 2, 2) of the bearing.
+        """
         n, place = self.rotor.n_dof, self.rotor.dofs(self.bearing)
         speed = np.atleast_1d(np.asarray(speed, np.float64))
         matrices = self.rotor.matrices
-        k: Array = np.repeat(matrices.stiffness[None], speed.size, axis=0)
-        c: Array = matrices.damping + speed[:, None, None] * matrices.gyroscopic
+        k: FloatArray = np.repeat(matrices.stiffness[None], speed.size, axis=0)
+        c: FloatArray = matrices.damping + speed[:, None, None] * matrices.gyroscopic
         rows = np.ix_(range(speed.size), place, place)
         k[rows] += stiffness
         c[rows] += damping
@@ -67,46 +69,46 @@ class Stability:
         system[:, n:, :n], system[:, n:, n:] = -self.inverse_mass @ k, -self.inverse_mass @ c
         return system
 
-    def growth(self, speed: Array, stiffness: Array, damping: Array) -> Array:
-        """Largest growth rate [1/s] of modes that move the journal, (n_speed,)."""
-        found = np.linalg.eig(self.system(speed, stiffness, damping))
-        moving = self.moving(np.asarray(found.eigenvectors, np.complex128))
-        return np.max(np.where(moving, found.eigenvalues.real, -np.inf), axis=-1)
+    def growth(self, speed: FloatArray, stiffness: FloatArray, damping: FloatArray) -> FloatArray:
+        """Largest growth rate [1/s] of modes with motion of the journal, (n_speed,); arguments as in `system`."""
+        eigen = np.linalg.eig(self.system(speed, stiffness, damping))
+        moving = self.moving(np.asarray(eigen.eigenvectors, np.complex128))
+        return np.max(np.where(moving, eigen.eigenvalues.real, -np.inf), axis=-1)
 
-    def eigenvalues(self, speed: Array, stiffness: Array, damping: Array) -> ComplexArray:
-        """All eigenvalues [1/s], (n_speed, 2 n_dof)."""
+    def eigenvalues(self, speed: FloatArray, stiffness: FloatArray, damping: FloatArray) -> ComplexArray:
+        """All eigenvalues [1/s], (n_speed, 2 n_dof); arguments as in `system`."""
         return np.asarray(np.linalg.eigvals(self.system(speed, stiffness, damping)), np.complex128)
 
-    def least_stable(self, speed: float, stiffness: Array, damping: Array) -> LeastStable:
-        """The least stable mode at one *speed* [rad/s] with the slopes of its growth by the bearing's coefficients.
+    def least_stable(self, speed: float, stiffness: FloatArray, damping: FloatArray) -> LeastStable:
+        """The least stable mode at one *speed* [rad/s], with the derivatives (2, 2) of its growth rate by the bearing's coefficients.
 
         d lambda = y^T (dA) x / (y^T x) with left and right eigenvectors y, x of A.
         """
         system = self.system(np.array([speed]), stiffness, damping)[0]
-        roots, left, right = linalg.eig(system, left=True, right=True)
-        chosen = int(np.argmax(np.where(self.moving(right) & (roots.imag >= 0), roots.real, -np.inf)))
+        roots, left_vectors, right_vectors = linalg.eig(system, left=True, right=True)
+        chosen = int(np.argmax(np.where(self.moving(right_vectors) & (roots.imag >= 0), roots.real, -np.inf)))
         n, place = self.rotor.n_dof, self.rotor.dofs(self.bearing)
-        y, x = left[:, chosen].conj(), right[:, chosen]
-        pushed = (y[n:] @ self.inverse_mass[:, place]) / (y @ x)
-        slopes = -np.outer(pushed, x[place])
+        y, x = left_vectors[:, chosen].conj(), right_vectors[:, chosen]
+        force_factor = (y[n:] @ self.inverse_mass[:, place]) / (y @ x)
+        slopes = -np.outer(force_factor, x[place])
         return LeastStable(complex(roots[chosen]), slopes.real, (slopes * roots[chosen]).real)
 
-    def moving(self, vectors: ComplexArray) -> NDArray[np.bool_]:
-        """Modes (..., n_mode) in which the journal takes part; *vectors* (..., 2 n_dof, n_mode)."""
+    def moving(self, vectors: ComplexArray) -> BoolArray:
+        """Modes (..., n_mode) with motion of the journal; *vectors* (..., 2 n_dof, n_mode) [any unit]."""
         n = self.rotor.n_dof
         squares = np.abs(vectors[..., :n, :]) ** 2
         whole = squares[..., 0::4, :].sum(axis=-2) + squares[..., 1::4, :].sum(axis=-2)
         share = squares[..., self.rotor.dofs(self.bearing), :].sum(axis=-2) / np.maximum(whole, 1e-300)
-        moving: NDArray[np.bool_] = share > LEAST_PARTICIPATION
+        moving: BoolArray = share > LEAST_PARTICIPATION
         return moving
 
 
 def threshold_speed(
     stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float], tolerance: float = 1e-4
 ) -> float | None:
-    """Speed [rad/s] at which the growth rate passes GROWTH_TOLERANCE, between the first pair of *speeds* around it; None when stable.
+    """Threshold speed of instability [rad/s], between the first pair of *speeds* around it; None for a rotor stable at all of them.
 
-    FitError when the rotor is unstable already at the first speed.
+    FitError for a rotor unstable at the first speed.
     """
     speed = np.asarray(list(speeds), np.float64)
     unstable = stability.growth(speed, *coefficients(speed)) > GROWTH_TOLERANCE
@@ -116,15 +118,15 @@ def threshold_speed(
         return None
     first = int(np.argmax(unstable))
 
-    def excess(one: float) -> float:
-        place = np.array([one])
+    def excess(speed: float) -> float:
+        place = np.array([speed])
         return float(stability.growth(place, *coefficients(place))[0]) - GROWTH_TOLERANCE
 
     return float(optimize.brentq(excess, speed[first - 1], speed[first], xtol=tolerance))
 
 
-def refuse_unstable(stability: Stability, coefficients: CoefficientsAtSpeed, speed: Array) -> None:
-    """FitError naming the first of the speeds (n_speed,) [rad/s] at which there is no steady state, and so no amplitude."""
+def refuse_unstable(stability: Stability, coefficients: CoefficientsAtSpeed, speed: FloatArray) -> None:
+    """FitError naming the first of the speeds (n_speed,) [rad/s] at which the rotor is unstable and has no steady amplitude."""
     speed = np.asarray(speed, np.float64)
     growth = stability.growth(speed, *coefficients(speed))
     if np.any(growth > GROWTH_TOLERANCE):
@@ -137,27 +139,29 @@ def refuse_unstable(stability: Stability, coefficients: CoefficientsAtSpeed, spe
 
 
 def resonance_speed(stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float]) -> float | None:
-    """The first speed [rad/s] that equals the imaginary part of a damped mode which moves the journal; None when there is none.
+    """The first speed [rad/s] equal to the imaginary part of a damped mode with motion of the journal; None when there is none.
 
     The critical speed by eigenvalues: lightly damped modes only (damping ratio below one half), forward or backward.
     """
     speed = np.asarray(list(speeds), np.float64)
-    roots = [_ringing(stability, coefficients, one) for one in speed]
+    frequencies = [_damped_frequencies(stability, coefficients, value) for value in speed]
+    # Number of modes below 1x at every speed: it grows where a mode is crossed.
+    below = [int(np.sum(modes < value)) for modes, value in zip(frequencies, speed, strict=True)]
     for n in range(1, speed.size):
-        before, after = (np.sum(found < one) for found, one in ((roots[n - 1], speed[n - 1]), (roots[n], speed[n])))
-        if after > before:
-            return float(optimize.brentq(lambda one: _nearest(stability, coefficients, one), speed[n - 1], speed[n], xtol=1e-4))
+        if below[n] > below[n - 1]:
+            return float(optimize.brentq(lambda value: _detuning(stability, coefficients, value), speed[n - 1], speed[n], xtol=1e-4))
     return None
 
 
-def _ringing(stability: Stability, coefficients: CoefficientsAtSpeed, speed: float) -> Array:
+def _damped_frequencies(stability: Stability, coefficients: CoefficientsAtSpeed, speed: float) -> FloatArray:
+    """Imaginary parts (n_mode,) [rad/s] of the lightly damped modes with motion of the journal, ascending."""
     place = np.array([speed])
     roots, vectors = np.linalg.eig(stability.system(place, *coefficients(place))[0])
-    kept = stability.moving(vectors) & (roots.imag > 0) & (-roots.real < 0.5 * np.abs(roots))
-    return np.sort(roots[kept].imag)
+    lightly_damped = stability.moving(vectors) & (roots.imag > 0) & (-roots.real < 0.5 * np.abs(roots))
+    return np.sort(roots[lightly_damped].imag)
 
 
-def _nearest(stability: Stability, coefficients: CoefficientsAtSpeed, speed: float) -> float:
-    """Speed less the imaginary part of the mode nearest to it."""
-    found = _ringing(stability, coefficients, speed)
-    return float(speed - found[np.argmin(np.abs(found - speed))])
+def _detuning(stability: Stability, coefficients: CoefficientsAtSpeed, speed: float) -> float:
+    """Speed minus the imaginary part of the nearest mode [rad/s]."""
+    frequencies = _damped_frequencies(stability, coefficients, speed)
+    return float(speed - frequencies[np.argmin(np.abs(frequencies - speed))])

@@ -1,7 +1,7 @@
-"""Response of a rotor with a worn bearing, and its derivatives by what the bearing's coefficients depend on.
+"""Response of a rotor with a worn bearing, and its derivatives by the parameters of the bearing's coefficients.
 
-With Z = K + j w C of the bearings and H the receptance of the rotor standing on them, dH/dp = -H_ob (dZ/dp) H_bf: exact, and from
-the few dofs of the reduced rotor only.
+With Z = K + j w C of the bearings and H the receptance of the rotor on them, dH/dp = -H_ob (dZ/dp) H_bf: exact, and from the few
+dofs of the reduced rotor only.
 """
 
 from __future__ import annotations
@@ -10,24 +10,21 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.rotors.parts import Support
 from labpipe.rotors.reduction import ReducedRotor
 from labpipe.spectra.directional import FROM_DIRECTIONAL
 
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
-
 
 @dataclass(frozen=True)
 class VaryingSupport:
-    """A bearing with the derivatives of its coefficients by *n* parameters: stiffness_slopes, damping_slopes (n, 2, 2)."""
+    """A bearing with the derivatives of its coefficients by *n* parameters: stiffness_slopes, damping_slopes (n, 2, 2) [SI]."""
 
     support: Support
-    stiffness_slopes: Array
-    damping_slopes: Array
+    stiffness_slopes: FloatArray
+    damping_slopes: FloatArray
 
     def __post_init__(self) -> None:
         if self.stiffness_slopes.shape != self.damping_slopes.shape or self.stiffness_slopes.shape[1:] != (2, 2):
@@ -39,30 +36,30 @@ def response_with_slopes(
 ) -> tuple[ComplexArray, ComplexArray]:
     """H (n_line, 2, 2) [m/N] from forces in y and z at a node to displacements at another, and dH/dp (n, n_line, 2, 2).
 
-    *bearings* are added to *rotor* and share their parameters; nodes of bearings, output and force must have been kept.
+    *bearings* are added to *rotor* and share their parameters; bearings, output and force are nodes of the reduced rotor.
     """
     bearings = list(bearings)
-    standing = rotor.on(bearing.support for bearing in bearings)
+    supported = rotor.on(bearing.support for bearing in bearings)
     omega = rotor.omega[:, None, None]
     slopes: ComplexArray = np.zeros((1, 1, 1, 1), np.complex128)
     for bearing in bearings:
         stiffening = bearing.stiffness_slopes[:, None] + 1j * omega * bearing.damping_slopes[:, None]
         node = bearing.support.node
-        slopes = slopes - standing.response(output, node) @ stiffening @ standing.response(node, force)
-    return standing.response(output, force), slopes
+        slopes = slopes - supported.response(output, node) @ stiffening @ supported.response(node, force)
+    return supported.response(output, force), slopes
 
 
 def forward_backward(matrix: ComplexArray) -> ComplexArray:
-    """The directional response A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]] of matrices (..., 2, 2) in y and z (Mendes et al. 2017, eq. 18)."""
+    """The directional response A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]] of (..., 2, 2) [m/N] in y and z (Mendes et al. 2017, eq. 18)."""
     turned: ComplexArray = np.linalg.inv(FROM_DIRECTIONAL) @ matrix @ FROM_DIRECTIONAL
     return turned
 
 
 @dataclass(frozen=True)
 class WornRig:
-    """A rotor that stands on all its bearings but the worn one; made once per speed and set of lines.
+    """A rotor on all its bearings except the worn one; made once per speed and set of lines.
 
-    rotor: reduced to the worn bearing's *node*, *output*, where displacements are measured, and *force*, where the rig is excited;
+    rotor: reduced to the worn bearing's *node*, *output*, the node of the sensors, and *force*, the node of the exciter;
     bearing: coefficients of the worn bearing with their derivatives by depth [m] and angle [rad], from a table or the film itself.
     """
 

@@ -14,8 +14,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.optimise.pattern_search import Objective, SearchHistory, SearchLimits, search_named
 from labpipe.records.run_up import RunUp
@@ -29,9 +29,6 @@ SEED = 20260101
 # Distance from a bound, as a part of the box, below which a factor counts as at its bound.
 AT_BOUND = 1e-3
 
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
-
 
 @dataclass(frozen=True)
 class AmplitudeFit:
@@ -44,25 +41,25 @@ class AmplitudeFit:
     """
 
     load: float
-    speed: Array
-    start: Array
-    coefficients: Array
-    at_bound: NDArray[np.bool_]
-    rank: NDArray[np.intp]
-    condition: Array
-    objective: Array
-    measured: Array
+    speed: FloatArray
+    start: FloatArray
+    coefficients: FloatArray
+    at_bound: BoolArray
+    rank: IntArray
+    condition: FloatArray
+    objective: FloatArray
+    measured: FloatArray
     chi2: float
     n_datum: int
-    evaluations: NDArray[np.intp]
-    mesh: Array
-    capped: NDArray[np.bool_]
+    evaluations: IntArray
+    mesh: FloatArray
+    capped: BoolArray
     history: SearchHistory
-    factors: Array
-    objectives: Array
+    factors: FloatArray
+    objectives: FloatArray
 
     @property
-    def std_error(self) -> Array:
+    def std_error(self) -> FloatArray:
         """(n_speed, 8), NaN: this way states no doubt."""
         return np.full(self.coefficients.shape, np.nan)
 
@@ -82,14 +79,14 @@ class AmplitudeFit:
         return float(np.mean(self.at_bound))
 
     @property
-    def misfit(self) -> Array:
+    def misfit(self) -> FloatArray:
         """Computed against measured amplitudes, relative, (n_speed,) [-]."""
         return np.sqrt(self.objective / self.measured)
 
     def at_speed(self) -> CoefficientsAtSpeed:
         """K and C as a function of speed, straight between the points; beyond, K and Omega C are held."""
 
-        def between(speed: Array) -> Array:
+        def between(speed: FloatArray) -> FloatArray:
             return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
 
         return carried_beyond(between, float(self.speed[0]), float(self.speed[-1]))
@@ -115,17 +112,17 @@ class StartSpread:
 
     load: float
     speed: float
-    factors: Array
-    objective: Array
+    factors: FloatArray
+    objective: FloatArray
     measured: float
 
     @property
-    def low(self) -> Array:
+    def low(self) -> FloatArray:
         """Lowest factor of every coefficient (8,)."""
         return np.asarray(self.factors.min(axis=0))
 
     @property
-    def high(self) -> Array:
+    def high(self) -> FloatArray:
         return np.asarray(self.factors.max(axis=0))
 
     @property
@@ -205,40 +202,40 @@ class Amplitudes:
     """Largest displacements of all *runs* of a load: measured, with their standard errors, (n_speed, n_plane of all runs) [m]."""
 
     runs: tuple[ExcitedRun, ...]
-    measured: Array
-    error: Array
+    measured: FloatArray
+    error: FloatArray
 
     @classmethod
     def of(cls, group: LoadRuns) -> Amplitudes:
         measured = [largest_displacement(run.run.response) for run in group.runs]
         return cls(group.runs, np.concatenate(measured, axis=1), np.concatenate([_error(run.run) for run in group.runs], axis=1))
 
-    def computed(self, eight: Array, chosen: NDArray[np.intp]) -> Array:
+    def computed(self, eight: FloatArray, chosen: IntArray) -> FloatArray:
         """(..., n_chosen, n_plane of all runs) of coefficients (..., n_chosen, 8) at the *chosen* speeds."""
         return np.concatenate([self._of_run(run, eight, chosen) for run in self.runs], axis=-1)
 
     @staticmethod
-    def _of_run(run: ExcitedRun, eight: Array, chosen: NDArray[np.intp]) -> Array:
+    def _of_run(run: ExcitedRun, eight: FloatArray, chosen: IntArray) -> FloatArray:
         response = run.condensed.at(chosen).response(*as_matrices(eight))
         return largest_displacement(response.reshape(*response.shape[:-1], -1, 2))
 
-    def objective(self, start: Array) -> Objective:
+    def objective(self, start: FloatArray) -> Objective:
         """F [m^2] of factors on *start* (n_speed, 8); problem number n belongs to speed n modulo n_speed."""
 
-        def squares(factors: Array, chosen: NDArray[np.intp]) -> Array:
+        def squares(factors: FloatArray, chosen: IntArray) -> FloatArray:
             place = chosen % start.shape[0]
             return np.asarray(np.sum((self.computed(start[place] * factors, place) - self.measured[place]) ** 2, axis=-1))
 
         return squares
 
-    def slopes(self, eight: Array) -> Array:
+    def slopes(self, eight: FloatArray) -> FloatArray:
         """Over the standard errors, (n_speed, n_plane of all runs, 8)."""
         matrices = as_matrices(eight)
         parts = [displacement_slopes(*run.condensed.response_and_slopes(*matrices)) for run in self.runs]
         return np.concatenate(parts, axis=1) / self.error[..., None]
 
 
-def displacement_slopes(response: ComplexArray, slopes: ComplexArray) -> Array:
+def displacement_slopes(response: ComplexArray, slopes: ComplexArray) -> FloatArray:
     """Of the largest displacement of every plane, (..., n_plane, 8), from outputs (..., n_output) and their slopes (..., n_output, 8).
 
     d |f| = Re(f* df) / |f| for both circles f = X +- jY of the orbit.
@@ -251,7 +248,7 @@ def displacement_slopes(response: ComplexArray, slopes: ComplexArray) -> Array:
     return found
 
 
-def _error(run: RunUp) -> Array:
+def _error(run: RunUp) -> FloatArray:
     """Standard error of the largest displacement (n_speed, n_plane) [m] from those of amplitudes and phases, to first order."""
     x, y = run.response[..., 0], run.response[..., 1]
     forward, backward = ((x + turn * y).conj() / np.abs(x + turn * y) for turn in (1j, -1j))

@@ -9,8 +9,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.optimise.levenberg import minimise
 from labpipe.records.run_up import RunUp
@@ -23,8 +23,6 @@ from labpipe.run_ups.problem import RunUpProblem, measured_thresholds
 MOST_REFITS = 12
 # Distance to a minimum, in standard errors, that does where the steps get small too slowly: a bearing far outside the family.
 NEAR = 0.05
-
-Array = NDArray[np.floating]
 
 
 def family_about(rig: RunUpRotor, groups: Iterable[LoadRuns]) -> FilmFamily:
@@ -58,7 +56,7 @@ def fit_jointly(rig: RunUpRotor, runs: Iterable[RunUp], use_thresholds: bool = T
     raise FitError("no minimum of the joint fit was found", hint="check unbalance, phases, standard errors and the rotor file")
 
 
-def _result(problem: RunUpProblem[FilmFamily], parameters: Array, steps: int) -> JointFit:
+def _result(problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: int) -> JointFit:
     slopes, prior = problem.data_slopes(parameters), PRIOR[problem.free]
     covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     own = np.linalg.inv(slopes.T @ slopes + np.diag(prior**-2.0))
@@ -85,7 +83,7 @@ def _result(problem: RunUpProblem[FilmFamily], parameters: Array, steps: int) ->
     )
 
 
-def _held_by_priors(scaled: Array, free: NDArray[np.bool_]) -> tuple[str, ...]:
+def _held_by_priors(scaled: FloatArray, free: BoolArray) -> tuple[str, ...]:
     """Combinations (logarithms, in units of the priors) that the data say less about than the priors do, the worst first."""
     names = [name for name, kept in zip(PARAMETERS, free, strict=True) if kept]
     _, singular, rows = np.linalg.svd(scaled, full_matrices=False)

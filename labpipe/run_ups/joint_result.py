@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
 from labpipe.records.settings import Uncertain
@@ -22,8 +22,6 @@ LOAD_SLACK = 0.01
 # Step of a difference, in standard errors along each axis of the covariance.
 STEP = 0.5
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class JointFit:
@@ -37,9 +35,9 @@ class JointFit:
     rig: RunUpRotor
     family: FilmFamily
     loads: tuple[float, ...]
-    values: Array
-    covariance: Array
-    at_bound: NDArray[np.bool_]
+    values: FloatArray
+    covariance: FloatArray
+    at_bound: BoolArray
     chi2: float
     n_datum: int
     n_effective: float
@@ -75,7 +73,7 @@ class JointFit:
         return float(np.mean(self.at_bound))
 
     @property
-    def std_error(self) -> Array:
+    def std_error(self) -> FloatArray:
         """Posterior standard deviations of the logarithms (12,), widened; NaN at a bound."""
         return np.where(self.at_bound, np.nan, np.sqrt(np.diag(self.covariance))) * self.widening
 
@@ -91,7 +89,7 @@ class JointFit:
         """K and C (n_speed, 2, 2) as a function of speed [rad/s] under a *load* [N]."""
         return self.family.at_load(self.values, load)
 
-    def coefficients(self, load: float, speed: Array) -> tuple[Array, Array]:
+    def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
         speed = np.asarray(speed, np.float64)
         eight, slopes = self.family.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
@@ -107,7 +105,7 @@ class JointFit:
             return None
         return self._predicted(lambda values: self._known_threshold(values, load))
 
-    def _known_threshold(self, values: Array, load: float) -> float:
+    def _known_threshold(self, values: FloatArray, load: float) -> float:
         found = self.rig.threshold(self.family.at_load(values, load))
         if found is None:
             hint = f"it is above {self.rig.search.highest * 30 / np.pi:.0f} rpm"
@@ -130,7 +128,7 @@ class JointFit:
             )
         return "; ".join(parts)
 
-    def _predicted(self, predict: Callable[[Array], float]) -> Uncertain:
+    def _predicted(self, predict: Callable[[FloatArray], float]) -> Uncertain:
         """A prediction with its standard error: central differences along the axes of the covariance."""
         sizes, axes = np.linalg.eigh(self.covariance)
         variance = 0.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.quantities import to_display
 from labpipe.records.run_up import DIRECTIONS, RunUp
@@ -67,9 +67,9 @@ def excitation_words(run: RunUp) -> str:
 
 def motions(
     planes: tuple[str, ...],
-    response: NDArray[np.complexfloating],
-    amplitude_error: NDArray[np.floating] | None = None,
-    phase_error: NDArray[np.floating] | None = None,
+    response: ComplexArray,
+    amplitude_error: FloatArray | None = None,
+    phase_error: FloatArray | None = None,
 ) -> tuple[Motion, ...]:
     """Every plane and direction of phasors (n_speed, n_plane, 2) as a record."""
     return tuple(
@@ -86,6 +86,6 @@ def motions(
     )
 
 
-def column(values: NDArray[np.floating]) -> tuple[float, ...]:
+def column(values: FloatArray) -> tuple[float, ...]:
     """Numbers for a file that people read as well: eight digits."""
     return tuple(float(f"{value:.8g}") for value in np.asarray(values, np.float64).tolist())

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labpipe.errors import LabpipeError
 from labpipe.records.run_up import RunUp
@@ -41,8 +40,6 @@ TITLES = {
 }
 # Grid of the drawn surfaces.
 SURFACE_LOADS, SURFACE_SPEEDS = 11, 15
-
-Array = NDArray[np.floating]
 
 
 def metamodels(

@@ -12,8 +12,8 @@ from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.registry import nearest
 from labpipe.rigs.film_family import coefficient_errors
@@ -47,8 +47,6 @@ READERS: dict[str, Callable[[Mapping[str, Any]], Metamodel]] = {
     one.kind: one.from_entries for one in (ResponseSurface, GaussianProcess, Network, PhysicalFit)
 }
 
-Array = NDArray[np.floating]
-
 
 class Metamodel(Protocol):
     """Coefficients (n_point, 8) [N/m, N s/m] over load [N] and speed [rad/s]."""
@@ -61,8 +59,8 @@ class Metamodel(Protocol):
     def speeds(self) -> tuple[float, float]: ...
     @property
     def statement(self) -> str: ...
-    def predict(self, load: Array | float, speed: Array) -> Array: ...
-    def std_error(self, load: Array | float, speed: Array) -> Array: ...
+    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray: ...
+    def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray: ...
     def to_entries(self) -> dict[str, Any]: ...
 
 
@@ -106,7 +104,7 @@ class LeftOut:
 
     kind: str
     load: float
-    errors: Array
+    errors: FloatArray
     beyond: bool
     failed: str = ""
 

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError
 
 # Loads that agree to this part of themselves are one.
 SAME_LOAD = 1e-6
-
-Array = NDArray[np.floating]
 
 
 class Fitted(Protocol):
@@ -23,24 +21,24 @@ class Fitted(Protocol):
     @property
     def load(self) -> float: ...
     @property
-    def speed(self) -> Array: ...
+    def speed(self) -> FloatArray: ...
     @property
-    def coefficients(self) -> Array: ...
+    def coefficients(self) -> FloatArray: ...
 
 
 class Queried(Protocol):
     """A fit that is asked for coefficients (n_speed, 8) and their errors at any load and speed."""
 
-    def coefficients(self, load: float, speed: Array) -> tuple[Array, Array]: ...
+    def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]: ...
 
 
 @dataclass(frozen=True)
 class Grid:
     """load [N] and speed [rad/s] (n_point,), eight (n_point, 8) [N/m, N s/m]; DataError where they do not fit together."""
 
-    load: Array
-    speed: Array
-    eight: Array
+    load: FloatArray
+    speed: FloatArray
+    eight: FloatArray
 
     def __post_init__(self) -> None:
         n = np.size(self.load)
@@ -59,7 +57,7 @@ class Grid:
         return cls(load, np.concatenate([fit.speed for fit in found]), np.concatenate([fit.coefficients for fit in found]))
 
     @classmethod
-    def sampled(cls, fit: Queried, loads: Iterable[float], speed: Array) -> Grid:
+    def sampled(cls, fit: Queried, loads: Iterable[float], speed: FloatArray) -> Grid:
         """From a fit that knows any load, such as a JointFit or a ProcessFit, at *loads* [N] and *speed* (n_speed,) [rad/s]."""
         parts = [(np.full(np.size(speed), load), np.asarray(speed), fit.coefficients(load, speed)[0]) for load in loads]
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
@@ -73,7 +71,7 @@ class Grid:
                 found.append(load)
         return tuple(found)
 
-    def _at(self, load: float) -> NDArray[np.bool_]:
+    def _at(self, load: float) -> BoolArray:
         return np.abs(self.load / load - 1) <= SAME_LOAD
 
     def only(self, load: float) -> Grid:
@@ -99,7 +97,7 @@ class Extent:
         ends = [(float(np.min(one)), float(np.max(one))) for one in (grid.load, grid.speed)]
         return cls(ends[0], ends[1])
 
-    def coded(self, load: Array | float, speed: Array) -> Array:
+    def coded(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """(n_point, 2)."""
         columns = []
         for places, (low, high) in ((load, self.loads), (speed, self.speeds)):

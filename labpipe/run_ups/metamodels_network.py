@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.run_ups.metamodels_grid import Extent, Grid
 
@@ -24,9 +24,8 @@ REPEATS = 10
 WEIGHT_DECAY = 1e-3
 MOST_ITERATIONS = 4000
 
-Array = NDArray[np.floating]
 # Weights and offsets of the hidden and of the output layer: (2, h), (h,), (h, 8), (8,).
-Layers = tuple[Array, Array, Array, Array]
+Layers = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -35,8 +34,8 @@ class Network:
 
     extent: Extent
     repeats: tuple[Layers, ...]
-    middle: Array
-    deviation: Array
+    middle: FloatArray
+    deviation: FloatArray
     seed: int
     n_converged: int
 
@@ -57,17 +56,17 @@ class Network:
             f"{ended} ended by itself; errors are the spread of the repeats"
         )
 
-    def each(self, load: Array | float, speed: Array) -> Array:
+    def each(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """What every repeat predicts, (n_repeat, n_point, 8)."""
         coded = self.extent.coded(load, speed)
         scaled = [np.tanh(coded @ first + offset) @ second + last for first, offset, second, last in self.repeats]
         return np.asarray(self.middle + self.deviation * np.array(scaled))
 
-    def predict(self, load: Array | float, speed: Array) -> Array:
+    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]: the mean of the repeats."""
         return np.asarray(self.each(load, speed).mean(axis=0))
 
-    def std_error(self, load: Array | float, speed: Array) -> Array:
+    def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """Spread of the repeats (n_point, 8); NaN of a single one."""
         each = self.each(load, speed)
         return np.full(each.shape[1:], np.nan) if len(self.repeats) < 2 else np.asarray(each.std(axis=0, ddof=1))
@@ -90,7 +89,7 @@ class Network:
         return cls(Extent.from_entries(entries), repeats, middle, deviation, int(entries["seed"]), int(entries["n_converged"]))
 
 
-def _layers(first: Array, offset: Array, second: Array, last: Array) -> Layers:
+def _layers(first: FloatArray, offset: FloatArray, second: FloatArray, last: FloatArray) -> Layers:
     return first, offset, second, last
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.journal import JournalBearing
 from labpipe.records.run_up import RunUp
 from labpipe.rigs.film_family import FilmFamily
@@ -18,8 +18,6 @@ from labpipe.run_ups.joint import fit_jointly
 from labpipe.run_ups.joint_result import JointFit
 from labpipe.run_ups.metamodels_grid import SAME_LOAD, Extent
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class PhysicalFit:
@@ -27,8 +25,8 @@ class PhysicalFit:
 
     extent: Extent
     family: FilmFamily
-    values: Array
-    covariance: Array
+    values: FloatArray
+    covariance: FloatArray
 
     kind: ClassVar[str] = "physical"
 
@@ -47,11 +45,11 @@ class PhysicalFit:
         """What it is, in words."""
         return "the film's own coefficients with the parameters of the joint fit, refitted without each load in turn for the validation"
 
-    def predict(self, load: Array | float, speed: Array) -> Array:
+    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]; FitError outside the film's table."""
         return self.family.coefficients(self.values, load, speed)
 
-    def std_error(self, load: Array | float, speed: Array) -> Array:
+    def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """(n_point, 8)."""
         places = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
         _, slopes = self.family.coefficients_and_slopes(self.values, *(np.ravel(one) for one in places))

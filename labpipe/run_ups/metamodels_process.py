@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, optimize
 
+from labpipe.arrays import FloatArray
 from labpipe.run_ups.metamodels_grid import Extent, Grid
 
 PLANE = 3.0
@@ -24,8 +24,6 @@ SEARCH = {"xatol": 0.02, "fatol": 0.02, "maxfev": 200}
 # Added to the diagonal, so that a covariance of close points can be decomposed.
 JITTER = 1e-9
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class GaussianProcess:
@@ -33,9 +31,9 @@ class GaussianProcess:
 
     grid: Grid
     extent: Extent
-    hyper: Array
-    factors: tuple[Array, ...]
-    weights: Array
+    hyper: FloatArray
+    factors: tuple[FloatArray, ...]
+    weights: FloatArray
 
     kind: ClassVar[str] = "process"
 
@@ -45,7 +43,7 @@ class GaussianProcess:
         return self.extent.speeds
 
     @classmethod
-    def of(cls, grid: Grid, hyper: Array) -> GaussianProcess:
+    def of(cls, grid: Grid, hyper: FloatArray) -> GaussianProcess:
         extent = Extent.of(grid)
         coded, scaled = extent.coded(grid.load, grid.speed), _scaled(grid)
         factors = tuple(_factor(coded, one) for one in hyper)
@@ -62,14 +60,14 @@ class GaussianProcess:
             "the standard deviation (medians over the eight coefficients)"
         )
 
-    def predict(self, load: Array | float, speed: Array) -> Array:
+    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
         places, known = self.extent.coded(load, speed), self.extent.coded(self.grid.load, self.grid.speed)
         scaled = [_covariance(places, known, one) @ weights for one, weights in zip(self.hyper, self.weights, strict=True)]
         middle, deviation = _scale(self.grid)
         return middle + deviation * np.stack(scaled, axis=-1)
 
-    def std_error(self, load: Array | float, speed: Array) -> Array:
+    def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """Of a new point (n_point, 8), its noise with it."""
         places, known = self.extent.coded(load, speed), self.extent.coded(self.grid.load, self.grid.speed)
         columns = []
@@ -95,10 +93,10 @@ def fit_process(grid: Grid, seed: int = 0) -> GaussianProcess:  # noqa: ARG001 o
     return GaussianProcess.of(grid, np.array([_likeliest(coded, column) for column in _scaled(grid).T]))
 
 
-def _likeliest(coded: Array, scaled: Array) -> Array:
+def _likeliest(coded: FloatArray, scaled: FloatArray) -> FloatArray:
     median, deviation = (np.array(column) for column in zip(*HYPER, strict=True))
 
-    def cost(parts: NDArray[np.float64]) -> float:
+    def cost(parts: FloatArray) -> float:
         factor = _factor(coded, median * np.exp(deviation * parts))
         whitened = linalg.solve_triangular(factor, scaled, lower=True)
         return float((whitened @ whitened + parts @ parts) / 2 + np.sum(np.log(np.diag(factor))))
@@ -108,20 +106,20 @@ def _likeliest(coded: Array, scaled: Array) -> Array:
     return np.asarray(median * np.exp(deviation * found.x))
 
 
-def _covariance(first: Array, second: Array, hyper: Array) -> Array:
+def _covariance(first: FloatArray, second: FloatArray, hyper: FloatArray) -> FloatArray:
     difference = (first[:, None, :] - second[None, :, :]) / hyper[1:3]
     return np.asarray(PLANE**2 * (1 + first @ second.T) + hyper[0] ** 2 * np.exp(-0.5 * np.sum(difference**2, axis=-1)))
 
 
-def _factor(coded: Array, hyper: Array) -> Array:
+def _factor(coded: FloatArray, hyper: FloatArray) -> FloatArray:
     return np.linalg.cholesky(_covariance(coded, coded, hyper) + (hyper[3] ** 2 + JITTER) * np.eye(coded.shape[0]))
 
 
-def _scale(grid: Grid) -> tuple[Array, Array]:
+def _scale(grid: Grid) -> tuple[FloatArray, FloatArray]:
     deviation = grid.eight.std(axis=0)
     return grid.eight.mean(axis=0), np.where(deviation > 0, deviation, 1.0)
 
 
-def _scaled(grid: Grid) -> Array:
+def _scaled(grid: Grid) -> FloatArray:
     middle, deviation = _scale(grid)
     return (grid.eight - middle) / deviation

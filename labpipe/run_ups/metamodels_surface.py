@@ -13,15 +13,13 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
 from labpipe.run_ups.metamodels_grid import Extent, Grid
 
 TERMS = ("1", "load", "speed", "load x speed", "load^2", "speed^2")
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -32,12 +30,12 @@ class ResponseSurface:
     """
 
     extent: Extent
-    beta: Array
-    inverse: Array
-    spread: Array
-    r2: Array
-    press: Array
-    total: Array
+    beta: FloatArray
+    inverse: FloatArray
+    spread: FloatArray
+    r2: FloatArray
+    press: FloatArray
+    total: FloatArray
     n_point: int
 
     kind: ClassVar[str] = "surface"
@@ -48,27 +46,27 @@ class ResponseSurface:
         return self.extent.speeds
 
     @property
-    def std_errors(self) -> Array:
+    def std_errors(self) -> FloatArray:
         """Of beta (6, 8)."""
         return np.sqrt(np.diag(self.inverse))[:, None] * self.spread
 
     @property
-    def t(self) -> Array:
+    def t(self) -> FloatArray:
         """beta over its standard error (6, 8)."""
         return self.beta / self.std_errors
 
     @property
-    def p(self) -> Array:
+    def p(self) -> FloatArray:
         """Probability of a larger |t| if the term were zero (6, 8)."""
         return np.asarray(2 * special.stdtr(self.n_point - len(TERMS), -np.abs(self.t)))
 
     @property
-    def r2_adjusted(self) -> Array:
+    def r2_adjusted(self) -> FloatArray:
         """R^2 with the number of terms taken into account (8,)."""
         return 1 - (1 - self.r2) * (self.n_point - 1) / (self.n_point - len(TERMS))
 
     @property
-    def r2_predicted(self) -> Array:
+    def r2_predicted(self) -> FloatArray:
         """1 - PRESS / total (8,)."""
         return 1 - self.press / self.total
 
@@ -79,11 +77,11 @@ class ResponseSurface:
         told = "; ".join(f"{name} {values.min():.3f} to {values.max():.3f}" for name, values in kinds.items())
         return f"{self.n_point} points, over the eight coefficients {told}"
 
-    def predict(self, load: Array | float, speed: Array) -> Array:
+    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
         return np.asarray(_terms(self.extent.coded(load, speed)) @ self.beta)
 
-    def std_error(self, load: Array | float, speed: Array) -> Array:
+    def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """Of a new point about the surface (n_point, 8): of the surface itself, and of points about it."""
         terms = _terms(self.extent.coded(load, speed))
         leverage = np.einsum("ni,ij,nj->n", terms, self.inverse, terms)
@@ -116,6 +114,6 @@ def fit_surface(grid: Grid, seed: int = 0) -> ResponseSurface:  # noqa: ARG001 o
     return ResponseSurface(extent, beta, inverse, np.sqrt(squares / (n - m)), 1 - squares / total, press, total, n)
 
 
-def _terms(coded: Array) -> Array:
+def _terms(coded: FloatArray) -> FloatArray:
     w, s = coded.T
     return np.stack([np.ones_like(w), w, s, w * s, w**2, s**2], axis=-1)

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.records.run_up import RunUp
 from labpipe.rigs.film_family import COEFFICIENTS, as_matrices
@@ -16,9 +16,6 @@ from labpipe.rotors.pinned import CondensedRotor
 
 # Singular values below this part of the largest count as zero: far above rounding, far below anything measured.
 RANK_TOLERANCE = 1e-7
-
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
 
 
 @dataclass(frozen=True)
@@ -37,11 +34,11 @@ class ExcitedRun:
         """Real equations per speed."""
         return 4 * len(self.run.planes)
 
-    def residual(self, coefficients: Array) -> Array:
+    def residual(self, coefficients: FloatArray) -> FloatArray:
         """Computed less measured over the standard errors, (n_speed, n_equation); *coefficients* (n_speed, 8) [N/m, N s/m]."""
         return self._weighted(self.condensed.response(*as_matrices(coefficients)) - self._measured)
 
-    def residual_and_slopes(self, coefficients: Array) -> tuple[Array, Array]:
+    def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
         """`residual` and its derivatives by the eight coefficients, (n_speed, n_equation, 8)."""
         response, slopes = self.condensed.response_and_slopes(*as_matrices(coefficients))
         return self._weighted(response - self._measured), np.moveaxis(self._weighted(np.moveaxis(slopes, -1, 0)), 0, -1)
@@ -50,7 +47,7 @@ class ExcitedRun:
     def _measured(self) -> ComplexArray:
         return self.run.response.reshape(self.run.n_speed, -1)
 
-    def _weighted(self, difference: ComplexArray) -> Array:
+    def _weighted(self, difference: ComplexArray) -> FloatArray:
         """Along the measured phasor over the error of its amplitude, across it over the amplitude times the error of its phase."""
         run, shape = self.run, (self.run.n_speed, -1)
         size = np.abs(self._measured)
@@ -65,10 +62,10 @@ class LoadRuns:
     """All runs of one load, at the speeds that they share: what determines the coefficients of these points."""
 
     load: float
-    speed: Array
+    speed: FloatArray
     runs: tuple[ExcitedRun, ...]
 
-    def residual_and_slopes(self, coefficients: Array) -> tuple[Array, Array]:
+    def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Of all runs, (n_speed, n_equation) and (n_speed, n_equation, 8)."""
         parts = [run.residual_and_slopes(coefficients) for run in self.runs]
         return np.concatenate([part[0] for part in parts], axis=1), np.concatenate([part[1] for part in parts], axis=1)
@@ -95,7 +92,7 @@ def _grouped(rig: RunUpRotor, load: float, group: Sequence[RunUp]) -> LoadRuns:
     return LoadRuns(load, shared, tuple(ExcitedRun.of(rig, _at_speeds(run, shared)) for run in group))
 
 
-def _at_speeds(run: RunUp, speed: Array) -> RunUp:
+def _at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
     chosen = np.array([int(np.argmin(np.abs(run.speed - one))) for one in speed])
     return RunUp(
         run.name,
@@ -111,7 +108,7 @@ def _at_speeds(run: RunUp, speed: Array) -> RunUp:
     )
 
 
-def rank_of(slopes: Array) -> tuple[NDArray[np.intp], Array]:
+def rank_of(slopes: FloatArray) -> tuple[IntArray, FloatArray]:
     """Rank (...) and condition number (...) within that rank of Jacobians (..., n_equation, n_parameter)."""
     singular = np.linalg.svd(slopes, compute_uv=False)
     kept = singular > RANK_TOLERANCE * singular[..., :1]
@@ -120,7 +117,7 @@ def rank_of(slopes: Array) -> tuple[NDArray[np.intp], Array]:
     return rank, singular[..., 0] / smallest
 
 
-def scales(start: Array) -> Array:
+def scales(start: FloatArray) -> FloatArray:
     """What a change of each coefficient is measured against, (..., 8), of start values (..., 8).
 
     Its own start value, but at least a fifth of the mean direct one: K_yx crosses zero, and a share of nothing is nothing.
@@ -129,14 +126,14 @@ def scales(start: Array) -> Array:
     return np.maximum(np.abs(start), 0.2 * np.repeat(direct, 4, axis=-1))
 
 
-def in_words(names: Sequence[str], direction: Array, least: float = 0.2) -> str:
+def in_words(names: Sequence[str], direction: FloatArray, least: float = 0.2) -> str:
     """A combination of parameters: "clearance +1.00, viscosity +2.00" where these move together; parts below *least* are left out."""
     direction = direction / direction[np.argmax(np.abs(direction))]
     parts = [f"{names[n]} {direction[n]:+.2f}" for n in np.argsort(-np.abs(direction), kind="stable") if abs(direction[n]) >= least]
     return ", ".join(parts)
 
 
-def unseen_combinations(slopes: Array, names: Sequence[str] = COEFFICIENTS) -> tuple[str, ...]:
+def unseen_combinations(slopes: FloatArray, names: Sequence[str] = COEFFICIENTS) -> tuple[str, ...]:
     """The directions (n_parameter,) that a Jacobian (n_equation, n_parameter) does not see, in words."""
     _, singular, rows = np.linalg.svd(slopes, full_matrices=True)
     whole = np.zeros(rows.shape[0])

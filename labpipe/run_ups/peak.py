@@ -12,8 +12,8 @@ change. Polynomials through the amplitudes alone miss the peak by one to two per
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.run_up import RunUp
 from labpipe.records.settings import Uncertain
@@ -28,9 +28,6 @@ SEED = 20260101
 # The peak is looked for between these parts of the fitted range, on this many speeds.
 INNER = 0.95
 FINE = 1601
-
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
 
 
 def measured_critical_speed(run: RunUp, plane: str = "") -> Uncertain:
@@ -83,7 +80,7 @@ def _peak(run: RunUp, number: int, chosen: slice, response: ComplexArray) -> flo
     return middle + half * float(place[np.argmax(largest_displacement(fitted)[:, number])])
 
 
-def _rational(x: Array, outputs: ComplexArray, errors: Array, place: Array) -> ComplexArray:
+def _rational(x: FloatArray, outputs: ComplexArray, errors: FloatArray, place: FloatArray) -> ComplexArray:
     """The fitted outputs (n_place, n_output) at *place* from outputs and errors (n_point, n_output) at *x*."""
     n, m = outputs.shape
     denominator = np.ones(n, np.complex128)

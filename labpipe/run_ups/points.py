@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.records.run_up import RunUp
 from labpipe.rigs.film_family import as_eight, carried_beyond
@@ -26,8 +26,6 @@ MOST_STEPS = 60
 TOLERANCE = 1e-6
 LEAST_DAMPING = 1e-9
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class PointFit:
@@ -38,13 +36,13 @@ class PointFit:
     """
 
     load: float
-    speed: Array
-    start: Array
-    coefficients: Array
-    std_error: Array
-    at_bound: NDArray[np.bool_]
-    rank: NDArray[np.intp]
-    condition: Array
+    speed: FloatArray
+    start: FloatArray
+    coefficients: FloatArray
+    std_error: FloatArray
+    at_bound: BoolArray
+    rank: IntArray
+    condition: FloatArray
     chi2: float
     n_datum: int
     n_effective: float
@@ -61,7 +59,7 @@ class PointFit:
     def at_speed(self) -> CoefficientsAtSpeed:
         """K and C as a function of speed, straight between the points; beyond, K and Omega C are held."""
 
-        def between(speed: Array) -> Array:
+        def between(speed: FloatArray) -> FloatArray:
             return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
 
         return carried_beyond(between, float(self.speed[0]), float(self.speed[-1]))
@@ -100,11 +98,11 @@ def _fit_load(rig: RunUpRotor, group: LoadRuns, bound: float, ridge: float) -> P
     )
 
 
-def _normal(slopes: Array) -> Array:
+def _normal(slopes: FloatArray) -> FloatArray:
     return np.asarray(slopes.swapaxes(1, 2) @ slopes)
 
 
-def _descend(group: LoadRuns, start: Array, unit: Array, bound: float, ridge: float) -> Array:
+def _descend(group: LoadRuns, start: FloatArray, unit: FloatArray, bound: float, ridge: float) -> FloatArray:
     """The minimum of every point (n_speed, 8), damped where a step does not lower its sum of squares."""
     parts, damping = np.zeros_like(start), np.full(start.shape[0], 1e-6)
     residual, slopes = group.residual_and_slopes(start)
@@ -126,11 +124,11 @@ def _descend(group: LoadRuns, start: Array, unit: Array, bound: float, ridge: fl
     )
 
 
-def _cost(residual: Array, parts: Array, ridge: float) -> Array:
+def _cost(residual: FloatArray, parts: FloatArray, ridge: float) -> FloatArray:
     return np.asarray(np.sum(residual**2, axis=1) + np.sum(parts**2, axis=1) / ridge**2)
 
 
-def _step(residual: Array, slopes: Array, parts: Array, damping: Array, bound: float, ridge: float) -> Array:
+def _step(residual: FloatArray, slopes: FloatArray, parts: FloatArray, damping: FloatArray, bound: float, ridge: float) -> FloatArray:
     """A Gauss-Newton step within the box: what the step would carry beyond a bound is set on it, and the others are solved again.
 
     Values on a bound that the gradient pushes outwards stay there from the outset.

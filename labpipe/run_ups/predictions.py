@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.records.run_up import RunUp
 from labpipe.records.run_up_result import Amount, RunPrediction
@@ -23,8 +23,6 @@ CURVE_STEP = 40 * RPM
 # About a peak, where the phasor turns fast: step [rad/s] and points to either side.
 PEAK_STEP, PEAK_POINTS = 8 * RPM, 16
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class AtLoad:
@@ -34,8 +32,8 @@ class AtLoad:
     """
 
     at_speed: CoefficientsAtSpeed
-    coefficients: Array
-    std_error: Array | None = None
+    coefficients: FloatArray
+    std_error: FloatArray | None = None
     critical: Callable[[], Uncertain] | None = None
     threshold: Callable[[], Uncertain | None] | None = None
     notes: tuple[str, ...] = ()
@@ -101,7 +99,7 @@ def _threshold(own: RunUpRotor, found: AtLoad) -> Amount | None:
     return None if value is None else Amount(value)
 
 
-def _drawn_speeds(run: RunUp, threshold: Amount | None, critical: Amount | None) -> Array:
+def _drawn_speeds(run: RunUp, threshold: Amount | None, critical: Amount | None) -> FloatArray:
     """Over the run's speeds, closer about the peak, up to the predicted threshold: beyond there is no steady motion."""
     last = float(run.speed[-1]) if threshold is None else min(float(run.speed[-1]), threshold.value)
     speed = np.linspace(run.speed[0], max(last, run.speed[0]), max(2, round((last - run.speed[0]) / CURVE_STEP) + 1))
@@ -111,7 +109,7 @@ def _drawn_speeds(run: RunUp, threshold: Amount | None, critical: Amount | None)
     return np.union1d(speed, about[(about > speed[0]) & (about < speed[-1])])
 
 
-def _curve(own: RunUpRotor, run: RunUp, found: AtLoad, speed: Array) -> NDArray[np.complexfloating]:
+def _curve(own: RunUpRotor, run: RunUp, found: AtLoad, speed: FloatArray) -> ComplexArray:
     shape = (speed.size, len(run.planes), 2)
     bare = replace(run, speed=speed, response=np.ones(shape) + 0j, amplitude_error=np.ones(shape), phase_error=np.ones(shape))
     return np.asarray(own.excited(bare).response(*found.at_speed(speed)).reshape(shape))

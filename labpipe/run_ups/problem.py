@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.optimise.levenberg import sum_of_squares
 from labpipe.records.settings import Uncertain
@@ -29,17 +29,15 @@ SPEED_STEP = 1e-3
 # Least slope [1/s per rad/s]: a growth rate that hardly changes says little about the speed.
 LEAST_SLOPE = 1e-4
 
-Array = NDArray[np.floating]
-
 
 class CoefficientFamily(Protocol):
     """The eight coefficients over load [N] and speed [rad/s] with parameters *values* (n_parameter,)."""
 
-    def coefficients_and_slopes(self, values: Array, load: Array, speed: Array) -> tuple[Array, Array]:
+    def coefficients_and_slopes(self, values: FloatArray, load: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n_point, 8) [N/m, N.s/m] and their derivatives (n_point, 8, n_parameter)."""
         ...
 
-    def at_load(self, values: Array, load: float) -> CoefficientsAtSpeed:
+    def at_load(self, values: FloatArray, load: float) -> CoefficientsAtSpeed:
         """K and C as functions of speed."""
         ...
 
@@ -60,13 +58,13 @@ class RunUpProblem(Generic[Family]):
     family: Family
     groups: tuple[LoadRuns, ...]
     thresholds: Thresholds
-    spread: Array
-    free: NDArray[np.bool_]
-    fixed: Array
+    spread: FloatArray
+    free: BoolArray
+    fixed: FloatArray
 
     @classmethod
     def of(
-        cls, rig: RunUpRotor, family: Family, groups: tuple[LoadRuns, ...], thresholds: Thresholds, spread: Array
+        cls, rig: RunUpRotor, family: Family, groups: tuple[LoadRuns, ...], thresholds: Thresholds, spread: FloatArray
     ) -> RunUpProblem[Family]:
         """The problem with all parameters free."""
         return cls(rig, family, groups, thresholds, spread, np.ones(spread.size, bool), np.zeros(spread.size))
@@ -77,38 +75,38 @@ class RunUpProblem(Generic[Family]):
         parts = (run.run.response / run.run.amplitude_error for group in self.groups for run in group.runs)
         return float(np.sqrt(sum(float(np.sum(np.abs(part) ** 2)) for part in parts)))
 
-    def values(self, parameters: Array) -> Array:
+    def values(self, parameters: FloatArray) -> FloatArray:
         """All parameters (n_parameter,) from the free ones."""
         values = self.fixed.copy()
         values[self.free] = parameters
         return values
 
-    def residual(self, parameters: Array) -> Array:
+    def residual(self, parameters: FloatArray) -> FloatArray:
         """Responses, thresholds and priors (n_equation,), of the free parameters."""
         values = self.values(parameters)
         measured = [self._response(group, values)[0] for group in self.groups]
         return np.concatenate([*measured, self._thresholds(values)[0], values / self.spread])
 
-    def jacobian(self, parameters: Array) -> Array:
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
         """Slopes of the residual (n_equation, n_free)."""
         return np.concatenate([self.data_slopes(parameters), np.diag(1 / self.spread)[:, self.free]])
 
-    def data_slopes(self, parameters: Array) -> Array:
+    def data_slopes(self, parameters: FloatArray) -> FloatArray:
         """Slopes of responses and thresholds (n_datum, n_free), without the priors."""
         values = self.values(parameters)
         measured = [self._response(group, values)[1] for group in self.groups]
         return np.concatenate([*measured, self._thresholds(values)[1]])[:, self.free]
 
-    def chi2(self, parameters: Array) -> float:
+    def chi2(self, parameters: FloatArray) -> float:
         """The squared length of the residual; infinite where there is none."""
         return sum_of_squares(self.residual, parameters)
 
-    def _response(self, group: LoadRuns, values: Array) -> tuple[Array, Array]:
+    def _response(self, group: LoadRuns, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         eight, by_parameter = self.family.coefficients_and_slopes(values, np.full(group.speed.size, group.load), group.speed)
         residual, slopes = group.residual_and_slopes(eight)
         return residual.ravel(), (slopes @ by_parameter).reshape(-1, values.size)
 
-    def _thresholds(self, values: Array) -> tuple[Array, Array]:
+    def _thresholds(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         rows = [threshold_row(self.rig, self.family, values, load, measured) for load, measured in self.thresholds]
         return np.array([row[0] for row in rows]), np.array([row[1] for row in rows]).reshape(-1, values.size)
 
@@ -118,7 +116,9 @@ def measured_thresholds(groups: tuple[LoadRuns, ...]) -> Thresholds:
     return tuple((group.load, run.run.threshold) for group in groups for run in group.runs if run.run.threshold is not None)
 
 
-def threshold_row(rig: RunUpRotor, family: CoefficientFamily, values: Array, load: float, measured: Uncertain) -> tuple[float, Array]:
+def threshold_row(
+    rig: RunUpRotor, family: CoefficientFamily, values: FloatArray, load: float, measured: Uncertain
+) -> tuple[float, FloatArray]:
     """(Omega_th - Omega_meas) / s and its slopes (n_parameter,): d Omega_th = -d growth / (d growth / d Omega) at the threshold itself.
 
     FitError where the search from the measured speed finds none.

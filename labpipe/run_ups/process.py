@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, optimize
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
 from labpipe.optimise.levenberg import minimise
 from labpipe.records.run_up import RunUp
@@ -36,8 +36,6 @@ NEAR = 0.1
 # the coefficients come out nearer to the truth by a tenth to a third, and their intervals hold it; without it they are too narrow.
 CAUTION = 0.7
 SEARCH = {"xatol": 0.02, "fatol": 0.05, "maxfev": 120}
-
-Array = NDArray[np.floating]
 
 
 def fit_with_process(rig: RunUpRotor, runs: Iterable[RunUp], joint: JointFit | None = None, use_thresholds: bool = True) -> ProcessFit:
@@ -69,30 +67,30 @@ def fit_with_process(rig: RunUpRotor, runs: Iterable[RunUp], joint: JointFit | N
     return _result(problem, values, steps)
 
 
-def _places(groups: tuple[LoadRuns, ...], thresholds: Thresholds) -> Array:
+def _places(groups: tuple[LoadRuns, ...], thresholds: Thresholds) -> FloatArray:
     own = [places_of(group.load, group.speed) for group in groups]
     return np.concatenate([*own, *(places_of(load, np.array([speed.value])) for load, speed in thresholds)])
 
 
-def _ranges(places: Array) -> Array:
+def _ranges(places: FloatArray) -> FloatArray:
     """Of load and speed; of a single load its own size."""
     extent = np.ptp(places, axis=0)
     return np.where(extent > 0, extent, places[0])
 
 
-def _kernel(logarithms: Array, ranges: Array) -> SquaredExponential:
+def _kernel(logarithms: FloatArray, ranges: FloatArray) -> SquaredExponential:
     size, load, speed = np.exp(logarithms)
     return SquaredExponential(float(size), float(load * ranges[0]), float(speed * ranges[1]))
 
 
-def _minimum(problem: RunUpProblem[ProcessFamily], start: Array) -> tuple[Array, int]:
+def _minimum(problem: RunUpProblem[ProcessFamily], start: FloatArray) -> tuple[FloatArray, int]:
     found = minimise(problem, start, NEAR)
     if not found.converged:
         raise FitError("no minimum of the fit with smooth factors was found", hint="check unbalance, phases, standard errors, rotor file")
     return found.values, found.steps
 
 
-def _carried(values: Array, old: SmoothField, new: SmoothField) -> Array:
+def _carried(values: FloatArray, old: SmoothField, new: SmoothField) -> FloatArray:
     """The same fields in another basis, by least squares at the places of the data."""
     n = len(PARAMETERS)
     field = old.basis(old.places) @ values[n:].reshape(8, -1).T
@@ -109,12 +107,12 @@ class LinearData:
     """
 
     field: SmoothField
-    normal: Array
-    side: Array
-    by_family: Array
+    normal: FloatArray
+    side: FloatArray
+    by_family: FloatArray
 
     @classmethod
-    def at(cls, problem: RunUpProblem[ProcessFamily], values: Array, places: Array) -> LinearData:
+    def at(cls, problem: RunUpProblem[ProcessFamily], values: FloatArray, places: FloatArray) -> LinearData:
         n = len(PARAMETERS)
         eight, slopes = problem.family.coefficients_and_slopes(values, places[:, 0], places[:, 1])
         by_family = slopes[..., :n] / eight[..., None]
@@ -139,7 +137,7 @@ class LinearData:
         return float(reduced @ reduced / 2 - np.sum(np.log(np.diag(factor))))
 
 
-def _rows_by_place(problem: RunUpProblem[ProcessFamily], values: Array, eight: Array) -> list[tuple[Array, Array]]:
+def _rows_by_place(problem: RunUpProblem[ProcessFamily], values: FloatArray, eight: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
     """Residual (n_equation,) and its slopes by ln coefficients (n_equation, 8) at every place of the data."""
     rows, first = [], 0
     for group in problem.groups:
@@ -157,10 +155,10 @@ def _rows_by_place(problem: RunUpProblem[ProcessFamily], values: Array, eight: A
     return rows
 
 
-def _likeliest(data: LinearData, places: Array, ranges: Array) -> SquaredExponential:
+def _likeliest(data: LinearData, places: FloatArray, ranges: FloatArray) -> SquaredExponential:
     median, deviation = (np.array(column) for column in zip(*HYPER, strict=True))
 
-    def cost(parts: NDArray[np.float64]) -> float:
+    def cost(parts: FloatArray) -> float:
         field = SmoothField.of(_kernel(np.log(median) + deviation * parts, ranges), places)
         return float(parts @ parts) / 2 - data.log_likelihood(field)
 
@@ -170,7 +168,7 @@ def _likeliest(data: LinearData, places: Array, ranges: Array) -> SquaredExponen
     return SquaredExponential(likeliest.size, CAUTION * likeliest.load, CAUTION * likeliest.speed)
 
 
-def _result(problem: RunUpProblem[ProcessFamily], values: Array, steps: int) -> ProcessFit:
+def _result(problem: RunUpProblem[ProcessFamily], values: FloatArray, steps: int) -> ProcessFit:
     slopes, spread = problem.data_slopes(values), problem.spread
     covariance = np.linalg.inv(slopes.T @ slopes + np.diag(spread**-2.0))
     residual = problem.residual(values)[: slopes.shape[0]]

@@ -13,15 +13,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.rigs.film_family import PARAMETERS, FilmFamily, as_matrices
 from labpipe.rotors.threshold import CoefficientsAtSpeed
 
 # Eigenvalues of the covariance below this part of the largest are left to the unexplained variance.
 LEAST_EIGENVALUE = 1e-7
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -32,7 +30,7 @@ class SquaredExponential:
     load: float
     speed: float
 
-    def covariance(self, first: Array, second: Array) -> Array:
+    def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
         """k (n_first, n_second) between places (n, 2) of load and speed."""
         difference = (first[:, None, :] - second[None, :, :]) / np.array([self.load, self.speed])
         return np.asarray(self.size**2 * np.exp(-0.5 * np.sum(difference**2, axis=-1)))
@@ -43,11 +41,11 @@ class SmoothField:
     """Fields of one *kernel* on the *places* (n_place, 2) of the data; *weights* (n_place, n_mode): U / sqrt(eigenvalue)."""
 
     kernel: SquaredExponential
-    places: Array
-    weights: Array
+    places: FloatArray
+    weights: FloatArray
 
     @classmethod
-    def of(cls, kernel: SquaredExponential, places: Array) -> SmoothField:
+    def of(cls, kernel: SquaredExponential, places: FloatArray) -> SmoothField:
         sizes, vectors = np.linalg.eigh(kernel.covariance(places, places))
         kept = sizes > LEAST_EIGENVALUE * sizes[-1]
         return cls(kernel, places, vectors[:, kept] / np.sqrt(sizes[kept]))
@@ -56,11 +54,11 @@ class SmoothField:
     def n_mode(self) -> int:
         return int(self.weights.shape[1])
 
-    def basis(self, places: Array) -> Array:
+    def basis(self, places: FloatArray) -> FloatArray:
         """b (n_point, n_mode) at places (n_point, 2)."""
         return np.asarray(self.kernel.covariance(places, self.places) @ self.weights)
 
-    def unexplained(self, places: Array) -> Array:
+    def unexplained(self, places: FloatArray) -> FloatArray:
         """Covariance (n_point, n_point) of every field that no z describes."""
         basis = self.basis(places)
         return np.asarray(self.kernel.covariance(places, places) - basis @ basis.T)
@@ -77,16 +75,16 @@ class ProcessFamily:
     def n_parameter(self) -> int:
         return len(PARAMETERS) + 8 * self.field.n_mode
 
-    def factors(self, values: Array, load: Array | float, speed: Array) -> Array:
+    def factors(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """exp(g), (n_point, 8)."""
         basis = self.field.basis(places_of(load, speed))
         return np.asarray(np.exp(basis @ values[len(PARAMETERS) :].reshape(8, -1).T))
 
-    def coefficients(self, values: Array, load: Array | float, speed: Array) -> Array:
+    def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table."""
         return self.family.coefficients(values[: len(PARAMETERS)], load, speed) * self.factors(values, load, speed)
 
-    def coefficients_and_slopes(self, values: Array, load: Array, speed: Array) -> tuple[Array, Array]:
+    def coefficients_and_slopes(self, values: FloatArray, load: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """`coefficients` and their derivatives by all parameters, (n_point, 8, n_parameter)."""
         own, by_family = self.family.coefficients_and_slopes(values[: len(PARAMETERS)], load, speed)
         factors = self.factors(values, load, speed)
@@ -94,11 +92,11 @@ class ProcessFamily:
         by_field = np.einsum("pi,ij,pm->pijm", eight, np.eye(8), self.field.basis(places_of(load, speed)))
         return eight, np.concatenate([by_family * factors[..., None], by_field.reshape(*eight.shape, -1)], axis=-1)
 
-    def at_load(self, values: Array, load: float) -> CoefficientsAtSpeed:
+    def at_load(self, values: FloatArray, load: float) -> CoefficientsAtSpeed:
         """K and C (n_speed, 2, 2) as a function of speed."""
         return lambda speed: as_matrices(self.coefficients(values, load, speed))
 
 
-def places_of(load: Array | float, speed: Array) -> Array:
+def places_of(load: FloatArray | float, speed: FloatArray) -> FloatArray:
     """Places (n_point, 2) of loads [N] and speeds [rad/s]."""
     return np.stack(np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64)), axis=-1).reshape(-1, 2)

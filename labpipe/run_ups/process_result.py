@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.records.settings import Uncertain
 from labpipe.rigs.film_family import as_matrices
 from labpipe.rigs.run_up_rotor import RunUpRotor, largest_displacement
@@ -18,8 +18,6 @@ from labpipe.run_ups.process_field import ProcessFamily, SquaredExponential, pla
 
 # Half-width of the differences about a peak, as a part of its speed.
 PEAK_STEP = 5e-3
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -33,8 +31,8 @@ class ProcessFit:
     rig: RunUpRotor
     family: ProcessFamily
     loads: tuple[float, ...]
-    values: Array
-    covariance: Array
+    values: FloatArray
+    covariance: FloatArray
     chi2: float
     n_datum: int
     n_effective: float
@@ -72,7 +70,7 @@ class ProcessFit:
         """K and C (n_speed, 2, 2) as a function of speed [rad/s] under a *load* [N]."""
         return self.family.at_load(self.values, load)
 
-    def coefficients(self, load: float, speed: Array) -> tuple[Array, Array]:
+    def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
         speed = np.asarray(speed, np.float64)
         eight, slopes = self.family.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
@@ -80,7 +78,7 @@ class ProcessFit:
         beyond = np.diagonal(self.family.field.unexplained(places_of(load, speed)))[:, None] * eight**2
         return eight, np.sqrt(variance + np.maximum(beyond, 0)) * self.widening
 
-    def factors(self, load: float, speed: Array) -> Array:
+    def factors(self, load: float, speed: FloatArray) -> FloatArray:
         """The smooth factors themselves, (n_speed, 8)."""
         return self.family.factors(self.values, load, speed)
 
@@ -121,7 +119,7 @@ class ProcessFit:
             f"interval rests on their being alike over {self.kernel.load:.2g} N"
         )
 
-    def _error(self, load: float, speed: Array, weights: Array) -> float:
+    def _error(self, load: float, speed: FloatArray, weights: FloatArray) -> float:
         """Standard error of a prediction with slopes *weights* (n_speed, 8) by the coefficients at *speed* (n_speed,)."""
         eight, slopes = self.family.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
         by_parameter = np.einsum("ni,nij->j", weights, slopes)

@@ -10,15 +10,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.records.run_up import RunUp, Shaker
 from labpipe.rigs.film_family import as_eight
 from labpipe.rigs.run_up_rotor import RunUpRotor
 from labpipe.run_ups.misfit import rank_of, scales, unseen_combinations
-
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
 
 AMPLITUDES = "amplitudes at the planes"
 COMPLEX = "amplitude and phase in both directions"
@@ -49,7 +46,7 @@ class RankStatement:
     advice: str = ""
 
 
-def rank_statements(rig: RunUpRotor, load: float, speed: float, coefficients: Array | None = None) -> tuple[RankStatement, ...]:
+def rank_statements(rig: RunUpRotor, load: float, speed: float, coefficients: FloatArray | None = None) -> tuple[RankStatement, ...]:
     """The four statements for amplitudes, complex amplitudes, a second unbalance, and a shaker, at one *load* [N] and *speed* [rad/s].
 
     *coefficients* (8,) [N/m, N s/m]: about which, those of the rotor file unless given. Nothing measured is needed.
@@ -82,7 +79,7 @@ def measured_statement(rig: RunUpRotor, runs: Iterable[RunUp], load: float, spee
     return _statement(named, np.concatenate(parts), ADVICE if without_shaker else "")
 
 
-def _statement(data: str, slopes: Array, advice: str = "") -> RankStatement:
+def _statement(data: str, slopes: FloatArray, advice: str = "") -> RankStatement:
     rows = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
     found, condition = rank_of(rows)
     rank = int(found)
@@ -90,14 +87,16 @@ def _statement(data: str, slopes: Array, advice: str = "") -> RankStatement:
     return RankStatement(data, rank, float(condition), words, unseen_combinations(rows), advice)
 
 
-def _slopes(rig: RunUpRotor, speed: Array, eight: Array, unbalance: Mapping[str, complex] | None, shaker: Shaker | None = None) -> Array:
+def _slopes(
+    rig: RunUpRotor, speed: FloatArray, eight: FloatArray, unbalance: Mapping[str, complex] | None, shaker: Shaker | None = None
+) -> FloatArray:
     """Of real and imaginary parts (4 n_plane, 8), under an unbalance or, without one, a force along x at the first plane."""
     _, slopes = _response(rig, speed, eight, unbalance, shaker)
     return np.concatenate([slopes.real, slopes.imag])
 
 
 def _response(
-    rig: RunUpRotor, speed: Array, eight: Array, unbalance: Mapping[str, complex] | None, shaker: Shaker | None = None
+    rig: RunUpRotor, speed: FloatArray, eight: FloatArray, unbalance: Mapping[str, complex] | None, shaker: Shaker | None = None
 ) -> tuple[ComplexArray, ComplexArray]:
     shape = (1, len(rig.planes), 2)
     force = None if unbalance else shaker or Shaker(rig.plane_names[0], 1.0, 0.0)
@@ -107,7 +106,7 @@ def _response(
     return response[0], slopes[0]
 
 
-def _amplitude_slopes(rig: RunUpRotor, speed: Array, eight: Array) -> Array:
+def _amplitude_slopes(rig: RunUpRotor, speed: FloatArray, eight: FloatArray) -> FloatArray:
     """Of the largest displacement of every plane, (n_plane, 8): d |f| = Re(f* df) / |f| for both circles of the orbit."""
     response, slopes = _response(rig, speed, eight, rig.known_unbalance)
     response, slopes = response.reshape(-1, 2), slopes.reshape(-1, 2, 8)

@@ -9,12 +9,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
+from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import ConfigError
 
-# Peaks between samples count: the crest factor is taken on a grid this many times finer than the highest line needs.
+# The crest factor includes peaks between samples: the grid is this many times finer than the highest line needs.
 OVERSAMPLING = 16
 OPTIMISING_STEPS = 400
 
@@ -23,8 +23,8 @@ OPTIMISING_STEPS = 400
 class Multisine:
     """A designed test signal: *lines* [multiples of spacing], *phases* [rad] (n_line,), spacing [Hz], rms amplitude."""
 
-    lines: NDArray[np.int64]
-    phases: NDArray[np.floating]
+    lines: IntArray
+    phases: FloatArray
     spacing: float
     rms: float
 
@@ -33,8 +33,11 @@ class Multisine:
         """Peak over rms of one period on an oversampled grid."""
         return crest_factor(_period(self.lines, self.phases, OVERSAMPLING * int(self.lines[-1]) * 2))
 
-    def samples(self, sample_rate: float, periods: int) -> NDArray[np.floating]:
-        """*periods* periods sampled at *sample_rate* [Hz]; ConfigError when a period holds no whole number of samples."""
+    def samples(self, sample_rate: float, periods: int) -> FloatArray:
+        """*periods* periods sampled at *sample_rate* [Hz], (n_sample,) [unit of rms].
+
+        ConfigError when a period holds no whole number of samples, or the sampling rate is too low for the highest line.
+        """
         exact = sample_rate / self.spacing
         n_sample = round(exact)
         if abs(exact - n_sample) > 1e-9 * exact:
@@ -60,8 +63,8 @@ def design_multisine(
 ) -> Multisine:
     """A multisine with lines every *spacing* [Hz] in *band* [Hz]; ConfigError for an empty band or unknown phases.
 
-    *odd_only* keeps the odd multiples of the spacing: even ones then show even distortion. *leave_out* takes one line, drawn with
-    *seed*, out of every group of so many: these show odd distortion (Pintelon and Schoukens, System Identification, sec. 4.3.2).
+    *odd_only* keeps the odd multiples of the spacing: even lines then show even distortion. *leave_out* removes one line, drawn
+    with *seed*, from every group of that many: these show odd distortion (Pintelon and Schoukens, System Identification, sec. 4.3.2).
     """
     if leave_out == 1 or leave_out < 0:
         raise ConfigError(f"leaving one of {leave_out} lines out leaves none", hint="one of 3 or 4 is usual; 0 keeps all")
@@ -72,7 +75,7 @@ def design_multisine(
     if odd_only:
         lines = lines[lines % 2 == 1]
     if leave_out:
-        lines = np.delete(lines, _one_of_each(lines.size, leave_out, seed))
+        lines = np.delete(lines, _left_out(lines.size, leave_out, seed))
     if not lines.size:
         raise ConfigError(f"no line every {spacing:g} Hz lies in {band[0]:g}-{band[1]:g} Hz", hint="widen the band or narrow the spacing")
     if phases not in PHASES:
@@ -80,33 +83,33 @@ def design_multisine(
     return Multisine(lines, PHASES[phases](lines, seed), spacing, rms)
 
 
-def _one_of_each(n_line: int, group: int, seed: int) -> NDArray[np.int64]:
-    """The number of one line in every whole group of *group* lines; the first and the last line stay, so that the band is kept."""
+def _left_out(n_line: int, group: int, seed: int) -> IntArray:
+    """Indices of one line in every complete group of *group* lines; the first and the last line stay, so that the band is kept."""
     starts = np.arange(1, n_line - group, group)
     return np.asarray(starts + np.random.default_rng(seed).integers(0, group, starts.size))
 
 
-def crest_factor(signal: NDArray[np.floating]) -> float:
-    """max |x| / rms of a signal (n_sample,)."""
+def crest_factor(signal: FloatArray) -> float:
+    """Crest factor max |x| / rms [1] of a signal (n_sample,)."""
     return float(np.max(np.abs(signal)) / np.sqrt(np.mean(signal**2)))
 
 
-def schroeder_phases(lines: NDArray[np.int64], seed: int = 0) -> NDArray[np.floating]:  # noqa: ARG001 (one signature for the table)
-    """phi_n = -pi n (n - 1) / N for the n-th of N lines of a flat spectrum (Schroeder 1970)."""
+def schroeder_phases(lines: IntArray, seed: int = 0) -> FloatArray:  # noqa: ARG001 (one signature for the table)
+    """phi_n = -pi n (n - 1) / N [rad], (n_line,), for the n-th of N lines of a flat spectrum (Schroeder 1970)."""
     n = np.arange(1, lines.size + 1)
     return -np.pi * n * (n - 1) / lines.size
 
 
-def random_phases(lines: NDArray[np.int64], seed: int = 0) -> NDArray[np.floating]:
-    """Phases drawn evenly from the circle."""
+def random_phases(lines: IntArray, seed: int = 0) -> FloatArray:
+    """Uniformly distributed phases, (n_line,) [rad]."""
     return np.random.default_rng(seed).uniform(0, 2 * np.pi, lines.size)
 
 
-def optimised_phases(lines: NDArray[np.int64], seed: int = 0) -> NDArray[np.floating]:  # noqa: ARG001
-    """Phases of low crest factor by clipping in turn in time and frequency (Van der Ouderaa, Schoukens and Renneboog 1988).
+def optimised_phases(lines: IntArray, seed: int = 0) -> FloatArray:  # noqa: ARG001
+    """Phases of low crest factor, (n_line,) [rad], by alternate clipping (Van der Ouderaa, Schoukens and Renneboog 1988).
 
-    From Schroeder's start each step cuts the peaks off, keeps the phases of what is left and restores the amplitudes; the cut is
-    made gentler from step to step. The best of all steps is returned, so it is never worse than the start.
+    From Schroeder's phases each step clips the peaks, keeps the phases of the clipped signal and restores the amplitudes; the clipping
+    level rises from step to step. The best step is returned, so the result is never worse than the start.
     """
     n_sample = OVERSAMPLING * int(lines[-1]) * 2
     phases = schroeder_phases(lines)
@@ -121,14 +124,14 @@ def optimised_phases(lines: NDArray[np.int64], seed: int = 0) -> NDArray[np.floa
     return best
 
 
-PHASES: dict[str, Callable[[NDArray[np.int64], int], NDArray[np.floating]]] = {
+PHASES: dict[str, Callable[[IntArray, int], FloatArray]] = {
     "schroeder": schroeder_phases,
     "random": random_phases,
     "optimised": optimised_phases,
 }
 
 
-def _period(lines: NDArray[np.int64], phases: NDArray[np.floating], n_sample: int) -> NDArray[np.floating]:
+def _period(lines: IntArray, phases: FloatArray, n_sample: int) -> FloatArray:
     """One period of sum cos(2 pi k t + phi_k) on n_sample points."""
     spectrum = np.zeros(n_sample // 2 + 1, np.complex128)
     spectrum[lines] = np.exp(1j * phases) * (n_sample / 2)

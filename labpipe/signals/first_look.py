@@ -1,18 +1,19 @@
-"""A first look at a force nobody described: is it periodic, hammer hits or random, and which frequencies does it hold?"""
+"""Classification of an unknown force: periodic, impact or random, and its band."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-# Two periods of a periodic signal are alike to at least this (their correlation); noise stays far below.
+from labpipe.arrays import FloatArray, IntArray
+
+# Least correlation of two periods of a periodic signal; that of noise is far below.
 ALIKE = 0.9
-# The force of hits rests for most of the time: peak over rms, and share of samples below a hundredth of the peak.
+# Hits: least peak over rms, and least share of samples below a hundredth of the peak.
 HIT_CREST, RESTING = 8.0, 0.7
-# Power below the strongest line that still counts as excited: 30 dB.
+# Least power of an excited line relative to the strongest one: -30 dB.
 EXCITED = 1e-3
 # A random recording is cut into about this many blocks, so that its averages number some thirty with 50 % overlap.
 BLOCKS = 16
@@ -20,7 +21,7 @@ BLOCKS = 16
 
 @dataclass(frozen=True)
 class Excitation:
-    """What a force looks like. length: samples of a period (periodic) or of a block (random, impact); band: where it has power [Hz]."""
+    """The kind of a force; length: samples of a period (periodic) or of a block (random, impact); band with power [Hz]."""
 
     kind: str
     length: int
@@ -28,7 +29,7 @@ class Excitation:
     repeats: int
 
 
-def look(force: NDArray[np.floating], sample_rate: float) -> Excitation:
+def look(force: FloatArray, sample_rate: float) -> Excitation:
     """The kind of a force (n_sample,) [any unit] sampled at *sample_rate* [Hz]."""
     force = force - np.median(force)
     hits = hit_starts(force)
@@ -44,10 +45,10 @@ def look(force: NDArray[np.floating], sample_rate: float) -> Excitation:
     return Excitation("random", length, _band(force, sample_rate), force.size // length)
 
 
-def find_period(signal: NDArray[np.floating]) -> int:
-    """The shortest lag [samples] after which the signal (n_sample,) comes again, at least twice; 0 when there is none.
+def find_period(signal: FloatArray) -> int:
+    """The period of a signal (n_sample,) [any unit] in samples, with at least two periods in the signal; 0 when it is not periodic.
 
-    A lag L counts when the correlation of x[n] and x[n + L] over all n exceeds ALIKE, and more than at its neighbours.
+    A lag L counts when the correlation of x[n] and x[n + L] over all n exceeds ALIKE and is a local maximum.
     """
     n = signal.size
     if n < 8 or not np.any(signal):
@@ -57,21 +58,21 @@ def find_period(signal: NDArray[np.floating]) -> int:
     power = np.concatenate([[0.0], np.cumsum(signal**2)])
     lags = np.arange(product.size)
     correlation = product / np.sqrt(np.maximum(power[n - lags] * (power[n] - power[lags]), np.finfo(float).tiny))
-    # A slow signal is like itself after a few samples as well: the first lag counts only once the likeness was lost.
-    lost = np.flatnonzero(correlation < 0.5)
-    if not lost.size:
+    # A slow signal also correlates with itself at short lags: lags count from the first low correlation on.
+    uncorrelated = np.flatnonzero(correlation < 0.5)
+    if not uncorrelated.size:
         return 0
-    later = correlation[lost[0] :]
+    later = correlation[uncorrelated[0] :]
     peaks = np.flatnonzero((later[1:-1] >= ALIKE) & (later[1:-1] >= later[:-2]) & (later[1:-1] >= later[2:])) + 1
     if not peaks.size:
         return 0
-    # Noise lowers all whole multiples alike; the shortest lag that comes near the best one is the period.
+    # Noise lowers the correlation at all multiples of the period equally; the period is the shortest lag close to the maximum.
     near = peaks[later[peaks] >= later[peaks].max() - (1 - ALIKE) / 2]
-    return int(lost[0] + near[0])
+    return int(uncorrelated[0] + near[0])
 
 
-def hit_starts(force: NDArray[np.floating]) -> NDArray[np.intp]:
-    """The samples at which hits of a hammer begin; none where the force (n_sample,) does not rest most of the time."""
+def hit_starts(force: FloatArray) -> IntArray:
+    """Samples at which hammer hits begin, (n_hit,); none where the force (n_sample,) [N] is not near zero most of the time."""
     peak, rms = float(np.max(np.abs(force))), float(np.sqrt(np.mean(force**2)))
     if rms == 0 or peak < HIT_CREST * rms or np.mean(np.abs(force) < 0.01 * peak) < RESTING:
         return np.empty(0, np.intp)
@@ -85,8 +86,8 @@ def round_down(samples: int) -> int:
     return max(step * decade for step in (1, 2, 5) if step * decade <= samples)
 
 
-def _line_band(force: NDArray[np.floating], period: int, sample_rate: float) -> tuple[float, float]:
-    """The first and the last line of a periodic force that holds power."""
+def _line_band(force: FloatArray, period: int, sample_rate: float) -> tuple[float, float]:
+    """The first and the last line [Hz] with power of a periodic force."""
     whole = force[: force.size // period * period].reshape(-1, period).mean(axis=0)
     power = np.abs(fft.rfft(whole)) ** 2
     power[0] = 0.0
@@ -94,8 +95,8 @@ def _line_band(force: NDArray[np.floating], period: int, sample_rate: float) -> 
     return float(lines[0]), float(lines[-1])
 
 
-def _band(force: NDArray[np.floating], sample_rate: float) -> tuple[float, float]:
-    """Where a force that is not periodic has power, by the mean spectrum of its blocks."""
+def _band(force: FloatArray, sample_rate: float) -> tuple[float, float]:
+    """The band [Hz] with power of a force that is not periodic, from the mean spectrum of its blocks."""
     length = max(force.size // BLOCKS, 8)
     blocks = force[: force.size // length * length].reshape(-1, length)
     power = np.mean(np.abs(fft.rfft(blocks * np.hanning(length), axis=1)) ** 2, axis=0)

@@ -1,24 +1,24 @@
-"""What is wrong with the samples: clipping, missing numbers, channels that stand still, uneven time steps; block by block."""
+"""Faults of the samples, block by block: clipping, missing numbers, constant channels, uneven time steps."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 
-# A converter that saturates repeats its end value; fewer repeats happen by chance at a coarse resolution.
+# Equal consecutive samples that count as clipping; fewer occur by chance at a coarse resolution.
 CLIPPED_RUN = 3
 # A time step may differ from the mean by this share, beside the rounding of printed times.
 JITTER = 1e-3
-# A recorded value this near to the end of the range (share of the range) stands at it: units convert with rounding.
+# Distance to the end of the range (share of the range) that counts as the end itself: unit conversion rounds.
 AT_LIMIT = 1e-9
-# Steps of more printed digits than this cannot lose a sample within the rounding of the times.
+# Time steps longer than this many last printed digits cannot hide a lost sample in the rounding of the times.
 FINE = 3.0
-# Share of the last printed digit by which mean and typical step differ when the digits are too few for the step.
+# Share of the last printed digit by which mean and median step differ when the times have too few digits.
 COARSE = 0.1
 
 
@@ -35,8 +35,8 @@ class ChannelScreen:
         self._first_missing = np.full(n, -1)
         self._ends = [_both_ends(limit) for limit in limits or [None] * n]
 
-    def add(self, block: NDArray[np.floating]) -> None:
-        """Take the next block."""
+    def add(self, block: FloatArray) -> None:
+        """Add the next block (n, n_channel) [unit of the channel]."""
         if not block.shape[0]:
             return
         missing = ~np.isfinite(block)
@@ -49,46 +49,46 @@ class ChannelScreen:
                 end.add(column, self.n_sample)
         self.n_sample += block.shape[0]
 
-    def _add_levels(self, block: NDArray[np.floating], missing: NDArray[np.bool_]) -> None:
-        """Sums around each channel's first number: a small signal on a large offset keeps its variance."""
+    def _add_levels(self, block: FloatArray, missing: BoolArray) -> None:
+        """Sums about each channel's first number, so that a small signal on a large offset keeps its variance."""
         fresh = np.isnan(self._origin) & ~missing.all(axis=0)
         self._origin[fresh] = block[np.argmin(missing, axis=0)[fresh], fresh]
         beside = np.where(missing, 0.0, block - self._origin)
         self._sum += beside.sum(axis=0)
         self._squares += (beside**2).sum(axis=0)
 
-    def _note_missing(self, missing: NDArray[np.bool_]) -> None:
+    def _note_missing(self, missing: BoolArray) -> None:
         self._n_missing += missing.sum(axis=0)
         fresh = (self._first_missing < 0) & missing.any(axis=0)
         self._first_missing[fresh] = self.n_sample + np.argmax(missing[:, fresh], axis=0)
 
     @property
-    def mean(self) -> NDArray[np.floating]:
-        """Mean per channel over the samples that are numbers."""
+    def mean(self) -> FloatArray:
+        """Mean per channel over the samples that are numbers, (n_channel,) [unit of the channel]."""
         return self._sum / np.maximum(self.n_sample - self._n_missing, 1) + np.nan_to_num(self._origin)
 
     @property
-    def rms(self) -> NDArray[np.floating]:
-        """Root mean square around the mean per channel."""
+    def rms(self) -> FloatArray:
+        """Root mean square about the mean per channel, (n_channel,) [unit of the channel]."""
         n = np.maximum(self.n_sample - self._n_missing, 1)
         return np.sqrt(np.maximum(self._squares / n - (self._sum / n) ** 2, 0.0))
 
     def findings(self) -> tuple[Finding, ...]:
-        """Everything found, in words, with the channel and its first sample."""
-        found: list[Finding] = []
+        """Warnings of gaps, constant channels and clipping, with the channel and the first sample."""
+        faults: list[Finding] = []
         for number, name in enumerate(self._names):
             if self._n_missing[number]:
                 count, first = self._n_missing[number], self._first_missing[number]
-                found.append(
+                faults.append(
                     Finding("gap", f"channel {name}: {count} of {self.n_sample} samples are no numbers, the first is sample {first}")
                 )
             if self._n_missing[number] == self.n_sample:
                 continue
             if not self.maximum[number] > self.minimum[number]:
-                found.append(Finding("constant", f"channel {name} does not vary at all"))
+                faults.append(Finding("constant", f"channel {name} does not vary at all"))
                 continue
-            found.extend(self._clipping(number, name))
-        return tuple(found)
+            faults.extend(self._clipping(number, name))
+        return tuple(faults)
 
     def _clipping(self, number: int, name: str) -> list[Finding]:
         runs = [end.clipped() for end in self._ends[number]]
@@ -117,7 +117,7 @@ class _EndRuns:
         self._first = -1
         self._open = 0
 
-    def add(self, column: NDArray[np.floating], start: int) -> None:
+    def add(self, column: FloatArray, start: int) -> None:
         values = self._sign * column
         peak = np.max(values, initial=-np.inf, where=np.isfinite(values))
         if peak > self._extreme:
@@ -155,7 +155,7 @@ class _AtLimit:
         self._count = 0
         self._first = -1
 
-    def add(self, column: NDArray[np.floating], start: int) -> None:
+    def add(self, column: FloatArray, start: int) -> None:
         beyond = np.isfinite(column) & (self._sign * column >= self._limit)
         if self._first < 0 and beyond.any():
             self._first = start + int(np.argmax(beyond))
@@ -167,14 +167,14 @@ class _AtLimit:
 
 
 def _both_ends(limits: tuple[float, float] | None) -> tuple[_EndRuns, _EndRuns] | tuple[_AtLimit, _AtLimit]:
-    """What finds clipping at the lower and the upper end; a known range settles it, otherwise repeats at the extremes do."""
+    """Detectors of clipping at the lower and the upper end: by the known range, otherwise by repeated extreme values."""
     if limits is None:
         return _EndRuns(-1.0), _EndRuns(1.0)
     return _AtLimit(-1.0, limits), _AtLimit(1.0, limits)
 
 
 class TimeAxisScreen:
-    """A time column [s], fed block by block: it must rise in equal steps."""
+    """Check of a time column [s] for equal, rising steps, fed block by block."""
 
     def __init__(self, column: str) -> None:
         self._column = column
@@ -184,8 +184,8 @@ class TimeAxisScreen:
         self._resolution = np.inf
         self._typical = np.nan
 
-    def add(self, times: NDArray[np.floating]) -> None:
-        """Take the next time stamps; DataError at a missing one or one that does not rise."""
+    def add(self, times: FloatArray) -> None:
+        """Add the next times (n,) [s]; DataError at a missing time or one that does not rise."""
         if not times.size:
             return
         if not np.all(np.isfinite(times)):
@@ -202,7 +202,7 @@ class TimeAxisScreen:
                 self._typical = float(np.median(steps))
             self._smallest = min(self._smallest, (float(steps.min()), offset + 1 + int(steps.argmin())))
             self._largest = max(self._largest, (float(steps.max()), offset + 1 + int(steps.argmax())))
-        # The finest block counts: a short one may hold round numbers only.
+        # The finest resolution of all blocks: a short block may hold round numbers only.
         self._resolution = min(self._resolution, _printed_resolution(times))
         if self._n_sample == 0:
             self._first = float(times[0])
@@ -214,10 +214,10 @@ class TimeAxisScreen:
         if self._n_sample < 2:
             raise DataError(f"the time column '{self._column}' has fewer than two samples")
         step = (self._last - self._first) / (self._n_sample - 1)
-        # Times printed coarsely make unequal steps of equal ones, by one last digit (half a digit on either side). Where a step is
-        # hardly longer than that digit and the typical step is the mean one that is no excuse: an unequal step is a lost sample.
+        # Coarsely printed times make equal steps differ by one last digit (half a digit at either end). That is not allowed for
+        # where a step is hardly longer than the digit and the median step equals the mean: an unequal step is a lost sample then.
         coarse = step > FINE * self._resolution or abs(step - self._typical) > COARSE * self._resolution
-        # Stored numbers are rounded as well: a date in seconds is known to 2e-7 s only, at either end of a step.
+        # Stored numbers are rounded as well: a date in seconds is accurate to 2e-7 s only, at either end of a step.
         stored = float(np.spacing(max(abs(self._first), abs(self._last))))
         allowed = JITTER * step + stored + (self._resolution if coarse else 0.0)
         for extreme, sample in (self._largest, self._smallest):
@@ -229,10 +229,10 @@ class TimeAxisScreen:
         return float(f"{1 / step:.12g}")
 
 
-def _printed_resolution(times: NDArray[np.floating]) -> float:
-    """The last digit to which times are printed: the largest power of ten, 1 at most, of which all are multiples.
+def _printed_resolution(times: FloatArray) -> float:
+    """The last printed digit of the times: the largest power of ten, 1 at most, of which all are multiples.
 
-    Never finer than the numbers themselves: a date in seconds is known to 2e-7 s only.
+    Never finer than the floating-point numbers: a date in seconds is accurate to 2e-7 s only.
     """
     spacing = float(np.spacing(np.max(np.abs(times))))
     for digits in range(12):

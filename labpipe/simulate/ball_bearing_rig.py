@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.bending_curve import bent_transfer_matrix
 from labpipe.bearings.rolling import DOFS
 from labpipe.bearings.rolling_kinds import rolling_coefficients
@@ -146,7 +146,7 @@ def true_preload(rig: VirtualBallBearingRig, test: ShakerTest, seed: int) -> flo
     return test.preload * (1 + rig.noise.preload * float(_generator(seed, test.setting).standard_normal()))
 
 
-def true_stiffness(rig: VirtualBallBearingRig, test: ShakerTest, preload: float) -> NDArray[np.floating]:
+def true_stiffness(rig: VirtualBallBearingRig, test: ShakerTest, preload: float) -> FloatArray:
     """K of the bearing (5, 5): ratio (1 + hysteresis on the way down) times the theory's at the preload [N]."""
     loads = replace(test.tested.bearing.loads, z=preload)
     (found,) = rolling_coefficients([replace(test.tested.bearing, loads=loads)])
@@ -154,7 +154,7 @@ def true_stiffness(rig: VirtualBallBearingRig, test: ShakerTest, preload: float)
     return factor * found.stiffness
 
 
-def lever(rig: VirtualBallBearingRig) -> NDArray[np.floating]:
+def lever(rig: VirtualBallBearingRig) -> FloatArray:
     """(5,): displacement measured per dof; a tilt is measured as the displacement at the arm, its moment is a force there."""
     return np.array([1.0, 1.0, 1.0, rig.arm, rig.arm])
 

@@ -13,9 +13,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.journal_kind import Wear
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.errors import ConfigError
@@ -31,8 +31,6 @@ AXES = ("y", "z")
 HEALTHY = (("healthy", Wear()),)
 # Lines that are solved at once: the free rotor has four equations per node.
 LINES_AT_ONCE = 512
-
-Complex = NDArray[np.complexfloating]
 
 
 @dataclass(frozen=True)
@@ -113,7 +111,7 @@ def true_rig(virtual: VirtualJournalRig, depth: float, angle: float) -> RotorRig
     return rig.with_bearings([nominal.name], wear_depth=depth, wear_angle=angle)
 
 
-def receptance(rig: RotorRig, frequency: NDArray[np.floating], mesh: FilmMesh) -> Complex:
+def receptance(rig: RotorRig, frequency: FloatArray, mesh: FilmMesh) -> ComplexArray:
     """From forces in y and z to displacements in y and z at the rig's nodes at *frequency* (n,) [Hz], above zero; (n, 2, 2) [m/N]."""
     supports = rig.supports(mesh)
     nodes = (*(place.node for place in rig.bearings), rig.force, rig.response)
@@ -134,19 +132,19 @@ def journal_runs(virtual: VirtualJournalRig, seed: int, names: Sequence[str]) ->
 
 
 @lru_cache(maxsize=8)
-def _response(virtual: VirtualJournalRig, wear: Wear) -> Complex:
+def _response(virtual: VirtualJournalRig, wear: Wear) -> ComplexArray:
     """H on every line of a run up to the bandwidth and at the shaft speed, which comes last, (n_line + 1, 2, 2) [m/N]."""
     rig = true_rig(virtual, wear.depth, wear.angle)
     return receptance(rig, np.append(_lines(virtual), rig.speed), virtual.mesh)
 
 
-def _lines(virtual: VirtualJournalRig) -> NDArray[np.floating]:
+def _lines(virtual: VirtualJournalRig) -> FloatArray:
     """Frequencies of the run's lines that the force excites, (n_line,) [Hz]."""
     lines = fft.rfftfreq(virtual.n_sample, 1 / virtual.sample_rate)[1:]
     return np.asarray(lines[lines <= virtual.bandwidth])
 
 
-def _run(virtual: VirtualJournalRig, name: str, response: Complex, rng: np.random.Generator) -> Recording:
+def _run(virtual: VirtualJournalRig, name: str, response: ComplexArray, rng: np.random.Generator) -> Recording:
     n, axis = virtual.n_sample, name[-1]
     spectrum = np.zeros(n // 2 + 1, np.complex128)
     excited = slice(1, response.shape[0])
@@ -160,7 +158,7 @@ def _run(virtual: VirtualJournalRig, name: str, response: Complex, rng: np.rando
     return Recording(channels, np.column_stack([fft.irfft(spectrum, n), motion]) + noise, virtual.sample_rate, name)
 
 
-def _unbalance_motion(virtual: VirtualJournalRig, response: Complex, phase: float) -> NDArray[np.floating]:
+def _unbalance_motion(virtual: VirtualJournalRig, response: ComplexArray, phase: float) -> FloatArray:
     """Steady motion (n_sample, 2) [m] under u W^2 (cos, sin)(W t + phase), turning from y to z; *response* (2, 2) at the shaft speed."""
     assert virtual.rig is not None
     turning = virtual.unbalance * virtual.rig.omega**2 * np.array([1, -1j])

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.magnetic_loop import ControlLoop, dynamic_stiffness
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
@@ -28,8 +28,6 @@ INJECTION = 0.05  # rms [V]
 RUN_UP = (20.0, 8000 / 60, 10.0)
 UNBALANCE = {"front": (15e-6, 0.0), "rear": (9e-6, 1.2)}
 AXIAL_SHARE = 0.15
-
-Samples = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Loop
     found = _logged(closed.run(_inputs(pushed, noise)), rate, round(periods * rate))
     shaker = force.samples(rate, periods) + rng.normal(0.0, rig.noise.force, round(periods * rate))
     channels = [Channel("f", "force", "input", "45 deg", np.pi / 4)]
-    columns: list[Samples] = [shaker]
+    columns: list[FloatArray] = [shaker]
     for number, dof in enumerate("xy"):
         channels.append(Channel(dof, "displacement", "output", dof, AXIS_ANGLES[dof]))
         columns.append(found[:, number, READING])
@@ -136,9 +134,9 @@ def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Loop
     return LoopRun(name, truth, Recording(tuple(channels), np.column_stack([found, pulse]), rate, name))
 
 
-def _unbalance_force(mass: float, speed: Samples, angle: Samples, eccentricity: float, place: float, quarter: float) -> Samples:
+def _unbalance_force(mass: float, speed: FloatArray, angle: FloatArray, eccentricity: float, place: float, quarter: float) -> FloatArray:
     """m e (2 pi n)^2 cos(theta + place - quarter) [N]."""
-    force: Samples = mass * eccentricity * (2 * np.pi * speed) ** 2 * np.cos(angle + place - quarter)
+    force: FloatArray = mass * eccentricity * (2 * np.pi * speed) ** 2 * np.cos(angle + place - quarter)
     return force
 
 
@@ -146,24 +144,24 @@ def _length(seconds: float) -> int:
     return round((seconds + MARGIN) * CONTROL_RATE)
 
 
-def _straight_force(force: Multisine) -> Samples:
+def _straight_force(force: Multisine) -> FloatArray:
     """One period at the controller's rate whose straight lines between samples have the multisine's lines."""
     spectrum = np.fft.rfft(force.samples(CONTROL_RATE, 1))
     spectrum[force.lines] /= straight(line_frequencies(force), CONTROL_RATE)
     return np.fft.irfft(spectrum, round(CONTROL_RATE / force.spacing))
 
 
-def _inputs(force: Samples, noise: Samples) -> Samples:
+def _inputs(force: FloatArray, noise: FloatArray) -> FloatArray:
     """(n_sample, n_direction, 4) of the force (n_sample + 1, n_direction) and the probe's noise; nothing injected."""
     return np.stack([force[:-1], force[1:], noise, np.zeros_like(noise)], axis=2)
 
 
-def _probe_noise(rig: VirtualMagneticRig, rate: float, shape: tuple[int, int], rng: np.random.Generator) -> Samples:
+def _probe_noise(rig: VirtualMagneticRig, rate: float, shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:
     """White noise in the loop that has the rig's standard deviation in a recording at *rate* [Hz]."""
     return rng.normal(0.0, rig.noise.displacement * np.sqrt(CONTROL_RATE / rate), shape)
 
 
-def _hover_force(rig: VirtualMagneticRig, plant: Suspended, shape: tuple[int, int], rng: np.random.Generator) -> Samples:
+def _hover_force(rig: VirtualMagneticRig, plant: Suspended, shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:
     """A slow force that makes the rotor wander by the stated rms: white noise through a first-order low pass."""
     # Loading scipy.signal takes longer than most runs.
     from scipy import signal
@@ -171,11 +169,11 @@ def _hover_force(rig: VirtualMagneticRig, plant: Suspended, shape: tuple[int, in
     b, a = signal.butter(1, HOVER_CORNER, fs=CONTROL_RATE)
     wander = signal.lfilter(b, a, rng.normal(0.0, 1.0, shape), axis=0)
     static = plant.stiffness + plant.bearings * dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real
-    force: Samples = static * rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
+    force: FloatArray = static * rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
     return force
 
 
-def _logged(outputs: Samples, rate: float, n_sample: int) -> Samples:
+def _logged(outputs: FloatArray, rate: float, n_sample: int) -> FloatArray:
     """The loop's signals as a logger with its filter stores them: every channel by the same filter without delay."""
     # Loading scipy.signal takes longer than most runs.
     from scipy import signal

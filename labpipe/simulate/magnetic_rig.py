@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.signals.excitation import design_multisine
@@ -37,7 +37,7 @@ class SimulatedRun:
     name: str
     truth: dict[str, Any]
     recording: Recording | None = None
-    table: dict[str, NDArray[np.floating]] | None = None
+    table: dict[str, FloatArray] | None = None
 
 
 def simulate(rig: VirtualMagneticRig, seed: int, runs: Sequence[str] | None = None) -> tuple[SimulatedRun, ...]:
@@ -69,11 +69,11 @@ def _generator(seed: int, name: str) -> np.random.Generator:
     return np.random.default_rng([seed, zlib.crc32(name.encode())])
 
 
-def _noisy(clean: NDArray[np.floating], std: float, rng: np.random.Generator) -> NDArray[np.floating]:
+def _noisy(clean: FloatArray, std: float, rng: np.random.Generator) -> FloatArray:
     return clean + rng.normal(0.0, std, clean.shape)
 
 
-def _recording(name: str, channels: list[Channel], samples: list[NDArray[np.floating]], sample_rate: float) -> Recording:
+def _recording(name: str, channels: list[Channel], samples: list[FloatArray], sample_rate: float) -> Recording:
     return Recording(tuple(channels), np.column_stack(samples), sample_rate, name)
 
 
@@ -131,7 +131,7 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
     return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
 
 
-def _hover(rig: VirtualMagneticRig, timing: Timing, rng: np.random.Generator) -> NDArray[np.floating]:
+def _hover(rig: VirtualMagneticRig, timing: Timing, rng: np.random.Generator) -> FloatArray:
     """Slow random wander of the levitated rotor: white noise through a first-order low pass, with the stated rms."""
     # Loading scipy.signal takes longer than most runs.
     from scipy import signal
@@ -142,11 +142,11 @@ def _hover(rig: VirtualMagneticRig, timing: Timing, rng: np.random.Generator) ->
     return rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
 
 
-def _rotation(rig: VirtualMagneticRig, timing: Timing, quarter: float) -> NDArray[np.floating]:
+def _rotation(rig: VirtualMagneticRig, timing: Timing, quarter: float) -> FloatArray:
     """1x of the unbalance and cogging lines at 2x and 4x of speed; speed is no multiple of the spacing."""
     t = np.arange(timing.n_sample * timing.periods) / timing.sample_rate
     angle = 2 * np.pi * rig.speed * t - quarter
-    motion: NDArray[np.floating] = rig.unbalance * (np.cos(angle) + 0.25 * np.cos(2 * angle) + 0.12 * np.cos(4 * angle))
+    motion: FloatArray = rig.unbalance * (np.cos(angle) + 0.25 * np.cos(2 * angle) + 0.12 * np.cos(4 * angle))
     return motion
 
 
@@ -221,7 +221,7 @@ def logged(run: SimulatedRun) -> LoggedTable:
     return LoggedTable({"t [s]": np.arange(run.recording.n_sample) / run.recording.sample_rate, **columns}, text=True)
 
 
-def _recorded_columns(recording: Recording) -> dict[str, NDArray[np.floating]]:
+def _recorded_columns(recording: Recording) -> dict[str, FloatArray]:
     """The channels as the logger records them: "force [N]", "x [um]", "y [V]"."""
     columns = {}
     for number, channel in enumerate(recording.channels):

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.settings import Settings, setting
@@ -50,17 +50,17 @@ class VirtualMdofRig(Settings):
             raise ConfigError("lines: two or more from `first` up to `last` are needed")
 
     @property
-    def frequency(self) -> NDArray[np.floating]:
+    def frequency(self) -> FloatArray:
         """(n_line,) [Hz]."""
         return np.linspace(self.lines.first, self.lines.last, self.lines.count)
 
 
-def exact_receptance(rig: VirtualMdofRig) -> NDArray[np.complexfloating]:
+def exact_receptance(rig: VirtualMdofRig) -> ComplexArray:
     """(K + j w C - w^2 M)^-1 on the rig's lines, (n_line, n_dof, n_dof) [m/N]."""
     w = 2 * np.pi * rig.frequency[:, None, None]
     mass = np.array(rig.mass, float)
     mass = np.diag(mass) if mass.ndim == 1 else mass
-    h: NDArray[np.complexfloating] = np.linalg.inv(np.array(rig.stiffness) + 1j * w * np.array(rig.damping) - w**2 * mass)
+    h: ComplexArray = np.linalg.inv(np.array(rig.stiffness) + 1j * w * np.array(rig.damping) - w**2 * mass)
     return h
 
 

@@ -6,14 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.magnetic_loop import dynamic_stiffness, inferred_negative_stiffness
 from labpipe.signals.excitation import Multisine
 from labpipe.simulate.magnetic_settings import Levitation, VirtualMagneticRig
-
-Complex = NDArray[np.complexfloating]
 
 # Two force directions are tested on coefficients that differ in every place, as a fluid-film bearing's do.
 COUPLED_STIFFNESS = np.array([[180e3, 25e3], [-18e3, 210e3]])
@@ -42,13 +40,13 @@ class Timing:
         return self.transient + PERIODS
 
 
-def relaxation(levitation: Levitation, omega: NDArray[np.floating]) -> Complex:
+def relaxation(levitation: Levitation, omega: FloatArray) -> ComplexArray:
     """k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau) of one bearing at *omega* [rad/s], (n_line,) [N/m]."""
-    relative: Complex = 1j * omega / (2 * np.pi * levitation.corner)
+    relative: ComplexArray = 1j * omega / (2 * np.pi * levitation.corner)
     return levitation.static + levitation.dynamic * relative / (1 + relative)
 
 
-def control_loop(levitation: Levitation, omega: NDArray[np.floating]) -> Complex:
+def control_loop(levitation: Levitation, omega: FloatArray) -> ComplexArray:
     """k(w) + j w c(w) = K G(jw) - k_n of one bearing under position control at *omega* [rad/s], (n_line,) [N/m].
 
     Lim et al. (2009), eq. 7 and table 1; the negative stiffness k_n is what leaves the static stiffness k_0 at rest.
@@ -61,37 +59,37 @@ def negative_stiffness(levitation: Levitation) -> float:
     return inferred_negative_stiffness(levitation.loop, levitation.static)
 
 
-LEVITATION_LAWS: dict[str, Callable[[Levitation, NDArray[np.floating]], Complex]] = {
+LEVITATION_LAWS: dict[str, Callable[[Levitation, FloatArray], ComplexArray]] = {
     "relaxation": relaxation,
     "control-loop": control_loop,
 }
 
 
-def levitation_stiffness(levitation: Levitation, omega: NDArray[np.floating]) -> Complex:
+def levitation_stiffness(levitation: Levitation, omega: FloatArray) -> ComplexArray:
     """k(w) + j w c(w) of all bearings together at *omega* [rad/s], (n_line,) [N/m]."""
     return levitation.bearings * LEVITATION_LAWS[levitation.law](levitation, omega)
 
 
-def one_dof(mass: float, stiffness: float, damping: float, omega: NDArray[np.floating]) -> Complex:
+def one_dof(mass: float, stiffness: float, damping: float, omega: FloatArray) -> ComplexArray:
     """Dynamic stiffness k - w^2 m + j w c at *omega* [rad/s], (n_line,) [N/m]."""
-    dynamic: Complex = stiffness - omega**2 * mass + 1j * omega * damping
+    dynamic: ComplexArray = stiffness - omega**2 * mass + 1j * omega * damping
     return dynamic
 
 
-def levitated(rig: VirtualMagneticRig, omega: NDArray[np.floating]) -> Complex:
+def levitated(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexArray:
     """Dynamic stiffness of pedestal and levitated rotor in one direction at *omega* [rad/s], (n_line,) [N/m]."""
     pedestal = one_dof(rig.rotor_mass, rig.pedestal_stiffness, rig.pedestal_damping, omega)
     return pedestal + levitation_stiffness(rig.levitation, omega)
 
 
-def coupled(rig: VirtualMagneticRig, omega: NDArray[np.floating]) -> Complex:
+def coupled(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexArray:
     """Dynamic stiffness matrix of the cross-coupled support, (n_line, 2, 2) [N/m]."""
     w = omega[:, None, None]
-    matrix: Complex = COUPLED_STIFFNESS + 1j * w * COUPLED_DAMPING - w**2 * rig.rotor_mass * np.eye(2)
+    matrix: ComplexArray = COUPLED_STIFFNESS + 1j * w * COUPLED_DAMPING - w**2 * rig.rotor_mass * np.eye(2)
     return matrix
 
 
-def line_frequencies(force: Multisine) -> NDArray[np.floating]:
+def line_frequencies(force: Multisine) -> FloatArray:
     """Angular frequencies of the excited lines [rad/s], (n_line,)."""
     return 2 * np.pi * force.spacing * force.lines
 
@@ -101,16 +99,16 @@ def line_amplitude(force: Multisine) -> float:
     return float(force.rms * np.sqrt(2 / force.lines.size))
 
 
-def steady_state(force: Multisine, receptance: Complex, n_sample: int, periods: int) -> NDArray[np.floating]:
+def steady_state(force: Multisine, receptance: ComplexArray, n_sample: int, periods: int) -> FloatArray:
     """Displacement (n_sample * periods,) [m] under the multisine, exact line by line: X_k = H(w_k) F_k."""
     spectrum = np.zeros(n_sample // 2 + 1, np.complex128)
     spectrum[force.lines] = receptance * line_amplitude(force) * np.exp(1j * force.phases) * (n_sample / 2)
     return np.tile(fft.irfft(spectrum, n_sample), periods)
 
 
-def free_decay(displacement: NDArray[np.floating], sample_rate: float, frequency: float, damping_ratio: float) -> NDArray[np.floating]:
+def free_decay(displacement: FloatArray, sample_rate: float, frequency: float, damping_ratio: float) -> FloatArray:
     """The transient that makes the motion start at rest: -x(0) e^{-zeta w t} cos(w t), (n_sample,) [m]."""
     t = np.arange(displacement.size) / sample_rate
     omega = 2 * np.pi * frequency
-    decay: NDArray[np.floating] = -displacement[0] * np.exp(-damping_ratio * omega * t) * np.cos(omega * t)
+    decay: FloatArray = -displacement[0] * np.exp(-damping_ratio * omega * t) * np.cos(omega * t)
     return decay

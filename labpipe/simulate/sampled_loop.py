@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.magnetic_loop import ControlLoop
 from labpipe.errors import ConfigError
 
@@ -20,8 +20,6 @@ CONTROL_RATE = 20e3
 ROUNDING = 1e-9
 INPUTS = ("force", "next_force", "noise", "injection")
 OUTPUTS = ("reading", "before", "after", "output", "current")
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -43,13 +41,13 @@ class SampledLoop:
     The force runs straight from sample to sample, *injection* is added between the probe ("before") and the controller ("after").
     """
 
-    a: Array
-    b: Array
-    c: Array
-    d: Array
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    d: FloatArray
     rate: float
 
-    def run(self, inputs: Array) -> Array:
+    def run(self, inputs: FloatArray) -> FloatArray:
         """Outputs (n_sample, n_direction, 5) of inputs (n_sample, n_direction, 4), from rest; ConfigError for a loop that is unstable."""
         largest = float(np.max(np.abs(np.linalg.eigvals(self.a))))
         if largest > 1 + ROUNDING:
@@ -64,19 +62,19 @@ class SampledLoop:
             state = self.a @ state + driven[number].T
         return states @ self.c.T + inputs @ self.d.T
 
-    def response(self, omega: Array) -> NDArray[np.complexfloating]:
+    def response(self, omega: FloatArray) -> ComplexArray:
         """z over force, noise and injection at *omega* [rad/s], (n_line, 5, 3); the force as `straight` feeds it."""
         z = np.exp(1j * omega / self.rate)[:, None, None]
         inverse = np.linalg.inv(z * np.eye(self.a.shape[0]) - self.a)
         whole = self.c @ inverse @ self.b + self.d
         force = (whole[:, :, :1] + z * whole[:, :, 1:2]) / straight(omega, self.rate)[:, None, None]
-        joined: NDArray[np.complexfloating] = np.concatenate([force, whole[:, :, 2:]], axis=2)
+        joined: ComplexArray = np.concatenate([force, whole[:, :, 2:]], axis=2)
         return joined
 
 
-def straight(omega: Array, rate: float) -> Array:
+def straight(omega: FloatArray, rate: float) -> FloatArray:
     """What straight lines between samples make of a wave, sinc^2(w T / 2), (n_line,): the fed samples are so much larger."""
-    shape: Array = np.sinc(omega / (2 * np.pi * rate)) ** 2
+    shape: FloatArray = np.sinc(omega / (2 * np.pi * rate)) ** 2
     return shape
 
 
@@ -87,9 +85,9 @@ class _Plant:
     held: of the voltage from before and of the newest one (they change over within the interval); ramp: of the force at both ends.
     """
 
-    step: Array
-    held: Array
-    ramp: Array
+    step: FloatArray
+    held: FloatArray
+    ramp: FloatArray
 
 
 def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
@@ -105,13 +103,15 @@ def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
     motion = _plant(plant, max(intervals - whole, 0.0), 1 / rate)
     terms = [_tustin(loop.derivative, 0.0, loop.derivative_time, 1 / rate), _tustin(0.0, loop.lag, loop.lag_time, 1 / rate)]
 
-    def step(state: Array, inputs: Array) -> tuple[Array, Array]:
+    def step(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         return _step(loop, motion, terms, state, inputs)
 
     return SampledLoop(*_matrices(step, motion.step.shape[0] + 2 + whole + 1), rate)
 
 
-def _step(loop: ControlLoop, plant: _Plant, terms: list[tuple[float, float, float]], state: Array, inputs: Array) -> tuple[Array, Array]:
+def _step(
+    loop: ControlLoop, plant: _Plant, terms: list[tuple[float, float, float]], state: FloatArray, inputs: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """One sampling interval. state: motion, the controller's two memories, voltages on their way, oldest first."""
     n = plant.step.shape[0]
     motion, memory, waiting = state[:n], state[n : n + 2], state[n + 2 :]
@@ -153,7 +153,7 @@ def _plant(plant: Suspended, late: float, interval: float) -> _Plant:
     return _Plant(step, np.column_stack([rest @ oldest, newest]), np.column_stack([constant - rising / interval, rising / interval]))
 
 
-def _integrals(slope: Array, input_column: Array, time: float) -> tuple[Array, Array, Array]:
+def _integrals(slope: FloatArray, input_column: FloatArray, time: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """e^{A t}, and what a constant 1 and a ramp t of the input have done after *time* [s] (Van Loan, 1978)."""
     n = slope.shape[0]
     joint = np.zeros((n + 2, n + 2))
@@ -162,7 +162,9 @@ def _integrals(slope: Array, input_column: Array, time: float) -> tuple[Array, A
     return whole[:n, :n], whole[:n, n], whole[:n, n + 1]
 
 
-def _matrices(step: Callable[[Array, Array], tuple[Array, Array]], n_state: int) -> tuple[Array, Array, Array, Array]:
+def _matrices(
+    step: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], n_state: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """A, B, C, D of a linear step, column by column."""
     still = np.zeros(len(INPUTS))
     by_state = [step(unit, still) for unit in np.eye(n_state)]

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.records.run_up import RunUp, Shaker
 from labpipe.records.settings import Settings, Uncertain, setting
@@ -34,8 +34,6 @@ INSIDE = np.array([-0.15, -0.2, 0.05, 0.03, 0.06, -0.05, 0.04, -0.07, -0.05, 0.0
 # Pound-force: the loads are printed in pounds.
 POUND = 4.4482216
 MOST_SPEEDS = 1000
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,7 @@ class VirtualUnbalanceRig(Settings):
             raise ConfigError("shaker_force and shaker_ratio must be positive")
 
     @property
-    def omega(self) -> Array:
+    def omega(self) -> FloatArray:
         """Speeds [rad/s], (count,)."""
         return 2 * np.pi * np.linspace(*self.speeds, self.count)
 
@@ -126,7 +124,7 @@ def family(rig: RunUpRotor, loads: Iterable[float]) -> FilmFamily:
     return FilmFamily(rig.place.film("a virtual run-up"), rig.search.high / 2, float(np.exp(np.mean(np.log(list(loads))))))
 
 
-def smooth_factors(load: float, speed: Array, loads: tuple[float, float], speeds: tuple[float, float]) -> Array:
+def smooth_factors(load: float, speed: FloatArray, loads: tuple[float, float], speeds: tuple[float, float]) -> FloatArray:
     """Factors of the eight coefficients (n_speed, 8) within LOWEST_FACTOR and HIGHEST_FACTOR, smooth over load and speed.
 
     Half a wave to one wave over each range, the phases fixed by the golden ratio so that no two coefficients go together.
@@ -142,7 +140,7 @@ def _with_factors(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSp
     loads = (min(*virtual.loads, virtual.held_out), max(*virtual.loads, virtual.held_out))
     speeds = (float(virtual.omega[0]), float(virtual.omega[-1]))
 
-    def coefficients(speed: Array) -> tuple[Array, Array]:
+    def coefficients(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         start = as_eight(*virtual.known.start_coefficients(load, speed))
         return as_matrices(start * smooth_factors(load, speed, loads, speeds))
 
@@ -155,7 +153,7 @@ def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
     clearance = own.clearance * (1 + virtual.clearance_error)
     highest = 2 * np.pi * virtual.speeds[1]
 
-    def coefficients(speed: Array) -> tuple[Array, Array]:
+    def coefficients(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         thinner = (1 + virtual.viscosity_error) * (1 - virtual.heating * np.minimum(np.asarray(speed) / highest, 1.2) ** 2)
         # The viscosity enters through the Sommerfeld number alone, so speeds may be scaled in its place, and damping scaled back.
         bearing = replace(own, clearance=clearance, groove_width=virtual.groove_width)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
@@ -68,10 +68,10 @@ class WhiteNoiseRig(Settings):
         return self.blocks * round(self.block * self.sample_rate)
 
 
-def receptance(rig: WhiteNoiseRig, frequency: NDArray[np.floating]) -> NDArray[np.complexfloating]:
+def receptance(rig: WhiteNoiseRig, frequency: FloatArray) -> ComplexArray:
     """(K + j w C - w^2 m)^-1 at *frequency* (n,) [Hz], (n, 2, 2) [m/N]."""
     w = 2 * np.pi * frequency[:, None, None]
-    h: NDArray[np.complexfloating] = np.linalg.inv(np.array(rig.stiffness) + 1j * w * np.array(rig.damping) - w**2 * rig.mass * np.eye(2))
+    h: ComplexArray = np.linalg.inv(np.array(rig.stiffness) + 1j * w * np.array(rig.damping) - w**2 * rig.mass * np.eye(2))
     return h
 
 
@@ -97,15 +97,15 @@ def _run(rig: WhiteNoiseRig, name: str, rng: np.random.Generator) -> Recording:
     return Recording(channels, samples, rig.sample_rate, name)
 
 
-def _force_spectrum(rig: WhiteNoiseRig, rng: np.random.Generator) -> NDArray[np.complexfloating]:
+def _force_spectrum(rig: WhiteNoiseRig, rng: np.random.Generator) -> ComplexArray:
     """DFT of a white force of the rig's rms and bandwidth, (n_sample // 2 + 1,) [N]."""
-    spectrum: NDArray[np.complexfloating] = fft.rfft(rng.standard_normal(rig.n_sample))
+    spectrum: ComplexArray = fft.rfft(rng.standard_normal(rig.n_sample))
     spectrum[fft.rfftfreq(rig.n_sample, 1 / rig.sample_rate) > rig.bandwidth] = 0.0
     spectrum[0] = 0.0
     return spectrum * (rig.force / np.sqrt(2 * np.sum(np.abs(spectrum) ** 2)) * rig.n_sample)
 
 
-def _unbalance_motion(rig: WhiteNoiseRig, phase: float) -> NDArray[np.floating]:
+def _unbalance_motion(rig: WhiteNoiseRig, phase: float) -> FloatArray:
     """Steady motion (n_sample, 2) [m] under u W^2 (cos, sin)(W t + phase)."""
     turning = rig.unbalance * (2 * np.pi * rig.speed) ** 2 * np.array([1, -1j])
     amplitude = receptance(rig, np.array([rig.speed]))[0] @ turning

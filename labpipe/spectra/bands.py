@@ -1,10 +1,10 @@
-"""Choosing frequency lines: a band, and what is left out of it."""
+"""Choice of frequency lines: inside a band, outside excluded bands."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError
 
 # Lines are multiples of a spacing computed in floating point: one that lies on a band's edge belongs to the band.
@@ -12,11 +12,11 @@ EDGE = 1e-9
 
 
 def lines_in(
-    frequency: NDArray[np.floating],
+    frequency: FloatArray,
     band: tuple[float, float] | None,
     exclude: tuple[tuple[float, float], ...] = (),
-) -> NDArray[np.bool_]:
-    """Which lines (n_frequency,) [Hz] lie in the band, its edges included, and outside every excluded band."""
+) -> BoolArray:
+    """Lines (n_frequency,) [Hz] inside the band (edges included) and outside every excluded band, as a mask (n_frequency,)."""
     chosen = np.ones(frequency.shape, bool)
     if band is not None:
         chosen &= _within(frequency, band)
@@ -26,9 +26,9 @@ def lines_in(
 
 
 def line_range(n_sample: int, sample_rate: float, band: tuple[float, float] | None) -> slice:
-    """The DFT lines of *n_sample* samples at *sample_rate* [Hz] from the first to the last one in the band, without the mean value.
+    """Range of DFT lines of *n_sample* samples at *sample_rate* [Hz] inside the band, without the line at 0 Hz.
 
-    Products of channels are formed on these only. DataError when the band holds no line.
+    Cross-spectra are formed on these lines only. DataError when the band holds no line.
     """
     frequency = np.arange(1, n_sample // 2 + 1) * (sample_rate / n_sample)
     inside = np.flatnonzero(lines_in(frequency, band))
@@ -38,6 +38,6 @@ def line_range(n_sample: int, sample_rate: float, band: tuple[float, float] | No
     return slice(int(inside[0]) + 1, int(inside[-1]) + 2)
 
 
-def _within(frequency: NDArray[np.floating], band: tuple[float, float]) -> NDArray[np.bool_]:
+def _within(frequency: FloatArray, band: tuple[float, float]) -> BoolArray:
     low, high = band
     return (frequency >= low * (1 - EDGE)) & (frequency <= high * (1 + EDGE))

@@ -1,12 +1,12 @@
-"""Spectra of a run, block by block: what a waterfall (cascade) plot shows beside the tracked order."""
+"""Waterfall (cascade) spectra of a run, block by block."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.reading import checked_blocks
@@ -15,21 +15,19 @@ from labpipe.spectra.shaft import shaft_motion
 
 MOST_BLOCKS = 40
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class CascadeSpectra:
     """speed (n_block,) [Hz], frequency (n_line,) [Hz], amplitude (n_block, n_line, n_output) 0-to-peak [SI], labels (n_output,)."""
 
-    speed: Array
-    frequency: Array
-    amplitude: Array
+    speed: FloatArray
+    frequency: FloatArray
+    amplitude: FloatArray
     labels: tuple[str, ...]
 
 
 def cascade_spectra(source: SampleSource, lines: ShaftLines, *, resolution: float = 1.0, orders: float = 4.0) -> CascadeSpectra:
-    """Amplitude spectra (Hann window, a sine keeps its amplitude) of blocks of 1 / *resolution* [s], at most MOST_BLOCKS of them.
+    """Amplitude spectra of blocks of 1 / *resolution* [s], at most MOST_BLOCKS of them (Hann window, scaled to a sine's amplitude).
 
     Frequencies up to *orders* times the highest speed. DataError when the recording is shorter than two blocks.
     """
@@ -47,6 +45,6 @@ def cascade_spectra(source: SampleSource, lines: ShaftLines, *, resolution: floa
     ends = [motion.angle(np.array([start, start + length]) / source.sample_rate) for start in starts]
     speed = np.array([float(np.diff(pair)[0]) for pair in ends]) * source.sample_rate / (2 * np.pi * length)
     frequency = np.arange(amplitude.shape[1]) * source.sample_rate / length
-    shown = frequency <= orders * speed.max()
+    inside = frequency <= orders * speed.max()
     labels = tuple(source.channels[number].name for number in outputs)
-    return CascadeSpectra(speed, frequency[shown], amplitude[:, shown], labels)
+    return CascadeSpectra(speed, frequency[inside], amplitude[:, inside], labels)

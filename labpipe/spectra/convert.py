@@ -1,12 +1,12 @@
-"""Receptance <-> mobility <-> accelerance: one factor j w per time derivative of the response; dynamic stiffness is the inverse."""
+"""Conversion of receptance, mobility and accelerance: one factor j w per time derivative; dynamic stiffness is the matrix inverse."""
 
 from __future__ import annotations
 
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.matrices import hermitian, without_rounding
@@ -14,25 +14,28 @@ from labpipe.spectra.matrices import hermitian, without_rounding
 DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
 
-def receptance_factor(form: str, frequency: NDArray[np.floating]) -> NDArray[np.complexfloating]:
-    """(j w)^n by which a receptance is multiplied to give *form*, (n_frequency,); ConfigError for a form that is no such FRF."""
+def receptance_factor(form: str, frequency: FloatArray) -> ComplexArray:
+    """Factor (j w)^n from receptance to *form*, (n_frequency,) [1/s^n], at *frequency* (n_frequency,) [Hz].
+
+    ConfigError for a form other than receptance, mobility and accelerance.
+    """
     if form not in DERIVATIVES:
         raise ConfigError(f"a response of the form '{form}' cannot be identified", hint="displacement, velocity or acceleration per force")
-    factor: NDArray[np.complexfloating] = (2j * np.pi * frequency) ** DERIVATIVES[form]
+    factor: ComplexArray = (2j * np.pi * frequency) ** DERIVATIVES[form]
     return factor
 
 
 def converted(response: FrequencyResponse, form: str) -> FrequencyResponse:
-    """The response as *form*: H' = (j w)^n H, cov' = w^2n cov, n the time derivatives between the two forms.
+    """The response as *form*: H' = (j w)^n H, cov' = w^2n cov, n time derivatives between the two forms.
 
-    Coherence and signal-to-noise ratio stay as measured. Raises ConfigError for a form that is no displacement, velocity or
-    acceleration per force, DataError where a line at 0 Hz would have to be integrated.
+    Coherence and signal-to-noise ratio do not change. Raises ConfigError for a form other than receptance, mobility and accelerance,
+    DataError for a line at 0 Hz that would have to be integrated.
     """
     order = DERIVATIVES.get(form, 0) - DERIVATIVES.get(response.form, 0)
     for name in (form, response.form):
         receptance_factor(name, response.frequency[:0])
     if order < 0 and response.frequency[0] == 0:
-        raise DataError(f"the line at 0 Hz of a {response.form} says nothing of a {form}", hint="begin the band above 0 Hz")
+        raise DataError(f"the line at 0 Hz of a {response.form} cannot be converted to {form}", hint="begin the band above 0 Hz")
     factor = (2j * np.pi * response.frequency) ** order
     covariance = response.covariance
     if covariance is not None:
@@ -40,10 +43,10 @@ def converted(response: FrequencyResponse, form: str) -> FrequencyResponse:
     return dataclasses.replace(response, matrix=response.matrix * factor[:, None, None], covariance=covariance, form=form)
 
 
-def dynamic_stiffness(response: FrequencyResponse) -> NDArray[np.complexfloating]:
-    """Z = H^-1 [N/m] of the receptance matrix, (n_frequency, n_input, n_output): force per displacement, the matrix inverse.
+def dynamic_stiffness(response: FrequencyResponse) -> ComplexArray:
+    """Z = H^-1 [N/m], the matrix inverse of the receptance, (n_frequency, n_input, n_output).
 
-    Raises DataError when there are not as many forces as responses, or when the matrix is singular at a line.
+    Raises DataError when there are not as many forces as outputs, or when the matrix is singular at a line.
     """
     n_output, n_input = response.matrix.shape[1:]
     if n_output != n_input:
@@ -56,10 +59,10 @@ def dynamic_stiffness(response: FrequencyResponse) -> NDArray[np.complexfloating
         raise DataError("the FRF matrix is singular at a line, so it has no dynamic stiffness") from None
 
 
-def dynamic_stiffness_covariance(response: FrequencyResponse) -> NDArray[np.complexfloating] | None:
+def dynamic_stiffness_covariance(response: FrequencyResponse) -> ComplexArray | None:
     """Covariance of vec(Z), row-major, (n_frequency, n, n) [(N/m)^2]: dZ = -Z dH Z, so cov = T cov_H T^H with T = Z kron Z^T.
 
-    To first order in the errors of H; None when the response has no covariance. Raises as dynamic_stiffness does.
+    First order in the errors of H; None for a response without covariance. Raises as dynamic_stiffness does.
     """
     stiffness = dynamic_stiffness(response)
     if response.covariance is None:

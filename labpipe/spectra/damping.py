@@ -1,22 +1,22 @@
-"""The damping that an exponential window adds to a frequency response, and how it is taken out again."""
+"""Correction of a frequency response for the damping that an exponential window adds."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labpipe.spectra.matrices import Matrix
+from labpipe.arrays import ComplexArray, FloatArray
 
-# Lines to either side that a local rational function is fitted to.
+# Half width of the local rational fit [lines].
 HALF_WIDTH = 4
 
 
-def without_added_damping(frequency: NDArray[np.floating], matrix: Matrix, decay: float) -> Matrix:
-    """H(j w) from the windowed H(j w + s), s = 1/decay, (n_frequency, n_output, n_input); frequency [Hz] evenly spaced, decay [s].
+def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: float) -> ComplexArray:
+    """H(j w) from the windowed H(j w + s), s = 1/decay, (n_frequency, n_output, n_input) [unit of H].
 
-    Around every line H is taken for (a0 + a1 x + a2 x^2) / (1 + b1 x), x = j (w' - w) / dw, on 4 lines to either side (the local
-    rational method: McKelvey and Guerin 2012), and evaluated at x = -s/dw. A mode is one pole, so it is met exactly; s is below a
-    line's spacing for all windows that fall to 0.2 % or more within the block. Fewer than 5 lines are returned as they are.
+    frequency (n_frequency,) [Hz] evenly spaced, *decay* [s]. Around every line H is approximated by (a0 + a1 x + a2 x^2) / (1 + b1 x),
+    x = j (w' - w) / dw, on 4 lines to either side (local rational method: McKelvey and Guerin 2012), and evaluated at x = -s/dw. A
+    single mode is one pole and therefore exact; s is below the line spacing for all windows that fall to 0.2 % or more within the
+    block. Fewer than 5 lines are returned unchanged.
     """
     n_line = frequency.size
     if n_line <= 4:
@@ -28,18 +28,22 @@ def without_added_damping(frequency: NDArray[np.floating], matrix: Matrix, decay
     x = 1j * (lines - np.arange(n_line)[:, None])
     flat = matrix.reshape(n_line, -1)
     size = np.max(np.abs(flat), axis=0)
-    around = flat[lines] / np.where(size > 0, size, 1.0)
-    powers = np.broadcast_to(x[:, :, None, None] ** np.arange(3), (*around.shape, 3))
-    equations = np.concatenate([powers, -(x[:, :, None] * around)[:, :, :, None]], axis=3).swapaxes(1, 2)
-    # The least norm where the fit is exact with less: a constant H has no pole of its own.
-    solution = np.einsum("fekl,fel->fek", np.linalg.pinv(equations, rcond=1e-9), around.swapaxes(1, 2))
-    at = -1 / (decay * spacing)
-    value = (solution[:, :, 0] + solution[:, :, 1] * at + solution[:, :, 2] * at**2) / (1 + solution[:, :, 3] * at)
+    neighbours = flat[lines] / np.where(size > 0, size, 1.0)
+    powers = np.broadcast_to(x[:, :, None, None] ** np.arange(3), (*neighbours.shape, 3))
+    equations = np.concatenate([powers, -(x[:, :, None] * neighbours)[:, :, :, None]], axis=3).swapaxes(1, 2)
+    # Minimum-norm solution where the equations are rank deficient: a constant H has no pole.
+    solution = np.einsum("fekl,fel->fek", np.linalg.pinv(equations, rcond=1e-9), neighbours.swapaxes(1, 2))
+    shift = -1 / (decay * spacing)
+    value = (solution[:, :, 0] + solution[:, :, 1] * shift + solution[:, :, 2] * shift**2) / (1 + solution[:, :, 3] * shift)
     return (value * np.where(size > 0, size, 1.0)).reshape(matrix.shape)
 
 
-def covariance_without_damping(before: Matrix, after: Matrix, covariance: Matrix) -> Matrix:
-    """cov of the undamped response, (n_frequency, n, n): dH = (H/H_w)^2 dH_w, since the window adds a known part to 1/H."""
+def covariance_without_damping(before: ComplexArray, after: ComplexArray, covariance: ComplexArray) -> ComplexArray:
+    """Covariance of the response without added damping, (n_frequency, n, n) [unit of H^2]: dH = (H/H_w)^2 dH_w.
+
+    The window adds a known term to 1/H. before, after (n_frequency, n_output, n_input) [unit of H]: H_w and H; covariance
+    (n_frequency, n, n) of H_w, n = n_output * n_input.
+    """
     ratio = np.divide(after, before, out=np.ones(before.shape, np.complex128), where=before != 0)
     gain = ratio.reshape(before.shape[0], -1) ** 2
     return covariance * gain[:, :, None] * gain[:, None, :].conj()

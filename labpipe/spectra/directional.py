@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.matrices import without_rounding
@@ -14,28 +14,28 @@ from labpipe.spectra.matrices import without_rounding
 # [x, y] = A [f, b]: forward turns from x to y, backward the other way.
 FROM_DIRECTIONAL = np.array([[1, 1], [-1j, 1j]])
 FORWARD_BACKWARD = ("f", "b")
-# Two directions nearer to each other than this (sine of the angle between them) do not span the plane.
+# Smallest sine of the angle between two directions that span a plane.
 SMALLEST_ANGLE = 1e-3
 
 
 def directional(response: FrequencyResponse) -> FrequencyResponse:
     """The dFRF H_d = A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]], A = [[1, 1], [-j, j]], with its covariance (Mendes et al.).
 
-    Rows and columns are labelled f and b. The two responses and the two forces may stand at any two known angles; they are
-    turned to x and y first. An isotropic rotor has H_fb = H_bf = 0. Coherence and distortion do not carry over. Raises DataError when there
-    are not two responses and two forces in known, different directions.
+    Rows and columns are labelled f and b. The two outputs and the two forces may point in any two known directions; they are
+    transformed to x and y first. An isotropic rotor has H_fb = H_bf = 0. Coherence and distortion are dropped. Raises DataError
+    unless there are two outputs and two forces in known, different directions.
     """
     to_xy = np.linalg.inv(directions(response.outputs, "responses"))
     from_xy = np.linalg.inv(directions(response.inputs, "forces").T)
-    left = np.linalg.inv(FROM_DIRECTIONAL) @ to_xy
-    right = from_xy @ FROM_DIRECTIONAL
+    from_left = np.linalg.inv(FROM_DIRECTIONAL) @ to_xy
+    from_right = from_xy @ FROM_DIRECTIONAL
     # vec(L H R) = (L kron R^T) vec(H) in row-major order.
-    turn = np.kron(left, right.T)
+    turn = np.kron(from_left, from_right.T)
     covariance = None if response.covariance is None else without_rounding(turn @ response.covariance @ turn.conj().T)
     ports = tuple(Port(label, label, label) for label in FORWARD_BACKWARD)
     return dataclasses.replace(
         response,
-        matrix=left @ response.matrix @ right,
+        matrix=from_left @ response.matrix @ from_right,
         covariance=covariance,
         outputs=ports,
         inputs=ports,
@@ -48,8 +48,8 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
     )
 
 
-def directions(ports: tuple[Port, ...], what: str) -> NDArray[np.floating]:
-    """Rows (cos, sin) of the two directions; DataError unless there are two that differ."""
+def directions(ports: tuple[Port, ...], what: str) -> FloatArray:
+    """Rows (cos, sin) of the directions of two ports, (2, 2) [1]; DataError unless there are two known directions that differ."""
     angles = [port.angle for port in ports if port.angle is not None]
     if len(ports) != 2 or len(angles) != 2:
         named = ", ".join(port.label for port in ports)
@@ -61,11 +61,11 @@ def directions(ports: tuple[Port, ...], what: str) -> NDArray[np.floating]:
     return directions
 
 
-def two_sided(response: FrequencyResponse) -> tuple[NDArray[np.floating], NDArray[np.complexfloating]]:
+def two_sided(response: FrequencyResponse) -> tuple[FloatArray, ComplexArray]:
     """Frequency from -f_max to f_max [Hz], (2 n,), and H_ff and H_fb over it, (2 n, 2) [unit of the response].
 
     Of a real system H_ff(-w) = conj H_bb(w) and H_fb(-w) = conj H_bf(w) (Lee, Vibration Analysis of Rotors, 1993): the backward
-    row is the forward row at negative frequencies. A line at 0 Hz stands twice, as -0 and 0. DataError for a response that is not
+    row is the forward row at negative frequencies. A line at 0 Hz appears twice, as -0 and 0. DataError for a response that is not
     directional.
     """
     labels = tuple(port.label for port in (*response.outputs, *response.inputs))

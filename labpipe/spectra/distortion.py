@@ -1,4 +1,4 @@
-"""How nonlinear a rig is in the range where it was measured: distortion beside noise, from periodic excitation."""
+"""Nonlinear distortion beside noise, from periodic excitation."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.periodic import LineSpectrum
@@ -15,29 +15,29 @@ from labpipe.spectra.periodic import LineSpectrum
 
 @dataclass(frozen=True)
 class Distortion:
-    """Levels of one FRF element over frequency (n_frequency,), all as standard deviations of one realisation's FRF [its unit].
+    """Levels of one FRF element over frequency (n_frequency,) [Hz], all as standard deviations of one realisation's FRF [its unit].
 
-    gain: the best linear approximation, averaged over the realisations; total: scatter between realisations of the phases;
-    noise: scatter between periods; nonlinear: what the noise does not explain of the total, 0 where it explains all.
+    gain (n_frequency,): best linear approximation, the mean of the realisations; total: standard deviation between realisations of
+    the phases; noise: standard deviation from the scatter between periods; nonlinear: the excess of total over noise.
     """
 
-    frequency: NDArray[np.floating]
-    gain: NDArray[np.complexfloating]
-    total: NDArray[np.floating]
-    noise: NDArray[np.floating]
+    frequency: FloatArray
+    gain: ComplexArray
+    total: FloatArray
+    noise: FloatArray
     n_realisation: int
 
     @property
-    def nonlinear(self) -> NDArray[np.floating]:
-        """sqrt(total^2 - noise^2), (n_frequency,)."""
+    def nonlinear(self) -> FloatArray:
+        """sqrt(total^2 - noise^2), (n_frequency,) [unit of the FRF]; 0 where the noise exceeds the total."""
         return np.asarray(np.sqrt(np.maximum(self.total**2 - self.noise**2, 0.0)))
 
 
 def robust_distortion(realisations: Sequence[FrequencyResponse], output: int = 0, force: int = 0) -> Distortion:
-    """Distortion from FRFs of the same rig under several random phase realisations of one excitation.
+    """Distortion from FRFs of one rig under several random-phase realisations of one excitation.
 
-    The noise scatters from period to period, stochastic nonlinear contributions only from realisation to realisation (Pintelon and
-    Schoukens, System Identification, 2nd ed., sec. 4.3.1: the robust method). DataError for fewer than two realisations, other
+    Noise scatters from period to period, stochastic nonlinear contributions only from realisation to realisation (Pintelon and
+    Schoukens, System Identification, 2nd ed., sec. 4.3.1: the robust method). DataError for fewer than two realisations, different
     lines, or FRFs of single periods.
     """
     if len(realisations) < 2:
@@ -47,7 +47,7 @@ def robust_distortion(realisations: Sequence[FrequencyResponse], output: int = 0
         if other.frequency.shape != first.frequency.shape or np.any(other.frequency != first.frequency):
             raise DataError(f"'{other.name}' has other lines than '{first.name}'")
         if other.variance is None:
-            raise DataError(f"'{other.name}' has no covariance, so its noise is not known", hint="record several periods")
+            raise DataError(f"'{other.name}' has no covariance, so its noise level is unknown", hint="record several periods")
     matrices = np.array([response.matrix[:, output, force] for response in realisations])
     noise = np.mean([response.variance[:, output, force] for response in realisations if response.variance is not None], axis=0)
     total = np.var(matrices, axis=0, ddof=1)
@@ -56,24 +56,24 @@ def robust_distortion(realisations: Sequence[FrequencyResponse], output: int = 0
 
 @dataclass(frozen=True)
 class DetectionLines:
-    """Response at lines that the force leaves out: *frequency* (n,) [Hz], *level* |Y| and *noise* std of Y (n,) [unit of the channel]."""
+    """Response at lines without force: *frequency* (n,) [Hz], *level* |Y| and *noise* std of Y (n,) [unit of the channel]."""
 
-    frequency: NDArray[np.floating]
-    level: NDArray[np.floating]
-    noise: NDArray[np.floating]
+    frequency: FloatArray
+    level: FloatArray
+    noise: FloatArray
 
     @property
     def distortion(self) -> float:
-        """Root mean square of the level that noise does not explain; 0 where it explains all."""
+        """Root mean square of the level after subtraction of the noise power; 0 where the noise is stronger."""
         return max(float(np.mean(self.level**2 - self.noise**2)), 0.0) ** 0.5 if self.level.size else 0.0
 
 
-def detection_lines(spectrum: LineSpectrum, excited: NDArray[np.bool_], column: int, spacing: float) -> dict[str, DetectionLines]:
-    """Odd and even lines without force, within the band of the excited ones: "odd" and "even" distortion of one response.
+def detection_lines(spectrum: LineSpectrum, excited: BoolArray, column: int, spacing: float) -> dict[str, DetectionLines]:
+    """Odd and even lines without force, within the band of the excited ones: "odd" and "even" distortion of one output.
 
-    An odd multisine in a nonlinear system of even order answers at even lines only, of odd order at odd ones only, so lines left
-    out on purpose show both (Pintelon and Schoukens, sec. 4.3.2: the fast method). *spacing* [Hz]: the excitation's fundamental;
-    *excited* (n_line,) of the spectrum's lines. DataError without noise, or when the force leaves no line out.
+    An odd multisine in a nonlinear system of even order responds at even lines only, of odd order at odd ones only, so lines left
+    out on purpose show both (Pintelon and Schoukens, sec. 4.3.2: the fast method). *spacing* [Hz]: fundamental of the excitation;
+    *excited* (n_line,): mask of the spectrum's lines. DataError without noise, or when the force leaves no line out.
     """
     if spectrum.noise is None:
         raise DataError("detection lines need the noise of at least two periods")

@@ -1,11 +1,11 @@
-"""From the cross-spectral matrix to the frequency response: H1, H2, Hv. ESTIMATORS and INSTRUMENTS by name.
+"""FRF estimators H1, H2, Hv from the cross-spectral matrix. ESTIMATORS and INSTRUMENTS by name.
 
 Frequency is axis 0. S_uu (n_frequency, n_input, n_input), S_yu = E[Y U*] (n_frequency, n_output, n_input),
 S_yy (n_frequency, n_output, n_output); the result is (n_frequency, n_output, n_input).
 
-Every estimator solves E[(y_o - H_o u) z_o^H] = 0 for its own instruments z_o = W_o [u; y]; they decide how noise becomes error,
-so the covariance needs them. INSTRUMENTS gives W (n_frequency, n_output, n_input, n_input + n_output) from the response and the
-power of all channels, forces first (n_frequency, n_input + n_output); n_output is 1 where all responses share them.
+Every estimator solves E[(y_o - H_o u) z_o^H] = 0 for its own instruments z_o = W_o [u; y]. The instruments determine how noise
+propagates, so the covariance needs them. INSTRUMENTS gives W (n_frequency, n_output, n_input, n_input + n_output) from the response
+and the power of all channels, forces first (n_frequency, n_input + n_output); n_output is 1 where all outputs share them.
 """
 
 from __future__ import annotations
@@ -13,29 +13,36 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
-from labpipe.spectra.matrices import Matrix, hermitian, inverse
+from labpipe.spectra.matrices import hermitian, inverse
 
 
-def h1(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:  # noqa: ARG001 (one signature for the whole table)
-    """H1 = S_yu S_uu^-1: noise on the responses averages out."""
+def h1(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:  # noqa: ARG001 (one signature for the whole table)
+    """H1 = S_yu S_uu^-1, (n_frequency, n_output, n_input) [output unit / N]: unbiased by noise on the outputs.
+
+    Spectra as in the module's docstring [unit^2/Hz]. Raises numpy.linalg.LinAlgError for a singular S_uu.
+    """
     return s_yu @ inverse(s_uu)
 
 
-def h2(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:  # noqa: ARG001
-    """H2 = S_yy S_uy^-1: noise on the forces averages out; needs as many responses as forces. The inverse is a general one."""
+def h2(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:  # noqa: ARG001
+    """H2 = S_yy S_uy^-1, (n_frequency, n_output, n_input) [output unit / N]: unbiased by noise on the forces.
+
+    Spectra as in the module's docstring [unit^2/Hz]. ConfigError unless there are as many outputs as forces; numpy.linalg.LinAlgError
+    for a singular S_uy.
+    """
     if s_yu.shape[1] != s_yu.shape[2]:
         raise ConfigError("H2 needs as many responses as forces", hint="use H1 or Hv")
     return s_yy @ inverse(hermitian(s_yu))
 
 
-def hv(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:
-    """Hv: total least squares per response, noise shared between force and response.
+def hv(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:
+    """Hv, total least squares per output, (n_frequency, n_output, n_input) [output unit / N]: noise on forces and output alike.
 
-    Each channel is scaled by its own power at the line first, so that the result does not depend on units: in metres the plain
-    form would collapse to H1.
+    Spectra as in the module's docstring [unit^2/Hz]. Each channel is first divided by its own power at the line, so that the result
+    does not depend on units: in metres the unscaled form would collapse to H1.
     """
     n_input = s_uu.shape[1]
     force_scale = np.sqrt(np.einsum("fii->fi", s_uu).real)
@@ -54,27 +61,28 @@ def hv(s_uu: Matrix, s_yu: Matrix, s_yy: Matrix) -> Matrix:
     return np.stack(columns, axis=1)
 
 
-def forces_as_instruments(response: Matrix, power: NDArray[np.floating]) -> Matrix:  # noqa: ARG001 (one signature for the table)
-    """z = u: the measured forces, for H1."""
+def forces_as_instruments(response: ComplexArray, power: FloatArray) -> ComplexArray:  # noqa: ARG001 (one signature for the table)
+    """z = u, the measured forces, for H1: W (n_frequency, 1, n_input, n_input + n_output) [1]."""
     return _chosen_channels(response, 0)
 
 
-def responses_as_instruments(response: Matrix, power: NDArray[np.floating]) -> Matrix:  # noqa: ARG001
-    """z = y: the measured responses, for H2."""
+def responses_as_instruments(response: ComplexArray, power: FloatArray) -> ComplexArray:  # noqa: ARG001
+    """z = y, the measured outputs, for H2: W (n_frequency, 1, n_input, n_input + n_output) [1]."""
     return _chosen_channels(response, response.shape[2])
 
 
-def _chosen_channels(response: Matrix, first: int) -> Matrix:
-    """W = [0 I 0], the same at every line and for every response."""
+def _chosen_channels(response: ComplexArray, first: int) -> ComplexArray:
+    """W = [0 I 0], the same at every line and for every output."""
     n_frequency, n_output, n_input = response.shape
     chosen = np.eye(n_input, n_input + n_output, first, dtype=np.complex128)
     return np.broadcast_to(chosen, (n_frequency, 1, *chosen.shape))
 
 
-def adjusted_forces_as_instruments(response: Matrix, power: NDArray[np.floating]) -> Matrix:
-    """z = the forces moved onto the plane y = H u by the shortest way in scaled channels, for Hv.
+def adjusted_forces_as_instruments(response: ComplexArray, power: FloatArray) -> ComplexArray:
+    """z = the forces projected onto the plane y = H u in scaled channels, for Hv: W (n_frequency, n_output, n_input, n) [1].
 
-    With q the normal (-H, 1) of that plane in channels divided by their own power, z = (I - q q^H / q^H q) [u; y].
+    response (n_frequency, n_output, n_input) [output unit / N], power (n_frequency, n) [unit^2/Hz], n = n_input + n_output. With q the
+    normal (-H, 1) of that plane in channels divided by their own power, z = (I - q q^H / q^H q) [u; y].
     """
     n_frequency, n_output, n_input = response.shape
     scale = np.sqrt(power)
@@ -88,8 +96,8 @@ def adjusted_forces_as_instruments(response: Matrix, power: NDArray[np.floating]
     return weights
 
 
-ESTIMATORS: dict[str, Callable[[Matrix, Matrix, Matrix], Matrix]] = {"H1": h1, "H2": h2, "Hv": hv}
-INSTRUMENTS: dict[str, Callable[[Matrix, NDArray[np.floating]], Matrix]] = {
+ESTIMATORS: dict[str, Callable[[ComplexArray, ComplexArray, ComplexArray], ComplexArray]] = {"H1": h1, "H2": h2, "Hv": hv}
+INSTRUMENTS: dict[str, Callable[[ComplexArray, FloatArray], ComplexArray]] = {
     "H1": forces_as_instruments,
     "H2": responses_as_instruments,
     "Hv": adjusted_forces_as_instruments,

@@ -6,9 +6,9 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
@@ -22,12 +22,12 @@ from labpipe.spectra.ports import Layout
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import CrossSpectra
 
-# The response has died away when its last tenth is below this share of its largest tenth.
+# The response has decayed when the rms of its last tenth is below this share of that of its largest tenth.
 DIED_AWAY = 0.05
 
 
 def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
-    """The response averaged over all good hits of the recordings; DataError when a recording has none."""
+    """The FRF averaged over all accepted hits of the recordings; DataError when a recording has none."""
     spectra: list[CrossSpectra] = []
     findings: list[Finding] = []
     number = 1
@@ -38,7 +38,7 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
             number = hit.number + 1
         spectra.append(average.spectra())
         findings.extend(average.findings)
-    # The window's damping is taken out with all neighbouring lines at hand; gaps come afterwards.
+    # The correction for the window's damping needs all neighbouring lines, so bands are excluded afterwards.
     parts = parts_of_spectra(spectra, dataclasses.replace(settings, exclude=()), layout)
     if settings.impact.decay is not None:
         parts = _undamped(parts, settings.impact.decay)
@@ -46,7 +46,7 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
 
 
 class _HitAverage:
-    """Sums of X_a X_b* over the good hits of one recording, and what is to be said of the others."""
+    """Sums of X_a X_b* over the accepted hits of one recording, and findings on the rejected ones."""
 
     def __init__(self, source: SampleSource, settings: FrfSettings) -> None:
         assert settings.block is not None
@@ -79,7 +79,7 @@ class _HitAverage:
         what, _, column = fault.rpartition(" ")
         return f"{what} '{self._source.channels[int(column) - 1].name}'" if column.isdigit() else fault
 
-    def _windowed(self, hit: Hit) -> NDArray[np.floating]:
+    def _windowed(self, hit: Hit) -> FloatArray:
         rate, impact = self._source.sample_rate, self._settings.impact
         samples = hit.samples.copy()
         if impact.force_window is not None:
@@ -89,16 +89,16 @@ class _HitAverage:
         self._note_slow(samples)
         return samples
 
-    def _note_slow(self, samples: NDArray[np.floating]) -> None:
+    def _note_slow(self, samples: FloatArray) -> None:
         tenths = np.array([np.sqrt(np.mean(part**2, axis=0)) for part in np.array_split(samples, 10)])
         ringing = tenths[-1] > DIED_AWAY * tenths.max(axis=0)
         self._slow.update(c.name for c, slow in zip(self._source.channels, ringing, strict=True) if slow and c.role == "output")
 
     def spectra(self) -> CrossSpectra:
-        """The average over the good hits; DataError when there is none."""
+        """The average over the accepted hits; DataError when there is none."""
         if not self._n_hit:
-            found = f"{self._n_found} hit(s) found, none of them good" if self._n_found else "no hit whose block is complete"
-            raise DataError(f"recording '{self._source.name}': {found}", hint="see `impact`, and the hits in the recording")
+            reason = f"{self._n_found} hit(s) found, none of them good" if self._n_found else "no hit whose block is complete"
+            raise DataError(f"recording '{self._source.name}': {reason}", hint="see `impact`, and the hits in the recording")
         if self._slow:
             names = ", ".join(sorted(self._slow))
             message = f"the response {names} has not died away at the end of the block; lengthen `block` or give `decay`"
@@ -115,7 +115,7 @@ def _undamped(parts: Parts, decay: float) -> Parts:
     return dataclasses.replace(parts, matrix=matrix, covariance=covariance)
 
 
-def _selected(parts: Parts, chosen: NDArray[np.bool_]) -> Parts:
+def _selected(parts: Parts, chosen: BoolArray) -> Parts:
     """The parts on the chosen lines."""
     arrays = {name: getattr(parts, name) for name in ("frequency", "matrix", "covariance", "coherence", "multiple_coherence")}
     return dataclasses.replace(parts, **{name: values[chosen] for name, values in arrays.items() if values is not None})

@@ -1,12 +1,12 @@
-"""Recordings of a periodic excitation -> FRF matrix with the covariance that the scatter between periods shows."""
+"""Recordings of a periodic excitation -> FRF matrix with the covariance from the scatter between periods."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
@@ -23,11 +23,15 @@ LOW_SNR = 10.0
 
 
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
+    """The FRF H = Y pinv(U) of the period averages of all recordings, at the lines where every force acts.
+
+    DataError when no line of a force exceeds its noise, or when the forces are not independent.
+    """
     assert settings.period is not None
     spectra = [_period_average(source, settings) for source in sources]
     lines = _lines_of_all_forces(spectra, layout)
     if not np.any(lines):
-        raise DataError("no line of the force stands out of its noise", hint="check `period` and `band`, or raise the level")
+        raise DataError("no line of the force exceeds its noise", hint="check `period` and `band`, or raise the level")
     spectra = [spectrum.select(lines) for spectrum in spectra]
     n_input = len(layout.inputs)
     mean = np.stack([layout.padded(e, spectrum.mean, 1) for e, spectrum in enumerate(spectra)], axis=2)
@@ -40,11 +44,13 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     findings = _no_covariance_finding(spectra[0].n_period) if covariance is None else _snr_findings(snr, layout)
     averages = float(min(spectrum.n_period for spectrum in spectra))
     dof = min(spectrum.dof for spectrum in spectra) if covariance is not None else np.inf
-    return Parts(spectra[0].frequency, matrix, covariance, averages, dof, findings, snr=snr)
+    return Parts(
+        frequency=spectra[0].frequency, matrix=matrix, covariance=covariance, averages=averages, dof=dof, findings=findings, snr=snr
+    )
 
 
-def _lines_of_all_forces(spectra: Sequence[LineSpectrum], layout: Layout) -> NDArray[np.bool_]:
-    """The lines at which every force acts in one of the recordings; hum in one force channel alone makes no line of the matrix."""
+def _lines_of_all_forces(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
+    """Lines at which every force acts in one of the recordings; hum in a single force channel does not count."""
     acting = np.zeros((spectra[0].frequency.size, len(layout.inputs)), bool)
     for spectrum, columns in zip(spectra, layout.input_columns, strict=True):
         for number, column in enumerate(columns):
@@ -65,7 +71,7 @@ def _period_average(source: SampleSource, settings: FrfSettings) -> LineSpectrum
     return smoothed_noise(spectrum.select(lines_left(spectrum.frequency, settings)), settings.smooth)
 
 
-def _signal_to_noise(mean: NDArray[np.complexfloating], noise: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+def _signal_to_noise(mean: ComplexArray, noise: ComplexArray) -> FloatArray:
     """|mean| / std of the mean per line and channel, the largest over the recordings, (n_line, n_channel)."""
     std = np.sqrt(np.einsum("eljj->lje", noise).real)
     ratio = np.divide(np.abs(mean), std, out=np.full(std.shape, np.inf), where=std > 0)
@@ -74,11 +80,11 @@ def _signal_to_noise(mean: NDArray[np.complexfloating], noise: NDArray[np.comple
 
 
 def _no_covariance_finding(n_period: int) -> tuple[Finding, ...]:
-    message = f"{n_period} period is left, so the noise of the FRF is not known; record at least 2 periods after the transient ones"
+    message = f"{n_period} period is left, so the noise of the FRF is unknown; record at least 2 periods after the transient ones"
     return (Finding("no-covariance", message),)
 
 
-def _snr_findings(snr: NDArray[np.floating] | None, layout: Layout) -> tuple[Finding, ...]:
+def _snr_findings(snr: FloatArray | None, layout: Layout) -> tuple[Finding, ...]:
     assert snr is not None
     poor = np.mean(snr < LOW_SNR, axis=0)
     labels = [port.label for port in (*layout.inputs, *layout.outputs)]

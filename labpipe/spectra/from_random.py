@@ -24,12 +24,15 @@ from labpipe.spectra.windows import window_values
 
 
 def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
-    """The response from Welch's averages of all recordings."""
+    """The FRF from Welch averages of all recordings; DataError for recordings or forces that do not allow one."""
     return parts_of_spectra([_welch_average(source, settings) for source in sources], settings, layout)
 
 
 def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, layout: Layout) -> Parts:
-    """The response from the averaged spectra of every recording, weighted by their blocks."""
+    """The FRF from the averaged spectra of every recording, weighted by their numbers of blocks.
+
+    DataError when the forces, or the outputs an estimator inverts, are not independent.
+    """
     n_block = sum(spectrum.n_block for spectrum in spectra)
     chosen = lines_left(spectra[0].frequency, settings)
     n_input = len(layout.inputs)
@@ -64,22 +67,22 @@ def _welch_average(source: SampleSource, settings: FrfSettings) -> CrossSpectra:
         raise DataError(f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'", hint="lengthen `block`")
     step = max(1, round(n_sample * (1 - settings.overlap)))
     lines = line_range(n_sample, source.sample_rate, settings.band)
-    # A tacho or a temperature is no part of the matrix; its products are not formed.
-    used = [number for number, channel in enumerate(source.channels) if channel.role != "reference"]
-    average = WelchAverage(window_values(settings.window, n_sample), step, len(used), lines, settings.detrend)
+    # References (tacho, temperature) are not part of the FRF matrix.
+    columns = [number for number, channel in enumerate(source.channels) if channel.role != "reference"]
+    average = WelchAverage(window_values(settings.window, n_sample), step, len(columns), lines, settings.detrend)
     for block in checked_blocks(source):
-        average.add(block if len(used) == block.shape[1] else block[:, used])
+        average.add(block if len(columns) == block.shape[1] else block[:, columns])
     spectra = average.spectra(source.sample_rate)
-    return spectra if len(used) == len(source.channels) else _in_all_channels(spectra, used, len(source.channels))
+    return spectra if len(columns) == len(source.channels) else _in_all_channels(spectra, columns, len(source.channels))
 
 
-def _in_all_channels(spectra: CrossSpectra, used: list[int], n_channel: int) -> CrossSpectra:
-    """The spectra with zeros in the rows and columns of channels that were not used."""
+def _in_all_channels(spectra: CrossSpectra, columns: list[int], n_channel: int) -> CrossSpectra:
+    """The spectra with zeros in the rows and columns of reference channels."""
     matrix = np.zeros((spectra.frequency.size, n_channel, n_channel), np.complex128)
-    matrix[:, np.array(used)[:, None], used] = spectra.matrix
+    matrix[:, np.array(columns)[:, None], columns] = spectra.matrix
     return replace(spectra, matrix=matrix)
 
 
 def _no_average_finding(averages: float) -> tuple[Finding, ...]:
-    message = f"{averages:.2g} effective averages are too few to know the noise of the FRF; record longer or shorten `block`"
+    message = f"{averages:.2g} effective averages are too few to estimate the noise of the FRF; record longer or shorten `block`"
     return (Finding("no-covariance", message),)

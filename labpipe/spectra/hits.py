@@ -1,4 +1,4 @@
-"""Hits of a hammer: where they are, how they are windowed, and which of them are good."""
+"""Hammer hits: detection, windows, and rejection of overloads and double hits."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.reading import READ_SAMPLES, checked_blocks
 from labpipe.spectra.settings import ImpactSettings
 
-# Equal samples in a row at the end of the range: the converter was overloaded.
+# Equal consecutive samples at the end of the range that count as an overload of the converter.
 CLIPPED_RUN = 3
-# Share of the peak below which the force has ended; a later rise above the double-hit level is a second push.
+# Share of the double-hit level below which the contact has ended; a later rise above that level is a second contact.
 ENDED = 0.5
 # The force window falls from one to zero within this share of its length.
 FLANK = 0.1
@@ -23,36 +23,36 @@ FLANK = 0.1
 
 @dataclass(frozen=True)
 class Hit:
-    """One hit: *start* of its block [samples from the recording's start], samples (n_sample, n_channel) free of their offset [SI].
+    """One hit: *start* of its block [samples from the recording's start], samples (n_sample, n_channel) without offset [SI].
 
-    *trigger* is the sample of the block at which the force rose; *fault* says why it is not used, empty for a good hit.
+    *trigger*: sample of the block at which the force rises; *fault*: reason for rejection, empty for an accepted hit.
     """
 
     number: int
     start: int
     trigger: int
-    samples: NDArray[np.floating]
+    samples: FloatArray
     fault: str = ""
 
 
 def find_hits(source: SampleSource, force: int, n_sample: int, settings: ImpactSettings, first_number: int = 1) -> Iterator[Hit]:
-    """The hits of a recording in their order, judged; *force* is the column of the hammer, *n_sample* the length of a block.
+    """The hits of a recording in order of time, accepted or rejected; *force* is the hammer's column, *n_sample* the block length.
 
-    A hit begins where |force| rises above the trigger, a share of the largest one in the recording, both taken from the level at
-    which the sensor rests (the median of the first block); the hit's block begins earlier by the pretrigger. The recording is read
-    twice. DataError for a sample that is no number or a force that does not vary.
+    A hit begins where |force| exceeds the trigger, a share of the largest force in the recording, both relative to the zero level (the
+    median of the first block); its block begins earlier by the pretrigger. The recording is read twice. DataError for a sample that
+    is no number or a force that does not vary.
     """
-    rest = float(np.median(next(iter(source.blocks(READ_SAMPLES)))[:, force]))
-    level = settings.trigger * max(float(np.max(np.abs(block[:, force] - rest))) for block in checked_blocks(source))
+    zero_level = float(np.median(next(iter(source.blocks(READ_SAMPLES)))[:, force]))
+    level = settings.trigger * max(float(np.max(np.abs(block[:, force] - zero_level))) for block in checked_blocks(source))
     before = round(settings.pretrigger * n_sample)
     window = np.empty((0, len(source.channels)))
-    # *window* begins at sample *begin*; triggers are looked for from sample *search* on.
+    # *window* begins at sample *begin*; the search for triggers goes on at sample *search*.
     begin = search = 0
     number = first_number
     for block in checked_blocks(source):
         window = np.concatenate([window, block])
         while True:
-            above = np.flatnonzero(np.abs(window[search - begin :, force] - rest) >= level)
+            above = np.flatnonzero(np.abs(window[search - begin :, force] - zero_level) >= level)
             if not above.size:
                 search = begin + window.shape[0]
                 break
@@ -68,7 +68,7 @@ def find_hits(source: SampleSource, force: int, n_sample: int, settings: ImpactS
         window, begin = window[keep - begin :], keep
 
 
-def _judged(number: int, start: int, raw: NDArray[np.floating], trigger: int, force: int, settings: ImpactSettings) -> Hit:
+def _judged(number: int, start: int, raw: FloatArray, trigger: int, force: int, settings: ImpactSettings) -> Hit:
     offset = np.median(raw[: max(trigger, 1)], axis=0) if trigger >= 4 else np.zeros(raw.shape[1])
     samples = raw - offset
     if number in settings.reject:
@@ -82,38 +82,38 @@ def _judged(number: int, start: int, raw: NDArray[np.floating], trigger: int, fo
     return Hit(number, start, trigger, samples, fault)
 
 
-def overloaded(samples: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Which channels (n_channel,) of samples (n_sample, n_channel) stand at their largest or smallest value several times in a row.
+def overloaded(samples: FloatArray) -> BoolArray:
+    """Channels (n_channel,) of samples (n_sample, n_channel) [SI] with several equal consecutive samples at the largest or smallest value.
 
-    The end on which the signal rests is no overload: only values beyond half the peak count.
+    Only values beyond half the peak count, so that the zero level is no overload.
     """
     peak = np.max(np.abs(samples), axis=0)
-    found = np.zeros(samples.shape[1], bool)
+    clipped = np.zeros(samples.shape[1], bool)
     for end in (samples.max(axis=0), samples.min(axis=0)):
         at_end = (samples == end) & (np.abs(end) > peak / 2)
         run = np.lib.stride_tricks.sliding_window_view(at_end, CLIPPED_RUN, axis=0).all(axis=2)
-        found |= run.any(axis=0)
-    return found
+        clipped |= run.any(axis=0)
+    return clipped
 
 
-def is_double(force: NDArray[np.floating], share: float) -> bool:
-    """Whether the hammer touched twice: |force| (n_sample,) falls below half of *share* of its peak and rises above *share* again."""
+def is_double(force: FloatArray, share: float) -> bool:
+    """True for a double hit: |force| (n_sample,) [N] falls below half of *share* of its peak and rises above *share* again."""
     size = np.abs(force) / np.max(np.abs(force))
     above = np.flatnonzero(size >= share)
     gaps = np.flatnonzero(np.diff(above) > 1)
     return any(size[above[gap] : above[gap + 1]].min() < ENDED * share for gap in gaps)
 
 
-def force_window(n_sample: int, trigger: int, length: float) -> NDArray[np.floating]:
-    """One up to *length* [samples] after the hit, then half a cosine to zero within a tenth of it, (n_sample,)."""
+def force_window(n_sample: int, trigger: int, length: float) -> FloatArray:
+    """Force window: one up to *length* [samples] after the hit, then half a cosine to zero within a tenth of it, (n_sample,)."""
     past = np.arange(n_sample) - (trigger + length)
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(past / (FLANK * length), 0.0, 1.0)))
 
 
-def exponential_window(n_sample: int, constant: float) -> NDArray[np.floating]:
-    """exp(-t / constant) from the block's start, (n_sample,); *constant* in samples.
+def exponential_window(n_sample: int, constant: float) -> FloatArray:
+    """exp(-t / constant) from the start of the block, (n_sample,) [1]; *constant* in samples.
 
-    Force and response are both multiplied with it, so that their FRF is exactly H(j w + 1/constant).
+    Applied to force and outputs alike, so that their FRF is exactly H(j w + 1/constant).
     """
     return np.exp(-np.arange(n_sample) / constant)
 

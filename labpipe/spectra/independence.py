@@ -1,19 +1,19 @@
-"""Whether forces, or responses, act independently enough for their parts in each other to be told apart."""
+"""Independence of forces and of outputs: condition numbers, and errors where an FRF matrix cannot be formed."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.spectra.ports import Layout
 
-# Forces whose matrix is worse conditioned than this do not act in independent directions.
+# Largest condition number of the force matrix at which its inverse is used.
 WORST_FORCE_CONDITION = 1e3
 
 
-def condition_number(correlation: NDArray[np.complexfloating]) -> NDArray[np.floating]:
-    """Largest over smallest eigenvalue of Hermitian matrices with ones on the diagonal, (n_frequency,); 1 ... inf."""
+def condition_number(correlation: ComplexArray) -> FloatArray:
+    """Largest over smallest eigenvalue [1], (n_frequency,), of Hermitian matrices (n_frequency, n, n) with ones on the diagonal."""
     if correlation.shape[1] == 2:
         # Two channels, the usual case: the eigenvalues are 1 +- |c|.
         c = np.minimum(np.abs(correlation[:, 0, 1]), 1.0)
@@ -24,8 +24,11 @@ def condition_number(correlation: NDArray[np.complexfloating]) -> NDArray[np.flo
     return np.divide(largest, smallest, out=np.full(smallest.shape, np.inf), where=smallest > 0)
 
 
-def force_inverse(forces: NDArray[np.complexfloating], layout: Layout) -> NDArray[np.complexfloating]:
-    """pinv of the forces (n_line, n_input, n_experiment); DataError when they do not span every input at every line."""
+def force_inverse(forces: ComplexArray, layout: Layout) -> ComplexArray:
+    """Pseudo-inverse [1/N] of the forces (n_line, n_input, n_experiment), (n_line, n_experiment, n_input).
+
+    DataError when the forces do not span every input at every line.
+    """
     n_input, n_experiment = forces.shape[1:]
     names = ", ".join(port.label for port in layout.inputs)
     if n_experiment < n_input:
@@ -38,8 +41,8 @@ def force_inverse(forces: NDArray[np.complexfloating], layout: Layout) -> NDArra
     return np.linalg.pinv(forces / size[:, None]) / size[None, None, :]
 
 
-def check_forces(s_uu: NDArray[np.complexfloating], layout: Layout) -> None:
-    """DataError when the forces (n_frequency, n_input, n_input) are so correlated that their responses cannot be told apart."""
+def check_forces(s_uu: ComplexArray, layout: Layout) -> None:
+    """DataError unless the forces with spectra (n_frequency, n_input, n_input) [N^2/Hz] are independent at every line."""
     scale = np.sqrt(np.einsum("fii->fi", s_uu).real)
     if np.any(scale == 0):
         raise DataError("a force has no power at a line of the band", hint="narrow `band` to what is excited")
@@ -48,12 +51,15 @@ def check_forces(s_uu: NDArray[np.complexfloating], layout: Layout) -> None:
         raise DataError(f"the forces {names} do not act independently", hint="excite each direction in its own recording")
 
 
-def check_responses(s_yy: NDArray[np.complexfloating], layout: Layout, estimator: str) -> None:
-    """DataError when a response on which the estimator leans is silent, or a combination of the others where it inverts them all."""
+def check_responses(s_yy: ComplexArray, layout: Layout, estimator: str) -> None:
+    """DataError unless *estimator* can use the outputs with spectra (n_frequency, n_output, n_output) [unit^2/Hz].
+
+    No output may be silent; for H2 the outputs must also be independent, since their cross-spectra are inverted.
+    """
     power = np.einsum("foo->fo", s_yy).real
     silent = [port.label for port, values in zip(layout.outputs, power.T, strict=True) if np.any(values == 0)]
     if silent:
-        hint = "is the sensor connected? H1 does without"
+        hint = "is the sensor connected? H1 does not need it"
         raise DataError(f"{estimator} needs responses at every line; silent: {', '.join(silent)}", hint=hint)
     scale = np.sqrt(power)
     condition = condition_number(s_yy / (scale[:, :, None] * scale[:, None, :]))

@@ -1,4 +1,4 @@
-"""Lines of a turning shaft that are left out of a response."""
+"""Lines of the shaft speed and its harmonics, excluded from a response."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from labpipe.records.recording import SampleSource
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.shaft import shaft_motion
 
-# Half width of the mask [lines]: a window's main lobe for random data; a period's lines do not leak where the speed lies on one.
+# Half width of the mask [lines]: a window's main lobe for random data; periodic data do not leak where the speed lies on a line.
 LOBE = {"periodic": 0.5, "random": 2.0, "impact": 2.0}
 
 
 def masked_bands(sources: Sequence[SampleSource], settings: FrfSettings) -> tuple[tuple[float, float], ...]:
-    """The bands (low, high) [Hz] around 1x, 2x, ... in every recording: slowest to fastest speed, the mask's width to either side."""
+    """Bands (low, high) [Hz] around 1x, 2x, ... of every recording: slowest to fastest speed, extended by the mask's width."""
     if settings.mask is None:
         return ()
     length = settings.period or settings.block
@@ -27,7 +27,7 @@ def masked_bands(sources: Sequence[SampleSource], settings: FrfSettings) -> tupl
 
 
 def mask_findings(bands: Sequence[tuple[float, float]]) -> tuple[Finding, ...]:
-    """What was left out, in words."""
+    """A note on the excluded bands."""
     if not bands:
         return ()
     named = ", ".join(f"{low:.6g}-{high:.6g} Hz" for low, high in bands)

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Matrix = NDArray[np.complexfloating]
+from labpipe.arrays import ComplexArray
 
 
-def hermitian(matrix: Matrix) -> Matrix:
-    """The conjugate transpose of every matrix."""
+def hermitian(matrix: ComplexArray) -> ComplexArray:
+    """The conjugate transposes (..., m, n) of matrices (..., n, m) [any unit]."""
     return matrix.conj().swapaxes(-1, -2)
 
 
-def inverse(matrix: Matrix) -> Matrix:
-    """The inverse of every matrix; numpy.linalg.LinAlgError when one is singular. Two by two, the usual case, in closed form."""
+def inverse(matrix: ComplexArray) -> ComplexArray:
+    """The inverses of matrices (..., n, n) [any unit]; numpy.linalg.LinAlgError when one is singular. Closed form for n = 2."""
     if matrix.shape[-1] != 2:
         return np.linalg.inv(matrix)
     a, b, c, d = (matrix[..., row, column] for row in (0, 1) for column in (0, 1))
@@ -27,8 +26,8 @@ def inverse(matrix: Matrix) -> Matrix:
     return adjugate
 
 
-def without_rounding(covariance: Matrix) -> Matrix:
-    """The Hermitian part of a covariance, its diagonal real and not below zero."""
+def without_rounding(covariance: ComplexArray) -> ComplexArray:
+    """The Hermitian part of covariances (..., n, n) [any unit], diagonals real and not negative: removes rounding errors."""
     covariance = (covariance + hermitian(covariance)) / 2
     diagonal = np.einsum("...ii->...i", covariance)
     diagonal[...] = np.maximum(diagonal.real, 0.0)

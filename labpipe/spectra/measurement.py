@@ -12,7 +12,7 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse
-from labpipe.spectra.aliasing import Watched, aliasing_findings
+from labpipe.spectra.aliasing import AliasingMonitor, aliasing_findings
 from labpipe.spectra.directional import directional
 from labpipe.spectra.from_impact import impact_parts
 from labpipe.spectra.from_periodic import LOW_SNR, periodic_parts
@@ -25,7 +25,7 @@ from labpipe.spectra.reciprocity import reciprocity_findings
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.synchronous import cleaned
 
-# A response of which the forces explain less than this share is mostly noise.
+# Multiple coherence below which an output is mostly noise.
 EXPLAINED = 0.5
 
 EXCITATIONS: dict[str, Callable[[Sequence[SampleSource], FrfSettings, Layout], Parts]] = {
@@ -40,14 +40,14 @@ def measure(
 ) -> FrequencyResponse:
     """The FRF matrix H = Y/U (time factor e^{+jwt}) of recordings that together excite every input.
 
-    Several recordings, one per force direction say, give one matrix; a force that a recording does not have is zero in it. Memory
-    does not grow with the recordings' length. Raises DataError for recordings that do not fit together, are too short, hold NaN,
-    or whose forces do not excite independent directions.
+    Several recordings, for example one per force direction, give one matrix; a force that a recording lacks is zero in it. Memory
+    use does not depend on the recordings' length. Raises DataError for recordings that do not fit together, are too short, hold NaN,
+    or whose forces are not independent.
     """
     _check_rates(sources)
     if settings.realisations:
-        found = [_measured(own, settings, name, conditions) for own in realisations(sources)]
-        response = robust_mean(found, settings.smooth)
+        responses = [_measured(members, settings, name, conditions) for members in realisations(sources)]
+        response = robust_mean(responses, settings.smooth)
     else:
         response = _measured(sources, settings, name, conditions)
     response = dataclasses.replace(response, findings=(*response.findings, *reciprocity_findings(response)))
@@ -55,21 +55,21 @@ def measure(
 
 
 def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None) -> FrequencyResponse:
-    """The response in the directions of the sensors, all recordings averaged."""
+    """The response in the directions of the sensors, averaged over all recordings."""
     layout = find_layout(sources)
     bands = masked_bands(sources, settings)
     settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
-    watched = [Watched(source, settings.excitation == "impact") for source in cleaned(sources, settings.remove)]
-    sources = list(watched)
+    monitors = [AliasingMonitor(source, settings.excitation == "impact") for source in cleaned(sources, settings.remove)]
+    sources = list(monitors)
     parts = EXCITATIONS[settings.excitation](sources, settings, layout)
-    folded = aliasing_findings(watched, settings.band, _moved(parts, layout))
-    findings = (*_source_findings(sources), *mask_findings(bands), *folded, *parts.findings)
-    turn = layout.sensor_factor(parts.frequency)
-    flat = turn.reshape(turn.shape[0], -1)
+    aliasing = aliasing_findings(monitors, settings.band, _coherent_outputs(parts, layout))
+    findings = (*_source_findings(sources), *mask_findings(bands), *aliasing, *parts.findings)
+    sensor_factor = layout.sensor_factor(parts.frequency)
+    flat = sensor_factor.reshape(sensor_factor.shape[0], -1)
     covariance = None if parts.covariance is None else parts.covariance * (flat[:, :, None] * flat[:, None, :].conj())
     return FrequencyResponse(
         frequency=parts.frequency,
-        matrix=parts.matrix * turn,
+        matrix=parts.matrix * sensor_factor,
         outputs=layout.outputs,
         inputs=layout.inputs,
         form=layout.form,
@@ -88,16 +88,16 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
     )
 
 
-def _moved(parts: Parts, layout: Layout) -> set[str]:
-    """The responses that the forces move: noise alone says nothing of filters."""
+def _coherent_outputs(parts: Parts, layout: Layout) -> set[str]:
+    """Channels of the outputs coherent with the forces: noise alone does not show whether an anti-alias filter was used."""
     n_output = len(layout.outputs)
     if parts.multiple_coherence is not None:
-        moved = np.median(parts.multiple_coherence, axis=0) > EXPLAINED
+        coherent = np.median(parts.multiple_coherence, axis=0) > EXPLAINED
     elif parts.snr is not None:
-        moved = np.median(parts.snr[:, -n_output:], axis=0) > LOW_SNR
+        coherent = np.median(parts.snr[:, -n_output:], axis=0) > LOW_SNR
     else:
-        moved = np.ones(n_output, bool)
-    return {port.channel for port, own in zip(layout.outputs, moved, strict=True) if own}
+        coherent = np.ones(n_output, bool)
+    return {port.channel for port, is_coherent in zip(layout.outputs, coherent, strict=True) if is_coherent}
 
 
 def _check_rates(sources: Sequence[SampleSource]) -> None:

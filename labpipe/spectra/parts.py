@@ -1,50 +1,54 @@
-"""What a measurement contributes to a frequency response, whatever the excitation was."""
+"""The result of one excitation's evaluation, common to periodic, random and impact excitation."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.ports import Layout
 from labpipe.spectra.settings import FrfSettings
 
-# Share of the lines that may be poor before it is worth a warning.
+# Share of lines with low coherence or signal-to-noise ratio above which a warning is given.
 POOR_SHARE = 0.1
 LOW_COHERENCE = 0.9
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Parts:
-    """Matrix, covariance and quality of a measurement on its lines; the fields are those of FrequencyResponse."""
+    """FRF matrix (n_line, n_output, n_input) [output unit / N], covariance and quality on the measured lines.
 
-    frequency: NDArray[np.floating]
-    matrix: NDArray[np.complexfloating]
-    covariance: NDArray[np.complexfloating] | None
+    frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input; coherences and snr [1] as in
+    FrequencyResponse.
+    """
+
+    frequency: FloatArray
+    matrix: ComplexArray
+    covariance: ComplexArray | None
     averages: float
     dof: float
     findings: tuple[Finding, ...] = ()
-    coherence: NDArray[np.floating] | None = None
-    multiple_coherence: NDArray[np.floating] | None = None
-    partial_coherence: NDArray[np.floating] | None = None
-    snr: NDArray[np.floating] | None = None
+    coherence: FloatArray | None = None
+    multiple_coherence: FloatArray | None = None
+    partial_coherence: FloatArray | None = None
+    snr: FloatArray | None = None
     line_correlation: tuple[float, ...] = ()
 
 
-def lines_left(frequency: NDArray[np.floating], settings: FrfSettings) -> NDArray[np.bool_]:
-    """The lines of the settings' band outside its gaps; DataError when none is left."""
+def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:
+    """Lines (n_line,) [Hz] in the settings' band and outside its excluded bands, as a mask (n_line,); DataError when none is left."""
     chosen = lines_in(frequency, settings.band, settings.exclude)
     if not np.any(chosen):
-        raise DataError("no line of the band is left", hint="`exclude` and `mask` take them all")
+        raise DataError("no line of the band is left", hint="`exclude` and `mask` cover them all")
     return chosen
 
 
-def coherence_findings(multiple: NDArray[np.floating], layout: Layout) -> tuple[Finding, ...]:
-    """A warning for every response (n_frequency, n_output) that the forces explain poorly at many lines."""
+def coherence_findings(multiple: FloatArray, layout: Layout) -> tuple[Finding, ...]:
+    """Warnings for outputs whose multiple coherence (n_frequency, n_output) [1] is low at many lines."""
     return tuple(
         Finding(
             "low-coherence",

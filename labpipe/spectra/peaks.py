@@ -1,18 +1,18 @@
-"""Resonances of a measured response: peaks, their half-power points and the damping these show."""
+"""Resonances of a measured response: peaks, half-power points and damping ratios."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 
 
 @dataclass(frozen=True)
 class HalfPower:
-    """A resonance: its frequency [Hz], amplitude there, the half-power points low and high [Hz], and the damping ratio they show."""
+    """A resonance: frequency [Hz], amplitude, half-power points low and high [Hz]."""
 
     frequency: float
     amplitude: float
@@ -21,21 +21,22 @@ class HalfPower:
 
     @property
     def damping_ratio(self) -> float:
-        """zeta = (f_2^2 - f_1^2) / (4 f_0^2) (Ewins, Modal Testing, sec. 4.3); within zeta^2 of the truth for light damping."""
+        """zeta = (f_2^2 - f_1^2) / (4 f_0^2) (Ewins, Modal Testing, sec. 4.3); within zeta^2 of the exact value for light damping."""
         return (self.high**2 - self.low**2) / (4 * self.frequency**2)
 
 
-def half_power(frequency: NDArray[np.floating], response: NDArray[np.complexfloating], band: tuple[float, float]) -> HalfPower:
-    """The highest peak of |H| (n_frequency,) in *band* [Hz] and where |H| falls to 1/sqrt(2) of it.
+def half_power(frequency: FloatArray, response: ComplexArray, band: tuple[float, float]) -> HalfPower:
+    """The highest peak of |H| in *band* [Hz] and its half-power points, |H| = 1/sqrt(2) of the peak.
 
-    Between lines 1/|H|^2 is a parabola in w^2, which it is exactly for one degree of freedom: receptance |1/H|^2 =
-    (k - m w^2)^2 + c^2 w^2. DataError when the band has no peak inside, or |H| does not fall far enough within the lines.
+    frequency (n_frequency,) [Hz], response (n_frequency,) [any unit]. Between lines 1/|H|^2 is interpolated by a parabola in w^2, exact
+    for one degree of freedom: |1/H|^2 = (k - m w^2)^2 + c^2 w^2 of a receptance. DataError when the band has no peak inside, or |H|
+    does not fall to half power within the lines.
     """
     inside = np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]))
     size = np.abs(response)
     peak = int(inside[np.argmax(size[inside])]) if inside.size else 0
     if not inside.size or peak in (0, frequency.size - 1) or not size[peak - 1] <= size[peak] >= size[peak + 1]:
-        raise DataError(f"there is no resonance within {band[0]:g}-{band[1]:g} Hz", hint="choose the band around the peak")
+        raise DataError(f"no resonance within {band[0]:g}-{band[1]:g} Hz", hint="choose the band around the peak")
     square = frequency**2
     with np.errstate(divide="ignore"):
         inverse = (size[peak] / size) ** 2
@@ -47,14 +48,14 @@ def half_power(frequency: NDArray[np.floating], response: NDArray[np.complexfloa
     return HalfPower(float(np.sqrt(square[peak] + top)), float(size[peak] / np.sqrt(least)), float(np.sqrt(low)), float(np.sqrt(high)))
 
 
-def _parabola(x: NDArray[np.floating], y: NDArray[np.floating], origin: float) -> tuple[float, float, float]:
+def _parabola(x: FloatArray, y: FloatArray, origin: float) -> tuple[float, float, float]:
     """a, b, c of y = a (x - origin)^2 + b (x - origin) + c through three points."""
     a, b, c = np.linalg.solve(np.vander(x - origin, 3), y)
     return float(a), float(b), float(c)
 
 
-def _crossing(square: NDArray[np.floating], inverse: NDArray[np.floating], peak: int, side: int, level: float) -> float:
-    """w^2 / (2 pi)^2 where the inverse rises through *level* on one side of the peak."""
+def _crossing(square: FloatArray, inverse: FloatArray, peak: int, side: int, level: float) -> float:
+    """f^2 [Hz^2] at which the inverse rises through *level* on one side of the peak."""
     beyond = np.flatnonzero(inverse[peak::side] >= level)
     if not beyond.size:
         where = "above" if side > 0 else "below"

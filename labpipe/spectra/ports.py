@@ -1,4 +1,4 @@
-"""Which forces and responses several recordings have together: the rows and columns of their common FRF matrix."""
+"""Inputs and outputs of several recordings: the rows and columns of their common FRF matrix."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import Port
@@ -18,9 +18,9 @@ FORM_OF = {"displacement": "receptance", "velocity": "mobility", "acceleration":
 
 @dataclass(frozen=True)
 class Layout:
-    """Inputs and outputs of the common matrix, and per recording where they stand among its channels.
+    """Inputs and outputs of the common matrix, and their channels in each recording.
 
-    *input_columns*: per recording the channel index of every input, or -1 where that force does not act in it.
+    *input_columns*: per recording the channel index of every input, or -1 where that force does not act.
     """
 
     inputs: tuple[Port, ...]
@@ -31,58 +31,62 @@ class Layout:
     input_sensors: tuple[Channel, ...]
     output_sensors: tuple[Channel, ...]
 
-    def sensor_factor(self, frequency: NDArray[np.floating]) -> NDArray[np.complexfloating]:
-        """S_input / S_output: the factor that takes the sensors out of H, (n_line, n_output, n_input); see sensor_response."""
-        shown = [[sensor_response(sensor, frequency) for sensor in sensors] for sensors in (self.output_sensors, self.input_sensors)]
-        outputs, inputs = (np.array(each, np.complex128).T for each in shown)
+    def sensor_factor(self, frequency: FloatArray) -> ComplexArray:
+        """S_input / S_output, the factor that corrects H for the sensors, (n_line, n_output, n_input) [1], at *frequency* (n_line,) [Hz].
+
+        Raises as sensor_response does.
+        """
+        responses = [[sensor_response(sensor, frequency) for sensor in sensors] for sensors in (self.output_sensors, self.input_sensors)]
+        outputs, inputs = (np.array(rows, np.complex128).T for rows in responses)
         return np.asarray(inputs[:, None, :] / outputs[:, :, None])
 
-    def padded(self, recording: int, values: NDArray[np.complexfloating], axes: int) -> NDArray[np.complexfloating]:
-        """The last *axes* axes of *values* reordered to inputs then outputs; zero for a force that does not act."""
+    def padded(self, recording: int, values: ComplexArray, axes: int) -> ComplexArray:
+        """*values* (..., n_channel) [any unit], its last *axes* axes in the order inputs, outputs; zero for an absent force."""
         columns = np.array([*self.input_columns[recording], *self.output_columns[recording]])
-        known = columns >= 0
+        present = columns >= 0
         for axis in range(values.ndim - axes, values.ndim):
             values = np.take(values, np.maximum(columns, 0), axis=axis)
             shape = [1] * values.ndim
             shape[axis] = columns.size
-            values = values * known.reshape(shape)
+            values = values * present.reshape(shape)
         return values
 
 
 def find_layout(sources: Sequence[SampleSource]) -> Layout:
-    """The layout of the recordings' common matrix; DataError when they do not fit together."""
+    """The layout of the recordings' common matrix; DataError when a recording lacks an output or quantities differ."""
     forces = [_of_role(source, "input") for source in sources]
     responses = [_of_role(source, "output") for source in sources]
     inputs = _distinct(forces)
     outputs = _distinct(responses)
-    for source, own in zip(sources, responses, strict=True):
-        missing = [key[0] for key in outputs if key not in [_key(channel) for _, channel in own]]
+    for source, channels in zip(sources, responses, strict=True):
+        missing = [key[0] for key in outputs if key not in [_key(channel) for _, channel in channels]]
         if missing:
-            raise DataError(f"recording '{source.name}' lacks the response {', '.join(missing)} that another one has")
+            raise DataError(f"recording '{source.name}' lacks the response {', '.join(missing)} of another recording")
     return Layout(
         inputs=_ports(inputs),
         outputs=_ports(outputs),
-        input_columns=tuple(_columns(own, inputs) for own in forces),
-        output_columns=tuple(_columns(own, outputs) for own in responses),
+        input_columns=tuple(_columns(channels, inputs) for channels in forces),
+        output_columns=tuple(_columns(channels, outputs) for channels in responses),
         form=_form(forces, responses),
         input_sensors=_sensors(forces, inputs),
         output_sensors=_sensors(responses, outputs),
     )
 
 
-def sensor_response(sensor: Channel, frequency: NDArray[np.floating]) -> NDArray[np.complexfloating]:
-    """What the sensor shows over what there is, exp(-j w delay) g(f) exp(j phi(f)), (n_line,) at *frequency* [Hz].
+def sensor_response(sensor: Channel, frequency: FloatArray) -> ComplexArray:
+    """Sensor frequency response, indicated / true: exp(-j w delay) g(f) exp(j phi(f)), (n_line,) [1] at *frequency* (n_line,) [Hz].
 
-    Gain and phase are straight lines between the rows of its table. DataError where a line lies outside the table.
+    Gain g and phase phi are interpolated linearly in the channel's table. DataError for a line outside the table.
     """
-    shown: NDArray[np.complexfloating] = np.exp(-2j * np.pi * frequency * sensor.delay)
+    response: ComplexArray = np.exp(-2j * np.pi * frequency * sensor.delay)
     if not sensor.response:
-        return shown
-    at, gain, phase = np.array(sensor.response).T
-    if frequency[0] < at[0] * (1 - EDGE) or frequency[-1] > at[-1] * (1 + EDGE):
-        what = f"the FRF ({frequency[0]:g}-{frequency[-1]:g} Hz) leaves the table of channel '{sensor.name}' ({at[0]:g}-{at[-1]:g} Hz)"
+        return response
+    nodes, gain, phase = np.array(sensor.response).T
+    if frequency[0] < nodes[0] * (1 - EDGE) or frequency[-1] > nodes[-1] * (1 + EDGE):
+        span = f"{nodes[0]:g}-{nodes[-1]:g} Hz"
+        what = f"the FRF ({frequency[0]:g}-{frequency[-1]:g} Hz) leaves the table of channel '{sensor.name}' ({span})"
         raise DataError(what, hint="narrow `band`, or calibrate the sensor further")
-    return shown * np.interp(frequency, at, gain) * np.exp(1j * np.interp(frequency, at, np.unwrap(phase)))
+    return response * np.interp(frequency, nodes, gain) * np.exp(1j * np.interp(frequency, nodes, np.unwrap(phase)))
 
 
 Key = tuple[str, str, float | None, float, tuple[tuple[float, float, float], ...]]
@@ -93,24 +97,24 @@ def _key(channel: Channel) -> Key:
 
 
 def _sensors(channels: list[list[tuple[int, Channel]]], keys: list[Key]) -> tuple[Channel, ...]:
-    found = {_key(channel): channel for own in channels for _, channel in own}
-    return tuple(found[key] for key in keys)
+    by_key = {_key(channel): channel for members in channels for _, channel in members}
+    return tuple(by_key[key] for key in keys)
 
 
 def _of_role(source: SampleSource, role: str) -> list[tuple[int, Channel]]:
-    found = [(number, channel) for number, channel in enumerate(source.channels) if channel.role == role]
-    if not found:
+    channels = [(number, channel) for number, channel in enumerate(source.channels) if channel.role == role]
+    if not channels:
         what = "force (role: input)" if role == "input" else "response (role: output)"
         raise DataError(f"recording '{source.name}' has no {what}", hint="see the channels of the rig file")
-    return found
+    return channels
 
 
 def _distinct(channels: list[list[tuple[int, Channel]]]) -> list[Key]:
-    return list(dict.fromkeys(_key(channel) for own in channels for _, channel in own))
+    return list(dict.fromkeys(_key(channel) for members in channels for _, channel in members))
 
 
-def _columns(own: list[tuple[int, Channel]], keys: list[Key]) -> tuple[int, ...]:
-    index = {_key(channel): number for number, channel in own}
+def _columns(channels: list[tuple[int, Channel]], keys: list[Key]) -> tuple[int, ...]:
+    index = {_key(channel): number for number, channel in channels}
     return tuple(index.get(key, -1) for key in keys)
 
 
@@ -126,8 +130,8 @@ def _ports(keys: list[Key]) -> tuple[Port, ...]:
 
 
 def _form(forces: list[list[tuple[int, Channel]]], responses: list[list[tuple[int, Channel]]]) -> str:
-    causes = {channel.quantity for own in forces for _, channel in own}
-    effects = {channel.quantity for own in responses for _, channel in own}
+    causes = {channel.quantity for members in forces for _, channel in members}
+    effects = {channel.quantity for members in responses for _, channel in members}
     if len(effects) > 1:
         raise DataError(f"the responses are of several quantities ({', '.join(sorted(effects))})", hint="keep one per FRF matrix")
     return FORM_OF.get(effects.pop(), "other") if causes == {"force"} else "other"

@@ -1,25 +1,28 @@
-"""Blocks of a recording on their way to the spectra: a sample that is no number stops them, a silent force as well."""
+"""Blocks of a recording on their way to the spectra, with checks for missing samples and constant forces."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 
-# Samples of a block: a few of them stay in the cache together with the spectra they give.
+# Samples of a block: a few blocks fit into the cache together with their spectra.
 READ_SAMPLES = 1 << 16
 
 
-def checked_blocks(source: SampleSource) -> Iterator[NDArray[np.floating]]:
-    """The recording's blocks (n, n_channel); DataError at the first sample that is no number, and at the end for a silent force."""
+def checked_blocks(source: SampleSource) -> Iterator[FloatArray]:
+    """The recording's blocks (n, n_channel) [unit of the channel].
+
+    DataError at the first sample that is no number, and at the end for a force that does not vary.
+    """
     start = 0
     silent: dict[int, float] = {}
     for block in source.blocks(READ_SAMPLES):
-        # One sum tells of a missing number anywhere in the block; it is searched for only then.
+        # The sum is not finite if any sample is missing; only then is the sample searched for.
         with np.errstate(over="ignore", invalid="ignore"):
             total = block.sum()
         if not np.isfinite(total):
@@ -34,11 +37,11 @@ def checked_blocks(source: SampleSource) -> Iterator[NDArray[np.floating]]:
         raise DataError(what, hint="is the sensor connected?")
 
 
-def _refuse_missing(source: SampleSource, block: NDArray[np.floating], start: int) -> None:
+def _refuse_missing(source: SampleSource, block: FloatArray, start: int) -> None:
     missing = np.argwhere(~np.isfinite(block))
     if not missing.size:
         return
     sample, column = (int(n) for n in missing[0])
     where = f"sample {start + sample} ({(start + sample) / source.sample_rate:g} s)"
-    hint = "labpipe fills no gaps; cut the recording there or record it again"
+    hint = "labpipe does not fill gaps; cut the recording there or record it again"
     raise DataError(f"channel '{source.channels[column].name}' of '{source.name}' has no number at {where}", hint=hint)

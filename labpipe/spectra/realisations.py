@@ -1,4 +1,4 @@
-"""Several realisations of a periodic excitation's phases: their mean FRF, and what they say of nonlinearity."""
+"""Several phase realisations of a periodic excitation: mean FRF and nonlinear distortion."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
@@ -16,41 +16,41 @@ from labpipe.spectra.distortion import robust_distortion
 
 
 def realisations(sources: Sequence[SampleSource]) -> list[list[SampleSource]]:
-    """The recordings of the first realisation, of the second, ...: per set of forces in the order they come, as many as it has forces.
+    """The recordings of the first realisation, of the second, ...: for every set of forces in order, as many as it has forces.
 
-    DataError unless every set of forces has the same number of realisations, two at least.
+    DataError unless every set of forces has the same number of realisations, at least two.
     """
     series: dict[tuple[tuple[str, str], ...], list[SampleSource]] = {}
     for source in sources:
         forces = tuple((channel.name, channel.dof) for channel in source.channels if channel.role == "input")
         series.setdefault(forces, []).append(source)
-    counts = {len(own) / max(len(forces), 1) for forces, own in series.items()}
+    counts = {len(members) / max(len(forces), 1) for forces, members in series.items()}
     number = min(counts)
     if len(counts) > 1 or number < 2 or number != int(number):
         hint = "as many recordings of every force direction, two or more; leave `realisations` out for one"
-        raise DataError(f"{len(sources)} recording(s) are no realisations of one measurement", hint=hint)
-    return [[source for own in series.values() for source in _chunk(own, n, int(number))] for n in range(int(number))]
+        raise DataError(f"{len(sources)} recording(s) do not form realisations of one measurement", hint=hint)
+    return [[source for members in series.values() for source in _chunk(members, n, int(number))] for n in range(int(number))]
 
 
-def _chunk(own: list[SampleSource], n: int, number: int) -> list[SampleSource]:
-    size = len(own) // number
-    return own[n * size : (n + 1) * size]
+def _chunk(series: list[SampleSource], n: int, number: int) -> list[SampleSource]:
+    size = len(series) // number
+    return series[n * size : (n + 1) * size]
 
 
 def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> FrequencyResponse:
-    """The mean response, with its distortion; the covariance holds the noise and what nonlinearity scatters, each over M.
+    """The mean response with its distortion; covariance of noise plus nonlinear scatter, each divided by the number M of realisations.
 
-    Distortion is averaged over *half_width* lines to either side, as noise is: M realisations leave M - 1 degrees of freedom per
+    Distortion is averaged over *half_width* lines to either side, as noise is: M realisations give M - 1 degrees of freedom per
     line. Raises as robust_distortion does.
     """
     first, m = responses[0], len(responses)
     distortion = np.empty(first.matrix.shape)
     noise = np.empty(first.matrix.shape)
     for output, force in np.ndindex(first.matrix.shape[1:]):
-        found = robust_distortion(responses, output, force)
-        excess = _neighbours_mean(found.total**2 - found.noise**2, half_width)
+        levels = robust_distortion(responses, output, force)
+        excess = _neighbours_mean(levels.total**2 - levels.noise**2, half_width)
         distortion[:, output, force] = np.sqrt(np.maximum(excess, 0.0))
-        noise[:, output, force] = found.noise
+        noise[:, output, force] = levels.noise
     covariance = np.mean([response.covariance for response in responses if response.covariance is not None], axis=0)
     matrix = np.mean([response.matrix for response in responses], axis=0)
     return dataclasses.replace(
@@ -65,15 +65,15 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
     )
 
 
-def _neighbours_mean(values: NDArray[np.floating], half_width: int) -> NDArray[np.floating]:
-    """Mean over lines k-h ... k+h, cut at the ends."""
+def _neighbours_mean(values: FloatArray, half_width: int) -> FloatArray:
+    """Mean over lines k-h ... k+h, truncated at the ends."""
     ones = np.ones(2 * half_width + 1)
     middle = slice(half_width, half_width + values.size)
-    total, count = (np.convolve(each, ones)[middle] for each in (values, np.ones(values.size)))
+    total, count = (np.convolve(terms, ones)[middle] for terms in (values, np.ones(values.size)))
     return np.asarray(total / count)
 
 
-def _distortion_note(matrix: NDArray[np.complexfloating], distortion: NDArray[np.floating], noise: NDArray[np.floating], m: int) -> Finding:
+def _distortion_note(matrix: ComplexArray, distortion: FloatArray, noise: FloatArray, m: int) -> Finding:
     size = np.sqrt(np.mean(np.abs(matrix) ** 2))
     nonlinear, noisy = (100 * float(np.sqrt(np.mean(level**2)) / size) for level in (distortion, noise))
     message = f"{m} realisations of the phases: nonlinearity scatters the FRF by {nonlinear:.2g} % (rms), noise by {noisy:.2g} % in each"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, setting
@@ -14,10 +14,10 @@ DETRENDS = ("constant", "linear", "none")
 
 @dataclass(frozen=True)
 class ShaftLines(Settings):
-    """The lines of a turning shaft: its speed or the channel that tells it, and how many harmonics count."""
+    """Lines of a rotating shaft: its speed or its tacho channel, and the number of harmonics."""
 
     speed: float | None = setting("value", "shaft speed, e.g. 50 Hz or 3000 rpm", unit="Hz", default=None)
-    tacho: str | None = setting("text", "channel with the tacho's pulses, instead of a speed", default=None)
+    tacho: str | None = setting("text", "channel with the tacho pulses, instead of a speed", default=None)
     pulses: int = setting("integer", "pulses of the tacho per revolution", default=1)
     harmonics: int = setting("integer", "multiples of the speed that count, from 1x", default=1)
 
@@ -33,7 +33,7 @@ class ShaftLines(Settings):
 
 @dataclass(frozen=True)
 class MaskSettings(ShaftLines):
-    """Lines left out of the response: the shaft's speed and its harmonics."""
+    """Lines excluded from the response: the shaft speed and its harmonics."""
 
     width: float | None = setting("value", "left out to either side; default: 2 lines (random) or half a line", unit="Hz", default=None)
 
@@ -45,7 +45,7 @@ class MaskSettings(ShaftLines):
 
 @dataclass(frozen=True)
 class ImpactSettings(Settings):
-    """How the hits of a hammer are found, windowed and judged; levels as shares of the hit's peak."""
+    """Detection, windows and acceptance of hammer hits; levels as shares of the hit's peak."""
 
     trigger: float = setting("value", "a hit begins where the force exceeds this share of the largest hit", unit="1", default=0.1)
     pretrigger: float = setting("value", "share of the block that lies before the hit", unit="1", default=0.02)
@@ -71,6 +71,7 @@ class FrfSettings(Settings):
     """How recordings become a frequency response; times in s, frequencies in Hz."""
 
     excitation: str = setting("choice", "kind of excitation", choices=EXCITATIONS)
+    _: KW_ONLY
     period: float | None = setting("value", "length of one period of a periodic excitation", unit="s", default=None)
     skip: int = setting("integer", "transient periods dropped at the start (periodic)", default=1)
     smooth: int = setting("integer", "noise is averaged over this many lines to either side (periodic)", default=5)

@@ -1,61 +1,61 @@
-"""How a shaft turned while it was recorded: from a given speed or from the pulses of a tacho."""
+"""Rotation of a shaft during a recording: from a given speed or from tacho pulses."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.reading import READ_SAMPLES
 from labpipe.spectra.settings import ShaftLines
 
-# A pulse begins where the tacho has risen through the upper of these shares of its range, having been below the lower one.
+# Hysteresis of the pulse detection, as shares of the tacho's range: below the lower level, then above the upper one.
 LOW_SHARE, HIGH_SHARE = 0.4, 0.6
 
-# Revolutions over which a speed is averaged.
+# Revolutions over which the speed is averaged.
 STRETCH = 10
 
 
 @dataclass(frozen=True)
 class ShaftMotion:
-    """Revolutions [1] counted at times [s], both increasing; the shaft turns evenly between them, and beyond the ends."""
+    """Revolutions (n,) [1] counted at times (n,) [s], both ascending; constant speed between them and beyond the ends."""
 
-    times: NDArray[np.floating]
-    revolutions: NDArray[np.floating]
+    times: FloatArray
+    revolutions: FloatArray
 
-    def angle(self, time: NDArray[np.floating]) -> NDArray[np.floating]:
+    def angle(self, time: FloatArray) -> FloatArray:
         """Shaft angle at *time* [s], same shape [rad], zero at the first pulse (or at the start for a given speed)."""
         inner = np.interp(time, self.times, self.revolutions)
         first, last = self.speeds[[0, -1]]
         before = np.minimum(time - self.times[0], 0.0) * first
         after = np.maximum(time - self.times[-1], 0.0) * last
-        turned: NDArray[np.floating] = 2 * np.pi * (inner + before + after)
-        return turned
+        angle: FloatArray = 2 * np.pi * (inner + before + after)
+        return angle
 
     @property
-    def speeds(self) -> NDArray[np.floating]:
-        """Speed of every stretch between counted times, (n,) [Hz]."""
-        found: NDArray[np.floating] = np.diff(self.revolutions) / np.diff(self.times)
-        return found
+    def speeds(self) -> FloatArray:
+        """Speeds between consecutive counts, (n - 1,) [Hz]."""
+        speeds: FloatArray = np.diff(self.revolutions) / np.diff(self.times)
+        return speeds
 
     @property
     def speed_range(self) -> tuple[float, float]:
-        """Slowest and fastest speed [Hz] over stretches of STRETCH revolutions: single pulses are known to a sample only."""
+        """Lowest and highest speed [Hz] over STRETCH revolutions: single pulse times are only accurate to a sample."""
         ends = np.linspace(self.revolutions[0], self.revolutions[-1], max(2, int(np.ptp(self.revolutions) / STRETCH) + 1))
         speeds = np.diff(ends) / np.diff(np.interp(ends, self.revolutions, self.times))
         return float(speeds.min()), float(speeds.max())
 
 
 def steady(speed: float, duration: float) -> ShaftMotion:
-    """A shaft that turns at *speed* [Hz] for *duration* [s]."""
+    """A shaft at constant *speed* [Hz] for *duration* [s]."""
     return ShaftMotion(np.array([0.0, duration]), np.array([0.0, speed * duration]))
 
 
 def shaft_motion(source: SampleSource, lines: ShaftLines) -> ShaftMotion:
-    """The shaft's motion in a recording; DataError when the tacho channel is not there or shows too few pulses."""
+    """The shaft's motion in a recording; DataError when the tacho channel is missing or has fewer than two pulses."""
     if lines.tacho is None:
         assert lines.speed is not None
         return steady(lines.speed, source.n_sample / source.sample_rate)
@@ -66,11 +66,11 @@ def shaft_motion(source: SampleSource, lines: ShaftLines) -> ShaftMotion:
     return ShaftMotion(pulses, np.arange(pulses.size) / lines.pulses)
 
 
-def tacho_pulses(source: SampleSource, channel: str) -> NDArray[np.floating]:
-    """Times [s] at which the tacho rises through the middle of its range, between samples by straight lines.
+def tacho_pulses(source: SampleSource, channel: str) -> FloatArray:
+    """Times (n_pulse,) [s] at which the tacho rises through the middle of its range, interpolated linearly between samples.
 
-    A rise counts once the signal has been in the lower and then in the upper part of the range, so that noise at the middle makes
-    no pulses. The recording is read twice: for its range, then for its pulses.
+    With hysteresis: a rise counts after the signal has been in the lower and then in the upper part of the range. The recording is
+    read twice: for its range, then for its pulses. DataError for a missing channel or one that does not vary.
     """
     names = [record.name for record in source.channels]
     if channel not in names:
@@ -88,7 +88,7 @@ def tacho_pulses(source: SampleSource, channel: str) -> NDArray[np.floating]:
 
 
 class _PulseCounter:
-    """Rises through the middle of a range in samples from the start, fed block by block."""
+    """Rises through the middle of a range [samples from the start], fed block by block."""
 
     def __init__(self, low: float, high: float) -> None:
         span = high - low
@@ -99,7 +99,7 @@ class _PulseCounter:
         self._n_sample = 0
         self.positions: list[float] = []
 
-    def add(self, column: NDArray[np.floating]) -> None:
+    def add(self, column: FloatArray) -> None:
         samples = np.concatenate([self._last, column])
         start = self._n_sample - self._last.size
         rises = np.flatnonzero((samples[:-1] < self._middle) & (samples[1:] >= self._middle))

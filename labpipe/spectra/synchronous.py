@@ -1,4 +1,4 @@
-"""The part of a recording that repeats with the shaft: found by averaging over revolutions, and taken out of all channels."""
+"""Synchronous part of a recording (harmonics of the shaft speed): least-squares fit and subtraction in all channels."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
@@ -19,11 +19,11 @@ from labpipe.spectra.windows import hann
 
 @dataclass(frozen=True)
 class WithoutSynchronous:
-    """A recording less its synchronous part; satisfies SampleSource. amplitude (n_harmonic, n_channel) complex, 0-to-peak [SI]."""
+    """A recording minus its synchronous part; satisfies SampleSource. amplitude (n_harmonic, n_channel) complex, 0-to-peak [SI]."""
 
     source: SampleSource
     motion: ShaftMotion
-    amplitude: NDArray[np.complexfloating]
+    amplitude: ComplexArray
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -45,7 +45,7 @@ class WithoutSynchronous:
     def findings(self) -> tuple[Finding, ...]:
         return (*self.source.findings, *_removed(self.source.channels, self.motion, self.amplitude))
 
-    def blocks(self, n_sample: int) -> Iterator[NDArray[np.floating]]:
+    def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]: x - Re sum_h X_h exp(j h theta)."""
         start = 0
         for block in self.source.blocks(n_sample):
@@ -55,41 +55,42 @@ class WithoutSynchronous:
 
 
 def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynchronous:
-    """The recording less its first harmonics of the shaft speed, whose amplitudes are fitted to the whole recording.
+    """The recording minus the first harmonics of the shaft speed, with amplitudes fitted to the whole recording.
 
-    Time-synchronous averaging is the least-squares fit of all multiples of the speed (McFadden 1987); here of those asked for.
-    A given speed is refined first, since 0.01 Hz turn 1x around within 100 s. DataError for less than two revolutions.
+    Time-synchronous averaging is the least-squares fit of all multiples of the speed (McFadden 1987); here of the first `harmonics`.
+    A given speed is refined first, since an error of 0.01 Hz turns 1x by a revolution within 100 s. DataError for fewer than two
+    revolutions.
     """
     motion = shaft_motion(source, lines)
     duration = source.n_sample / source.sample_rate
     turned = np.diff(motion.angle(np.array([0.0, duration])))[0] / (2 * np.pi)
     if turned < 2:
-        raise DataError(f"recording '{source.name}' holds less than two revolutions", hint="give the speed in Hz or rpm")
+        raise DataError(f"recording '{source.name}' is shorter than two revolutions", hint="give the speed in Hz or rpm")
     amplitude = _fitted(source, motion, lines.harmonics)
     if lines.speed is not None:
         refined = steady(_refined(source, motion, lines.speed), duration)
         better = _fitted(source, refined, lines.harmonics)
-        # Where the responses hold no 1x to go by, the given speed explains more.
+        # Without 1x in the responses the refinement follows noise; then the given speed fits better.
         if np.sum(_shares(source, better)) > np.sum(_shares(source, amplitude)):
             motion, amplitude = refined, better
-    # The tacho itself and other references stay as they were recorded.
+    # The tacho and other references are not changed.
     return WithoutSynchronous(source, motion, amplitude * [channel.role != "reference" for channel in source.channels])
 
 
-def _shares(source: SampleSource, amplitude: NDArray[np.complexfloating]) -> NDArray[np.floating]:
-    """Power of the fitted harmonics of every response in shares of the first block's power, so that units do not matter."""
+def _shares(source: SampleSource, amplitude: ComplexArray) -> FloatArray:
+    """Power of the fitted harmonics of every output over that of the first block."""
     outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
     power = next(iter(source.blocks(READ_SAMPLES)))[:, outputs].var(axis=0)
     return np.sum(np.abs(amplitude[:, outputs]) ** 2, axis=0) / np.where(power > 0, power, 1.0)
 
 
-def _turns(motion: ShaftMotion, start: int, n_sample: int, sample_rate: float, n_harmonic: int) -> NDArray[np.complexfloating]:
+def _turns(motion: ShaftMotion, start: int, n_sample: int, sample_rate: float, n_harmonic: int) -> ComplexArray:
     """exp(j h theta) of h = 1 ... n_harmonic, (n_sample, n_harmonic)."""
     angle = motion.angle((start + np.arange(n_sample)) / sample_rate)
     return np.exp(1j * angle[:, None] * np.arange(1, n_harmonic + 1))
 
 
-def _fitted(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> NDArray[np.complexfloating]:
+def _fitted(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> ComplexArray:
     """Least squares of x = c + Re sum_h X_h exp(j h theta) over the whole recording, (n_harmonic, n_channel)."""
     n = 2 * n_harmonic + 1
     normal, right = np.zeros((n, n)), np.zeros((n, len(source.channels)))
@@ -105,7 +106,7 @@ def _fitted(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> NDArr
 
 
 def _refined(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
-    """The speed [Hz] near *speed* at which 1x keeps its phase: d phi per STRETCH, every response weighted with its own power."""
+    """The speed [Hz] near *speed* at which 1x keeps its phase: d phi per STRETCH, every output weighted with its own power."""
     stretch = min(max(1, round(STRETCH / speed * source.sample_rate)), source.n_sample // 2)
     window = hann(stretch)
     outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
@@ -124,22 +125,22 @@ def _refined(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
     return speed + float(turn) / (2 * np.pi * stretch / source.sample_rate)
 
 
-def _removed(channels: Sequence[Channel], motion: ShaftMotion, amplitude: NDArray[np.complexfloating]) -> tuple[Finding, ...]:
-    """What was taken out, in words: the amplitudes of every channel, 0-to-peak."""
+def _removed(channels: Sequence[Channel], motion: ShaftMotion, amplitude: ComplexArray) -> tuple[Finding, ...]:
+    """Notes on the subtracted amplitudes of every channel, 0-to-peak."""
     low, high = motion.speed_range
     speed = f"{low:.6g} Hz" if high - low < 1e-9 * high else f"{low:.6g}-{high:.6g} Hz"
     return tuple(
         note(
             "synchronous-removed",
             f"channel {channel.name}: the part synchronous with {speed} was taken out, "
-            + ", ".join(f"{order}x {abs(value):.3g} {channel.unit}" for order, value in enumerate(own, 1))
+            + ", ".join(f"{order}x {abs(value):.3g} {channel.unit}" for order, value in enumerate(amplitudes, 1))
             + " 0-to-peak",
         )
-        for channel, own in zip(channels, amplitude.T, strict=True)
+        for channel, amplitudes in zip(channels, amplitude.T, strict=True)
         if channel.role != "reference"
     )
 
 
 def cleaned(sources: Sequence[SampleSource], lines: ShaftLines | None) -> list[SampleSource]:
-    """The recordings as they are, or each without its synchronous part."""
+    """The recordings, or each without its synchronous part where *lines* are given."""
     return list(sources) if lines is None else [without_synchronous(source, lines) for source in sources]

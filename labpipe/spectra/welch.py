@@ -1,13 +1,13 @@
-"""Random excitation: one pass over the recording gives the averaged cross-spectral matrix of all channels."""
+"""Random excitation: averaged cross-spectral matrix of all channels in one pass over the recording (Welch's method)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
 from labpipe.spectra.settings import DETRENDS
 from labpipe.spectra.windows import effective_averages, line_correlation
@@ -24,30 +24,28 @@ class CrossSpectra:
     """Averaged cross-spectral density matrix S_ab = E[X_a X_b*] of all channels.
 
     frequency (n_frequency,) [Hz]; matrix (n_frequency, n_channel, n_channel) complex, one-sided [unit_a unit_b / Hz];
-    n_block: blocks averaged; averages: the number of independent blocks that would average as well (window, overlap);
-    line_correlation: of an FRF's noise with that of the next lines, see windows.line_correlation.
+    n_block: blocks averaged; averages: effective number of independent blocks (window, overlap);
+    line_correlation: correlation of the FRF's noise between neighbouring lines, see windows.line_correlation.
     """
 
-    frequency: NDArray[np.floating]
-    matrix: NDArray[np.complexfloating]
+    frequency: FloatArray
+    matrix: ComplexArray
     n_block: int
     averages: float
     line_correlation: tuple[float, ...] = ()
 
 
 class WelchAverage:
-    """Running sum of the cross-spectral matrix, fed block by block in any size; one FFT per channel and segment.
+    """Running sum of the cross-spectral matrix, fed with blocks of any length; one FFT per channel and segment.
 
-    Segments are tapered into a buffer that is transformed when it is full, and their trend is taken out of the lines:
+    Segments are windowed into a buffer that is transformed when it is full, and their trend is subtracted in the frequency domain:
     FFT(w (x - sum_p c_p b_p)) = FFT(w x) - sum_p c_p FFT(w b_p), where FFT(w b_p) has few lines that differ from zero.
     """
 
-    def __init__(
-        self, window: NDArray[np.floating], step: int, n_channel: int, lines: slice = slice(1, None), detrend: str = "constant"
-    ) -> None:
-        """*window* (n_sample,), *step* samples from block to block; *lines* of the DFT that are kept, neighbours above 0 Hz.
+    def __init__(self, window: FloatArray, step: int, n_channel: int, lines: slice = slice(1, None), detrend: str = "constant") -> None:
+        """*window* (n_sample,) [1], *step* samples from segment to segment; *lines* of the DFT, neighbours above 0 Hz.
 
-        *detrend*: what is taken out of every segment before the window: its mean (constant), a straight line (linear), or none.
+        *detrend*: trend subtracted from every segment before the window: its mean (constant), a straight line (linear), or none.
         """
         n = window.size
         self._step = step
@@ -63,11 +61,11 @@ class WelchAverage:
         self._coefficients = np.empty((n_together, self._basis.shape[0], n_channel))
         self._n_waiting = 0
         self._gram = _Gram(self._line_numbers.size, n_channel)
-        self._rest: list[NDArray[np.floating]] = []
+        self._rest: list[FloatArray] = []
         self.n_block = 0
 
-    def add(self, block: NDArray[np.floating]) -> None:
-        """Take samples (n, n_channel) that follow the ones before."""
+    def add(self, block: FloatArray) -> None:
+        """Add the next samples (n, n_channel) [unit of the channel]."""
         n, block = self._window.size, np.ascontiguousarray(block, np.float64)
         n_rest = sum(piece.shape[0] for piece in self._rest)
         if n_rest + block.shape[0] < n:
@@ -78,10 +76,10 @@ class WelchAverage:
             # Segments that begin before the block are cut from a joint copy; the block itself, long as a rule, is not copied.
             seam = np.concatenate([*self._rest, block[: n - 1]])
             begin = self._add_segments(seam, -(-n_rest // self._step)) - n_rest
-        done = begin + self._add_segments(block[begin:], block.shape[0]) if begin >= 0 else begin
-        self._rest = [block[done:].copy()] if done >= 0 else [seam[n_rest + done :].copy()]
+        consumed = begin + self._add_segments(block[begin:], block.shape[0]) if begin >= 0 else begin
+        self._rest = [block[consumed:].copy()] if consumed >= 0 else [seam[n_rest + consumed :].copy()]
 
-    def _add_segments(self, samples: NDArray[np.floating], most: int) -> int:
+    def _add_segments(self, samples: FloatArray, most: int) -> int:
         """Taper all complete segments of samples (n, n_channel), at most *most*; returns where the next one begins."""
         n = self._window.size
         n_segment = min(most, max(0, (samples.shape[0] - n) // self._step + 1))
@@ -99,7 +97,7 @@ class WelchAverage:
                 self._transform()
         return n_segment * self._step
 
-    def _trend_of(self, samples: NDArray[np.floating], segments: NDArray[np.floating]) -> NDArray[np.floating]:
+    def _trend_of(self, samples: FloatArray, segments: FloatArray) -> FloatArray:
         """The trend's coefficients (n_segment, n_row, n_channel); *segments* begin with *samples*.
 
         A mean is that of whole steps, where they fit, so that every sample is summed once, however blocks overlap.
@@ -112,7 +110,7 @@ class WelchAverage:
         return np.lib.stride_tricks.sliding_window_view(sums, n // step, axis=0).sum(axis=3)
 
     def _transform(self) -> None:
-        """The spectra of the waiting segments go into the sums."""
+        """Add the spectra of the waiting segments to the sums."""
         if not self._n_waiting:
             return
         amplitude = fft.rfft(self._tapered[: self._n_waiting], axis=1)
@@ -124,7 +122,7 @@ class WelchAverage:
         self._n_waiting = 0
 
     def spectra(self, sample_rate: float) -> CrossSpectra:
-        """The averaged matrix on the kept lines; DataError when not one block was complete."""
+        """The averaged matrix at the selected lines; DataError when no block was complete."""
         self._transform()
         if self.n_block == 0:
             have, need = sum(piece.shape[0] for piece in self._rest) / sample_rate, self._window.size / sample_rate
@@ -143,19 +141,19 @@ class _Gram:
         self._sum = np.zeros((n_line, 2 * n_channel, 2 * n_channel + 1))
         self._product = np.empty_like(self._sum)
 
-    def add(self, amplitude: NDArray[np.complexfloating], first: int) -> None:
+    def add(self, amplitude: ComplexArray, first: int) -> None:
         """Add the lines from *first* on of amplitudes (n_segment, n_line_in_all, n_channel)."""
         n_segment, n_row = amplitude.shape[0], 2 * amplitude.shape[2]
         n_line = self._sum.shape[0]
         flat = amplitude.reshape(n_segment, -1).view(np.float64)[:, (first - 1) * n_row :]
-        left = flat[:, n_row : (n_line + 1) * n_row].reshape(n_segment, n_line, n_row)
+        current = flat[:, n_row : (n_line + 1) * n_row].reshape(n_segment, n_line, n_row)
         # One column more than needed, the last one of the line before: BLAS multiplies a small matrix with its own transpose
         # at half the speed of two that differ.
         wide = np.lib.stride_tricks.sliding_window_view(flat, n_row + 1, axis=1)[:, n_row - 1 :: n_row][:, :n_line]
-        np.matmul(left.transpose(1, 2, 0), wide.swapaxes(0, 1), out=self._product)
+        np.matmul(current.transpose(1, 2, 0), wide.swapaxes(0, 1), out=self._product)
         self._sum += self._product
 
-    def matrix(self) -> NDArray[np.complexfloating]:
+    def matrix(self) -> ComplexArray:
         """sum X_a X_b*, (n_line, n_channel, n_channel), Hermitian to the last digit."""
         n_line, n_row, _ = self._sum.shape
         n = n_row // 2
@@ -169,15 +167,15 @@ class _Gram:
         return matrix
 
 
-def trend_basis(detrend: str, n_sample: int) -> NDArray[np.floating]:
-    """Orthonormal rows (n_row, n_sample) that span the trend: none, a constant, or a straight line; ConfigError for another name."""
+def trend_basis(detrend: str, n_sample: int) -> FloatArray:
+    """Orthonormal rows (n_row, n_sample) [1] that span the trend: none, constant, or linear; ConfigError for another name."""
     if detrend not in DETRENDS:
         raise ConfigError(f"unknown trend '{detrend}'", hint=f"known: {', '.join(DETRENDS)}")
     rows = [np.ones(n_sample), np.arange(n_sample) - (n_sample - 1) / 2][: {"none": 0, "constant": 1, "linear": 2}[detrend]]
     return np.array([row / np.linalg.norm(row) for row in rows]).reshape(len(rows), n_sample)
 
 
-def _significant_lines(trend: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:
+def _significant_lines(trend: ComplexArray) -> ComplexArray:
     """The first lines (n_row, n_line) up to the last one above rounding: a row's largest possible amplitude is sqrt(n_sample)."""
     size = np.sqrt(2 * trend.shape[1])
     above = np.flatnonzero(np.any(np.abs(trend) > np.finfo(float).eps * size, axis=0))

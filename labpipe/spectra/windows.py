@@ -1,27 +1,27 @@
-"""Windows of random data: their values, the band they let through, and how much overlapping blocks repeat each other."""
+"""Windows of random data: values, noise bandwidth, and the correlation of overlapping blocks."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 
-# Lines whose noise shares less than this are taken as independent; no window's lobe is wider than so many lines.
+# Correlation below which the noise of two lines counts as independent; no window's main lobe is wider than FURTHEST_LINE lines.
 SHARED = 1e-3
 FURTHEST_LINE = 20
 
 
-def hann(n_sample: int) -> NDArray[np.floating]:
-    """The periodic (DFT-even) Hann window, 1/2 - 1/2 cos(2 pi n / N), (n_sample,)."""
-    values: NDArray[np.floating] = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n_sample) / n_sample)
+def hann(n_sample: int) -> FloatArray:
+    """The periodic (DFT-even) Hann window, 1/2 - 1/2 cos(2 pi n / N), (n_sample,) [1]."""
+    values: FloatArray = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n_sample) / n_sample)
     return values
 
 
-def window_values(name: str, n_sample: int) -> NDArray[np.floating]:
-    """The periodic (DFT-even) window of that name; "tukey 0.25" gives a parameter. ConfigError when scipy does not know it."""
+def window_values(name: str, n_sample: int) -> FloatArray:
+    """The periodic (DFT-even) window of that name, (n_sample,) [1]; "tukey 0.25" gives a parameter. ConfigError for an unknown name."""
     if name == "hann":
         return hann(n_sample)
     # Only rare windows are worth the time of this import.
@@ -30,45 +30,52 @@ def window_values(name: str, n_sample: int) -> NDArray[np.floating]:
     kind, *parameters = name.split()
     try:
         chosen: Any = (kind, *(float(parameter) for parameter in parameters)) if parameters else kind
-        values: NDArray[np.floating] = signal.get_window(chosen, n_sample, fftbins=True)
+        values: FloatArray = signal.get_window(chosen, n_sample, fftbins=True)
     except (ValueError, TypeError):
         raise ConfigError(f"unknown window '{name}'", hint="for example hann, hamming, blackman, flattop, boxcar, 'tukey 0.25'") from None
     return values
 
 
-def noise_bandwidth(window: NDArray[np.floating]) -> float:
-    """Equivalent noise bandwidth n sum w^2 / (sum w)^2 in lines [1]; times the line spacing it is in Hz (Harris 1978, eq. 11).
+def noise_bandwidth(window: FloatArray) -> float:
+    """Equivalent noise bandwidth n sum w^2 / (sum w)^2 in lines [1] of a window (n_sample,) (Harris 1978, eq. 11).
 
-    White noise reads as much on a line as through a rectangular filter of this width: boxcar 1, Hann 1.5.
+    Times the line spacing it is in Hz; white noise passes as through a rectangular filter of this width: boxcar 1, Hann 1.5.
     """
     return float(window.size * np.dot(window, window) / np.sum(window) ** 2)
 
 
-def overlap_correlation(window: NDArray[np.floating], step: int) -> NDArray[np.floating]:
-    """rho_k = (sum w(n) w(n + k step) / sum w^2)^2 of the powers of blocks k steps apart, k = 1 ... (Welch 1967)."""
+def overlap_correlation(window: FloatArray, step: int) -> FloatArray:
+    """rho_k = (sum w(n) w(n + k step) / sum w^2)^2 [1], correlation of the powers of blocks k steps apart, k = 1 ... (Welch 1967).
+
+    window (n_sample,), *step* in samples; the result has one value for every overlapping step.
+    """
     n = window.size
     products = [np.dot(window[:-shift], window[shift:]) for shift in range(step, n, step)]
     return (np.array(products) / np.dot(window, window)) ** 2
 
 
-def line_correlation(window: NDArray[np.floating], step: int, n_block: int) -> tuple[float, ...]:
-    """c_d of the noise of an FRF on lines d = 1, 2, ... apart, while it exceeds SHARED: Hann 0.45, 0.03; boxcar without overlap none.
+def line_correlation(window: FloatArray, step: int, n_block: int) -> tuple[float, ...]:
+    """c_d of the noise of an FRF at lines d = 1, 2, ... apart, down to SHARED: Hann 0.45, 0.03; boxcar without overlap none.
 
-    Noise and force of blocks m and n at lines k and k + d both have the covariance r_j(d) = sum_t w(t) w(t + j step) exp(-2 pi j d t / N),
-    j = n - m, and H's noise is a sum of their products: c_d = sum_j (K - |j|) |r_j(d)|^2 / sum_j (K - |j|) |r_j(0)|^2.
+    window (n_sample,) [1], *step* [samples]. Noise and force of blocks m and n at lines k and k + d both have the covariance
+    r_j(d) = sum_t w(t) w(t + j step) exp(-2 pi j d t / N), j = n - m, and H's noise is a sum of their products:
+    c_d = sum_j (K - |j|) |r_j(d)|^2 / sum_j (K - |j|) |r_j(0)|^2.
     """
     n = window.size
     products = [window * np.concatenate([window[shift:], np.zeros(shift)]) for shift in range(0, min(n, n_block * step), step)]
     power = np.abs(np.fft.rfft(products, axis=1)[:, : FURTHEST_LINE + 1]) ** 2
-    # Blocks before and behind share alike.
+    # Blocks before and after contribute equally.
     weight = (n_block - np.arange(len(products))) * np.where(np.arange(len(products)) == 0, 1, 2)
     shared = weight @ power
     above = np.flatnonzero(shared[1:] > SHARED * shared[0])
     return tuple(float(c) for c in shared[1 : above[-1] + 2] / shared[0]) if above.size else ()
 
 
-def effective_averages(window: NDArray[np.floating], step: int, n_block: int) -> float:
-    """n_e = K / (1 + 2 sum_k (1 - k/K) rho_k): overlapping blocks are correlated and average less than their number (Welch 1967)."""
+def effective_averages(window: FloatArray, step: int, n_block: int) -> float:
+    """n_e = K / (1 + 2 sum_k (1 - k/K) rho_k), effective number of averages of K overlapping blocks (Welch 1967).
+
+    window (n_sample,) [1], *step* [samples].
+    """
     rho = overlap_correlation(window, step)
     k = np.arange(1, rho.size + 1)
     return float(n_block / (1 + 2 * np.sum(np.maximum(1 - k / n_block, 0) * rho)))

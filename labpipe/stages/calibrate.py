@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.config.calibration import CalibrationSettings
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.formats.table import Table, check_columns, open_table
@@ -21,7 +21,7 @@ from labpipe.stages.work import Work
 class _Column:
     """A table's column in SI units, with the name of its SI unit."""
 
-    values: NDArray[np.float64]
+    values: FloatArray
     unit: str
 
 
@@ -82,7 +82,7 @@ def _shown(position: float, unit: str) -> str:
     return f"{100 * position:g} %" if unit == "1" else f"{position:g} {unit}"
 
 
-def _column(table: Table, name: str, stated: str, values: NDArray[np.float64]) -> _Column:
+def _column(table: Table, name: str, stated: str, values: FloatArray) -> _Column:
     """A column in SI: its unit as stated in the settings, or by the table itself; a pure number where neither says any."""
     text = stated or table.units.get(name, "1")
     try:

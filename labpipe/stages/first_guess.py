@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.config.reader import DECIDE
 from labpipe.config.rig import DEFAULT_ROLES
 from labpipe.formats.table import Table
@@ -59,10 +59,10 @@ class GuessedChannel:
         return tuple(text for name, text in asked.items() if getattr(self, name) == DECIDE)
 
 
-def first_rows(table: Table) -> tuple[tuple[str, ...], NDArray[np.floating]]:
+def first_rows(table: Table) -> tuple[tuple[str, ...], FloatArray]:
     """The distinct columns of a table and their first rows (n, n_column)."""
     names = tuple(dict.fromkeys(table.columns))
-    chunks: list[NDArray[np.floating]] = []
+    chunks: list[FloatArray] = []
     rows = 0
     for chunk in table.chunks(names):
         chunks.append(chunk[: MOST_ROWS - rows])
@@ -72,7 +72,7 @@ def first_rows(table: Table) -> tuple[tuple[str, ...], NDArray[np.floating]]:
     return names, np.concatenate(chunks)
 
 
-def time_columns(names: Sequence[str], rows: NDArray[np.floating]) -> list[str]:
+def time_columns(names: Sequence[str], rows: FloatArray) -> list[str]:
     """The columns that are a time axis: every step is alike and positive."""
     steps = np.diff(rows, axis=0)
     mean = steps.mean(axis=0)

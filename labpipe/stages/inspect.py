@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.artefacts.recording_file import StoredRecording, open_recording
 from labpipe.artefacts.writing import output_file
 from labpipe.config.rig import time_scale
@@ -57,7 +57,7 @@ class _Look:
         self._names = tuple(names)
         self._envelopes, self._spectra = EnvelopeTrack(len(names)), SpectrumTrack(len(names))
 
-    def add(self, block: NDArray[np.floating]) -> None:
+    def add(self, block: FloatArray) -> None:
         self.screen.add(block)
         self._envelopes.add(block)
         self._spectra.add(block)

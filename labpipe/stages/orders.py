@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder, output_file
 from labpipe.errors import ConfigError
 from labpipe.formats.run_up_csv import write_run_up_csv
@@ -19,7 +19,7 @@ from labpipe.spectra.run_up_orders import run_up_of
 from labpipe.spectra.settings import ShaftLines
 from labpipe.stages.ingest import ingest, is_recording
 
-Column = tuple[str, NDArray[np.floating]]
+Column = tuple[str, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class TrackedRun:
     clearance: Clearance | None = None
 
     @property
-    def speeds(self) -> NDArray[np.floating]:
+    def speeds(self) -> FloatArray:
         """Speed of every stretch [rpm]."""
         return 60 * self.track.speed
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.config.reader import DECIDE
 from labpipe.config.rig import time_scale
 from labpipe.errors import DataError
@@ -49,7 +49,7 @@ class FirstLook:
     channels: tuple[GuessedChannel, ...]
     rate: float
     time: str
-    rows: NDArray[np.floating]
+    rows: FloatArray
 
     def column_of(self, role: str) -> list[int]:
         return [number for number, channel in enumerate(self.channels) if channel.role == role]
@@ -167,7 +167,7 @@ def _peaks(seen: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excit
     length = excitation.length / seen.rate
     periodic = excitation.kind == "periodic"
     settings = FrfSettings(
-        excitation.kind,
+        excitation=excitation.kind,
         period=length if periodic else None,
         skip=1 if excitation.repeats > 2 else 0,
         block=None if periodic else length,
@@ -186,14 +186,14 @@ def _as_channel(channel: GuessedChannel) -> Channel:
     return Channel(channel.key, quantity, channel.role, channel.dof)
 
 
-def _mobility(response: FrequencyResponse) -> NDArray[np.floating]:
+def _mobility(response: FrequencyResponse) -> FloatArray:
     """|velocity / force| (n_frequency, n_output) of the first force: neither the low nor the high end outweighs a resonance."""
     order = {"receptance": 1, "mobility": 0, "accelerance": -1}.get(response.form, 0)
     weight = np.maximum(response.frequency, response.frequency[response.frequency > 0].min()) ** order
     return np.abs(response.matrix[:, :, 0]) * weight[:, None]
 
 
-def _around(frequency: NDArray[np.floating], mobility: NDArray[np.floating]) -> tuple[float, float]:
+def _around(frequency: FloatArray, mobility: FloatArray) -> tuple[float, float]:
     """The band around the highest peak, with LEAST_LINES lines at least."""
     peak = int(np.argmax(mobility))
     reach = max(AROUND * float(frequency[peak]), LEAST_LINES / 2 * float(np.median(np.diff(frequency))))

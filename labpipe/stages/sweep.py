@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.settings import Setting, settings_of
@@ -21,7 +21,7 @@ class Sweep:
 
     key: str
     unit: str
-    values: NDArray[np.float64]
+    values: FloatArray
 
     @property
     def label(self) -> str:
@@ -60,7 +60,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _values(start: float, stop: float, step: float, where: str) -> NDArray[np.float64]:
+def _values(start: float, stop: float, step: float, where: str) -> FloatArray:
     if step == 0 or (stop - start) / step < 0.5:
         raise ConfigError("the step does not lead from start to stop", where=where)
     # A step that misses the stop ends before it; rounding must not lose the stop itself.

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.identify.constraints import constrained
 from labpipe.identify.measured import measured_part, select_ports
@@ -68,7 +68,7 @@ def _bounds_of_response(exact: FrequencyResponse, truth: Truth, settings: FitSet
     return {name: float(deviation) for name, deviation in zip(model.names, deviations, strict=True)}
 
 
-def _lines(frequency: NDArray[np.floating], settings: FitSettings) -> NDArray[np.bool_]:
+def _lines(frequency: FloatArray, settings: FitSettings) -> BoolArray:
     return np.ones(frequency.shape, bool) if settings.band is None else lines_in(frequency, settings.band)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.identify.settings import FitSettings
 from labpipe.records.identification import Parameter
 from labpipe.records.study import StudiedParameter, StudyCase
@@ -69,7 +69,7 @@ def squared_error(outcome: Outcome, names: Sequence[str], truth: Truth, settings
     return float(_places(names, settings) @ deviations**2)
 
 
-def _places(names: Sequence[str], settings: FitSettings) -> NDArray[np.floating]:
+def _places(names: Sequence[str], settings: FitSettings) -> FloatArray:
     if not settings.symmetric:
         return np.ones(len(names))
     return np.array([1.0 if len(parts := name.split("_")) != 3 or parts[1] == parts[2] else 2.0 for name in names])

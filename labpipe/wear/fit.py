@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.identify.dense_curve import drawn_densely
 from labpipe.identify.diagnostics import MISMATCH_P, collinear_groups, estimate_findings, quality_findings
@@ -53,9 +53,6 @@ SIZINGS = 2
 REGION_LEVEL = 0.95
 NAMES = {"complex": "ml", "log": "log-amplitude"}
 
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
-
 
 @dataclass(frozen=True)
 class _Solved:
@@ -63,7 +60,7 @@ class _Solved:
 
     misfit: Misfit
     found: tuple[Minimum, ...]
-    covariance: Array
+    covariance: FloatArray
     healthy_chi2: float | None = None
 
     @property
@@ -169,13 +166,13 @@ def _estimate(solved: _Solved) -> Estimate:
         reduced = best.chi2 / misfit.excess / dof
         p_value = weight_doubt(data.measured, dof).p_value(reduced, dof)
     return Estimate(
-        best.parameters,
-        solved.covariance,
-        triangle_of(jacobian[:, felt]) if felt else np.eye(1),
-        Goodness(r2, adjusted, reduced, p_value),
-        dof,
-        best.converged,
-        sum(one.evaluations for one in solved.found),
+        values=best.parameters,
+        covariance=solved.covariance,
+        scaled_design=triangle_of(jacobian[:, felt]) if felt else np.eye(1),
+        gof=Goodness(r2, adjusted, reduced, p_value),
+        dof=dof,
+        converged=best.converged,
+        iterations=sum(one.evaluations for one in solved.found),
     )
 
 
@@ -262,7 +259,7 @@ def _curve(data: WornData, solved: _Solved) -> FittedCurve:
     fitted = model.response(parameters)[0]
     before = None if DEPTH in model.names else _untuned(model)
 
-    def at(frequency: Array) -> ComplexArray:
+    def at(frequency: FloatArray) -> ComplexArray:
         return replace(model, frequency=tuple(frequency.tolist())).response(parameters)[0]
 
     dense = drawn_densely(at, data.frequency)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
+from labpipe.arrays import FloatArray
 from labpipe.wear.misfit import Misfit
 from labpipe.wear.profile import profile_distance
 from labpipe.wear.search import Minimum, descend, refined
@@ -19,8 +19,6 @@ N_DEPTH, N_ANGLE = 13, 5
 AROUND = np.linspace(-3.0, 3.0, 7)
 # Information on a parameter that is not felt, as the angle of no wear: a standard error of 10,000 scaled units instead of infinity.
 UNFELT = 1e-8
-
-Array = NDArray[np.floating]
 
 
 def healthy_minimum(misfit: Misfit, best: Minimum) -> tuple[Misfit, Minimum]:
@@ -48,10 +46,10 @@ def _peak_share(misfit: Misfit, best: Minimum) -> float:
     return min(float(2 * np.pi * np.sqrt(max(np.linalg.det(_spread(misfit, best)), 1e-12))) / area, 1.0)
 
 
-def _spread(misfit: Misfit, best: Minimum) -> Array:
+def _spread(misfit: Misfit, best: Minimum) -> FloatArray:
     """Covariance of depth and angle (2, 2), scaled."""
     jacobian = misfit.jacobian(best.parameters)
-    spread: Array = np.linalg.inv(jacobian.T @ jacobian + UNFELT * np.eye(jacobian.shape[1]))[:2, :2]
+    spread: FloatArray = np.linalg.inv(jacobian.T @ jacobian + UNFELT * np.eye(jacobian.shape[1]))[:2, :2]
     return spread
 
 
@@ -71,7 +69,7 @@ def _mean_likelihood(misfit: Misfit, best: Minimum) -> float:
     return float(trapezoid(along_angle, depths)) / float(np.prod(high - low))
 
 
-def _mesh(ticks: Array, around: Array, low: float, high: float) -> Array:
+def _mesh(ticks: FloatArray, around: FloatArray, low: float, high: float) -> FloatArray:
     """Rising ticks of both, within the range."""
     both = np.concatenate([ticks, around])
     return np.unique(both[(both >= low) & (both <= high)])

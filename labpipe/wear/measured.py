@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.identify.measured import Measured, measured_part
 from labpipe.identify.settings import FitSettings
@@ -22,8 +22,6 @@ from labpipe.wear.settings import WearSettings
 PLACES = {"full": (0, 1, 2, 3), "direct": (0, 3), "cross": (1, 2)}
 NAMES = {"FRF": ("y", "z"), "dFRF": FORWARD_BACKWARD}
 
-ComplexArray = NDArray[np.complexfloating]
-
 
 @dataclass(frozen=True)
 class WornData:
@@ -34,7 +32,7 @@ class WornData:
     names: tuple[str, str]
 
     @property
-    def frequency(self) -> NDArray[np.floating]:
+    def frequency(self) -> FloatArray:
         """(n_line,) [Hz]."""
         return self.measured.omega / (2 * np.pi)
 
@@ -101,7 +99,7 @@ def _in_yz(ports: tuple[Port, ...], what: str) -> ComplexArray:
         raise ConfigError(error.what, hint="give dof: y (horizontal) and dof: z (up), or angles from horizontal") from None
 
 
-def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: WearSettings) -> NDArray[np.bool_]:
+def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: WearSettings) -> BoolArray:
     """Which lines of the response are used, (n_frequency,)."""
     inside = lines_in(response.frequency, band)
     if wear.lines:
@@ -115,7 +113,7 @@ def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: 
     return inside
 
 
-def _explicit(frequency: NDArray[np.floating], wanted: tuple[float, ...]) -> NDArray[np.bool_]:
+def _explicit(frequency: FloatArray, wanted: tuple[float, ...]) -> BoolArray:
     """The measured lines next to the wanted ones; ConfigError where none is within half a line spacing."""
     nearest = np.array([int(np.argmin(np.abs(frequency - line))) for line in wanted])
     spacing = float(np.median(np.diff(frequency))) if frequency.size > 1 else 0.0

@@ -6,16 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.identify.weights import equal_weights, has_noise, weight_doubt, whitened, whitener
 from labpipe.wear.measured import WornData
 from labpipe.wear.model import WornModel
 
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
 # From (modelled terms, their slopes) to (residual, its slopes), both as real columns.
-Compared = Callable[[ComplexArray, ComplexArray], tuple[Array, Array]]
+Compared = Callable[[ComplexArray, ComplexArray], tuple[FloatArray, FloatArray]]
 
 
 @dataclass
@@ -33,15 +31,15 @@ class Misfit:
     size: float = 1.0
     excess: float = 1.0
     evaluations: int = 0
-    _last: tuple[bytes, Array, Array] | None = field(default=None, repr=False)
+    _last: tuple[bytes, FloatArray, FloatArray] | None = field(default=None, repr=False)
 
-    def residual(self, parameters: Array) -> Array:
+    def residual(self, parameters: FloatArray) -> FloatArray:
         return self._at(parameters)[0]
 
-    def jacobian(self, parameters: Array) -> Array:
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
         return self._at(parameters)[1]
 
-    def chi2(self, parameters: Array) -> float:
+    def chi2(self, parameters: FloatArray) -> float:
         """Sum of squares, what is known beforehand included."""
         residual = self.residual(parameters)
         return float(residual @ residual)
@@ -55,7 +53,7 @@ class Misfit:
         """The misfit in units of another standard deviation."""
         return replace(self, size=size, _last=None)
 
-    def _at(self, parameters: Array) -> tuple[Array, Array]:
+    def _at(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
         key = np.asarray(parameters, float).tobytes()
         if self._last is None or self._last[0] != key:
             self.evaluations += 1
@@ -67,7 +65,7 @@ class Misfit:
         return self._last[1], self._last[2]
 
 
-def _known_rows(model: WornModel) -> tuple[Array, Array]:
+def _known_rows(model: WornModel) -> tuple[FloatArray, FloatArray]:
     """R and r of the rows R p - r of unit variance that say what is known beforehand."""
     known = model.known
     if not known.names:
@@ -89,7 +87,7 @@ def complex_misfit(model: WornModel, data: WornData) -> Misfit:
     weights = whitener(chosen) if weighted else equal_weights(chosen)
     doubt = weight_doubt(data.measured, max(chosen.n_equation - len(model.names), 1)) if weighted else None
 
-    def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[Array, Array]:
+    def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
         return whitened(weights, response - chosen.matrix), whitened(weights, slopes).T
 
     size, excess = (1.0, 1.0) if doubt is None else (float(np.sqrt(doubt.inflation)), doubt.excess / doubt.inflation)
@@ -100,7 +98,7 @@ def log_misfit(model: WornModel, data: WornData) -> Misfit:
     """log10(|H_model| / |H_measured|) of every line and term, all alike (Mendes et al. 2017); phases do not enter."""
     measured = data.chosen.matrix
 
-    def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[Array, Array]:
+    def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
         residual = np.log10(np.abs(response) / np.abs(measured)).reshape(-1)
         return residual, ((slopes / response).real / np.log(10)).reshape(slopes.shape[0], -1).T
 

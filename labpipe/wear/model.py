@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.errors import FitError
 from labpipe.rigs.rotor_rig import RotorRig
@@ -25,9 +25,6 @@ BETA_STEP = 1e-3
 TABLE_MARGIN = 1.001
 SCALES = {DEPTH: 1e-6, ANGLE: float(np.deg2rad(1.0))}
 
-Array = NDArray[np.floating]
-ComplexArray = NDArray[np.complexfloating]
-
 
 @dataclass(frozen=True)
 class WornModel:
@@ -41,13 +38,13 @@ class WornModel:
     frequency: tuple[float, ...]
     directional: bool
     names: tuple[str, ...]
-    scale: Array
-    low: Array
-    high: Array
+    scale: FloatArray
+    low: FloatArray
+    high: FloatArray
     known: Gaussian
     mesh: FilmMesh
 
-    def refined(self, parameters: Array, with_slopes: bool = True) -> WornModel:
+    def refined(self, parameters: FloatArray, with_slopes: bool = True) -> WornModel:
         """The model with the films' own coefficients and slopes at these parameters, on a mesh with cells of half the size.
 
         A table cannot follow every bend of the coefficients: its error moves a deep wear by a micrometre.
@@ -55,11 +52,11 @@ class WornModel:
         fine, values = FilmMesh(2 * self.mesh.around, 2 * self.mesh.across), self.values(parameters)
         return replace(self, bearings=tuple(bearing.refined(values, fine, with_slopes) for bearing in self.bearings))
 
-    def values(self, parameters: Array) -> dict[str, float]:
+    def values(self, parameters: FloatArray) -> dict[str, float]:
         """SI values by name."""
         return dict(zip(self.names, (self.scale * parameters).tolist(), strict=True))
 
-    def response(self, parameters: Array) -> tuple[ComplexArray, ComplexArray]:
+    def response(self, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """H (n_line, 2, 2) [m/N] and its derivatives by the scaled parameters, (n, n_line, 2, 2)."""
         values = self.values(parameters)
         supports = [bearing.support(values, self.names) for bearing in self.bearings]
@@ -89,7 +86,7 @@ def _kept_rotor(rotor: Rotor, nodes: tuple[int, ...], frequency: tuple[float, ..
     return reduced_rotor(rotor, nodes, np.array(frequency), speed)
 
 
-def worn_model(settings: WearSettings, frequency: Array) -> WornModel:
+def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
     """The model of a fit on its lines; FitError without a rotor, ConfigError where settings and rotor do not fit together."""
     if settings.rig is None:
         raise FitError("no rotor was read for this fit", hint="name it with wear.rotor")

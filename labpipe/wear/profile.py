@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_quantile
 from labpipe.wear.misfit import Misfit
 from labpipe.wear.search import Minimum, descend
@@ -15,8 +15,6 @@ PROFILE_STEPS = 10
 # The profile is followed until it is within this part of the limit, in standard deviations.
 CLOSE = 0.02
 PROFILE_TOLERANCE = 1e-6
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,7 @@ def profile_distance(misfit: Misfit, best: Minimum, held: dict[int, float]) -> f
     return float(np.sqrt(max(descend(misfit, start, free, PROFILE_TOLERANCE).chi2 - best.chi2, 0.0)))
 
 
-def joint_region(misfit: Misfit, best: Minimum, covariance: Array, level: float = 0.95, directions: int = 24) -> Array:
+def joint_region(misfit: Misfit, best: Minimum, covariance: FloatArray, level: float = 0.95, directions: int = 24) -> FloatArray:
     """The outline of the joint confidence region of the first two parameters, (directions, 2) scaled.
 
     Along rays from the estimate, in units of the covariance's ellipse, to where the profile increases by the chi-square quantile of

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
 from labpipe.wear.misfit import Misfit
 from labpipe.wear.settings import ANGLE, DEPTH, WearSettings
@@ -25,21 +25,19 @@ SETTLED, MOST_REFINEMENTS = 0.03, 12
 # Corrections that determine the films' slopes anew; they change little from there on.
 SLOPE_ROUNDS = 2
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class Minimum:
     """Scaled parameters at a minimum, the misfit there, and how many starts lead to it."""
 
-    parameters: Array
+    parameters: FloatArray
     chi2: float
     starts: int
     converged: bool
     evaluations: int
 
 
-def start_mesh(settings: WearSettings, misfit: Misfit) -> list[Array]:
+def start_mesh(settings: WearSettings, misfit: Misfit) -> list[FloatArray]:
     """Every start (n,), scaled: depths by angles, what is known of the other parameters at its mean."""
     model = misfit.model
     mean = np.array(model.known.mean) / model.scale[len(model.names) - misfit.n_known :]
@@ -50,13 +48,13 @@ def start_mesh(settings: WearSettings, misfit: Misfit) -> list[Array]:
     return [np.array([depth / scales[0], angle / scales[1], *mean]) for depth, angle in product(depths, settings.start_angles)]
 
 
-def descend(misfit: Misfit, start: Array, free: Sequence[int] | None = None, tolerance: float = TOLERANCE) -> Minimum:
+def descend(misfit: Misfit, start: FloatArray, free: Sequence[int] | None = None, tolerance: float = TOLERANCE) -> Minimum:
     """The minimum that a start leads to, within the bounds; *free*: numbers of the parameters that move (default: all)."""
     moving = list(range(start.size)) if free is None else list(free)
     model, whole = misfit.model, np.array(start, float)
     low, high = model.low[moving], model.high[moving]
 
-    def full(moved: Array) -> Array:
+    def full(moved: FloatArray) -> FloatArray:
         point = whole.copy()
         point[moving] = moved
         return point
@@ -64,10 +62,10 @@ def descend(misfit: Misfit, start: Array, free: Sequence[int] | None = None, tol
     if not moving:
         return Minimum(whole, misfit.chi2(whole), 1, True, 1)
 
-    def residual(moved: Array) -> Array:
+    def residual(moved: FloatArray) -> FloatArray:
         return misfit.residual(full(moved))
 
-    def jacobian(moved: Array) -> Array:
+    def jacobian(moved: FloatArray) -> FloatArray:
         return misfit.jacobian(full(moved))[:, moving]
 
     inward = 1e-6 * (high - low)
@@ -84,7 +82,7 @@ def descend(misfit: Misfit, start: Array, free: Sequence[int] | None = None, tol
     return Minimum(full(found.x), 2 * float(found.cost), 1, found.status > 0, int(found.nfev))
 
 
-def minima(misfit: Misfit, starts: Sequence[Array]) -> list[Minimum]:
+def minima(misfit: Misfit, starts: Sequence[FloatArray]) -> list[Minimum]:
     """The distinct minima of all starts, the lowest first; FitError when no start leads anywhere."""
     found = sorted((descend(misfit, start) for start in starts), key=lambda one: (not one.converged, one.chi2))
     if not np.isfinite(found[0].chi2):
@@ -105,7 +103,7 @@ def merged(found: Sequence[Minimum]) -> list[Minimum]:
     return distinct
 
 
-def _is_same(one: Array, other: Array) -> bool:
+def _is_same(one: FloatArray, other: FloatArray) -> bool:
     """Whether depth and angle agree; the angle of hardly any wear means nothing."""
     apart = np.abs(one - other)[:2]
     return bool(apart[0] < SAME and (np.max(apart) < SAME or max(one[0], other[0]) < SHALLOW))

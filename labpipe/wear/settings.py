@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, Uncertain, setting
 from labpipe.rigs.rotor_rig import RotorRig, worn_place
@@ -29,7 +29,7 @@ class Gaussian:
     covariance: tuple[tuple[float, ...], ...]
 
     @property
-    def std(self) -> NDArray[np.floating]:
+    def std(self) -> FloatArray:
         """Standard deviations (n,)."""
         return np.sqrt(np.diag(np.array(self.covariance)))
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.bearings.journal import JournalBearing, JournalEquilibrium, journal_equilibrium
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.bearings.journal_table import PARAMETERS, JournalTable, TableRange, journal_table
@@ -28,8 +28,6 @@ SHALLOW, FEWEST = 1e-6, 4
 WEAR = ("wear_depth", "wear_angle")
 # Steps of the film's differences: depth [m], angle [rad], viscosity and clearance relative, cavitation pressure [Pa].
 STEPS = {"wear_depth": 1e-6, "wear_angle": float(np.deg2rad(1.0)), "viscosity": 0.01, "clearance": 0.01, "cavitation_pressure": 2e3}
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -50,30 +48,31 @@ class Ranges:
     def of_table(self, worn: bool) -> TableRange:
         """The table's axes, of a worn bearing or of one without wear."""
         further = (self.viscosity_factor > 1 or self.clearance_factor > 1) + (self.cavitation_pressure < 0)
-        nodes = WEAR_NODES[further] if worn else (FEWEST, FEWEST)
+        n_depth, n_angle = WEAR_NODES[further] if worn else (FEWEST, FEWEST)
         return TableRange(
-            self.depth if worn else SHALLOW,
-            self.angle,
-            self.viscosity_factor,
-            self.clearance_factor,
-            self.cavitation_pressure,
-            *nodes,
-            FEWEST,
-            FEWEST,
+            depth=self.depth if worn else SHALLOW,
+            angle=self.angle,
+            viscosity_factor=self.viscosity_factor,
+            clearance_factor=self.clearance_factor,
+            cavitation_pressure=self.cavitation_pressure,
+            n_depth=n_depth,
+            n_angle=n_angle,
+            n_sommerfeld=FEWEST,
+            n_cavitation=FEWEST,
         )
 
 
-def _of_table(table: JournalTable, bearing: JournalBearing, speed: float) -> tuple[Array, Array]:
+def _of_table(table: JournalTable, bearing: JournalBearing, speed: float) -> tuple[FloatArray, FloatArray]:
     """Stiffness and damping (2, 2, 2) of a table, and their derivatives (2, 5, 2, 2) by PARAMETERS."""
     found = table.coefficients(bearing, speed)
     return np.stack([found.stiffness, found.damping]), np.stack([found.stiffness_slopes, found.damping_slopes])
 
 
-def _point(bearing: JournalBearing) -> Array:
+def _point(bearing: JournalBearing) -> FloatArray:
     return np.array([getattr(bearing, name) for name in PARAMETERS])
 
 
-def _film_slope(film: JournalEquilibrium, name: str) -> Array:
+def _film_slope(film: JournalEquilibrium, name: str) -> FloatArray:
     """Derivatives of stiffness and damping (2, 2, 2) by one parameter, by a difference wide enough for a film of finite cells."""
     here = float(getattr(film.bearing, name))
     step = STEPS[name] * (here if name in ("viscosity", "clearance") else 1.0)
@@ -84,7 +83,7 @@ def _film_slope(film: JournalEquilibrium, name: str) -> Array:
         ends[0] = min(ends[0], 0.0)
     films = [journal_equilibrium(replace(film.bearing, **{name: end}), film.load, film.speed, film.mesh, film) for end in ends]
     change = np.array([films[0].stiffness - films[1].stiffness, films[0].damping - films[1].damping])
-    slope: Array = change / (ends[0] - ends[1])
+    slope: FloatArray = change / (ends[0] - ends[1])
     return slope
 
 
@@ -101,13 +100,13 @@ class Correction:
     point (5,): PARAMETERS of the bearing there; slopes (2, 5, 2, 2): of stiffness and damping, by each of them.
     """
 
-    point: Array
-    offset: Array
-    slopes: Array
+    point: FloatArray
+    offset: FloatArray
+    slopes: FloatArray
 
-    def at(self, point: Array) -> Array:
+    def at(self, point: FloatArray) -> FloatArray:
         """The correction of stiffness and damping (2, 2, 2) at another point nearby."""
-        moved: Array = self.offset + np.einsum("kpij,p->kij", self.slopes, point - self.point)
+        moved: FloatArray = self.offset + np.einsum("kpij,p->kij", self.slopes, point - self.point)
         return moved
 
 

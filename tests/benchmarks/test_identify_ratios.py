@@ -25,7 +25,7 @@ def measured(n_line: int) -> Measured:
     h = np.linalg.inv(STIFFNESS + 1j * omega[:, None, None] * DAMPING - omega[:, None, None] ** 2 * MASS)
     rng = np.random.default_rng(1)
     noise = 0.02 * np.max(np.abs(h)) * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
-    return Measured(omega, h + noise, None, np.inf, 1.0, DOFS, FORCES)
+    return Measured(omega=omega, matrix=h + noise, covariance=None, noise_dof=np.inf, noise_lines=1.0, outputs=DOFS, inputs=FORCES)
 
 
 def cpu_time(work: Callable[[], object], repeats: int) -> float:

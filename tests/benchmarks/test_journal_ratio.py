@@ -20,7 +20,7 @@ from labpipe.rotors.worn import VaryingSupport, WornRig, worn_response
 
 SPEED = 2 * np.pi * 50
 LOAD = (0.0, -58.85)
-BEARING = JournalBearing(31e-3, 18e-3, 90e-6, 0.1044)
+BEARING = JournalBearing(diameter=31e-3, length=18e-3, clearance=90e-6, viscosity=0.1044)
 LINES = np.array([15.9, 25.1, 34.3, 78.1, 81.3, 84.5, 87.7])
 STARTS = list(product([1.0, 15.0, 30.0, 45.0], [-15.0, -7.5, 0.0, 7.5, 15.0]))
 

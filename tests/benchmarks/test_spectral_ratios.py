@@ -29,7 +29,7 @@ CHANNELS = (
     Channel("y", "displacement", "output", "x", 0.0),
     Channel("z", "displacement", "output", "y", np.pi / 2),
 )
-SETTINGS = FrfSettings("random", block=5.0)
+SETTINGS = FrfSettings(excitation="random", block=5.0)
 
 
 @pytest.fixture(scope="module")

@@ -62,7 +62,7 @@ def test_the_shaft_s_frequencies_and_the_fit_of_its_theoretical_curve(labpipe, r
     ended = labpipe(
         "bearing", root / "configs/bearings/nsk-6208.yaml", "--set", "damping_factor=1e-6 s", "-o", tmp_path, "--json", tmp_path / "k.json"
     )
-    assert "f_1 63.092 Hz" in ended.out and "zeta_1 0.000198" in ended.out and "sdof_k: what a one-dof fit finds" in ended.out
+    assert "f_1 63.092 Hz" in ended.out and "zeta_1 0.000198" in ended.out and "sdof_k: stiffness from a one-dof fit" in ended.out
     entry = json.loads((tmp_path / "k.json").read_text())
     shaft = entry["shaft"]
     assert [shaft[f"f_{n}"] for n in range(1, 6)] == pytest.approx([63.09, 63.11, 413.50, 1486.0, 1486.1], rel=2e-4)

@@ -99,7 +99,7 @@ LINES = CSV.splitlines(keepends=True)
         (table(lambda c: c[:150]), ["too short for one period"]),
         (table(replaced(1, slice(None), 2.5)), ["force channel 'f'", "does not vary"]),
         (CSV.replace("force [N]", "Force [N]"), ["no column 'force [N]'", "did you mean 'Force [N]'?"]),
-        (CSV.replace("y [um]", "force [N]"), ["the column 'force [N]' stands 2 times"]),
+        (CSV.replace("y [um]", "force [N]"), ["the column 'force [N]' appears 2 times"]),
         (CSV.replace("y [um]", "y [mm]"), ["no column 'y [um]'", "did you mean 'y [mm]'?"]),
         (
             CSV.replace("t [s],force [N],y [um]\n", "t [s],force [N],y [um]\ns,kN,um\n"),
@@ -155,7 +155,7 @@ def test_a_clipped_channel_is_used_and_the_warning_travels_to_the_result(project
         ("pipeline.yaml", "recordings: run.csv", "recordings: .", ["is a folder"]),
         ("pipeline.yaml", "input: f", "input: q", ["no force 'q' in the FRF"]),
         ("pipeline.yaml", "band: 10-40 Hz", "band: 90-99 Hz", ["no frequency line lies in the band"]),
-        ("pipeline.yaml", "title: Test", "title: Test\ntitle: Again", ["pipeline.yaml:2:1: title: the key stands twice"]),
+        ("pipeline.yaml", "title: Test", "title: Test\ntitle: Again", ["pipeline.yaml:2:1: title: the key appears twice"]),
         ("pipeline.yaml", "title: Test", "title: [Test", ["pipeline.yaml:", "not valid YAML"]),
         ("pipeline.yaml", "title: Test", "accept: {direct.kk: '> 0 N/m'}", ["accept.direct.kk: the fit has no 'kk'; did you mean 'k'?"]),
         ("pipeline.yaml", "title: Test", "accept: {dirct.k: '> 0 N/m'}", ["accept.dirct.k: there is no fit 'dirct'"]),

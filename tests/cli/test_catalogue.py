@@ -109,7 +109,7 @@ def test_results_are_chosen_by_the_conditions_of_any_test(campaign: Path) -> Non
 @pytest.mark.parametrize(
     ("asked", "what"),
     [
-        ({"where": ("preload 400 N",)}, "is no condition"),
+        ({"where": ("preload 400 N",)}, "is not a condition"),
         ({"where": ("preloat = 400 N",)}, "did you mean 'preload'?"),
         ({"where": ("preload = 400 mm",)}, "is in N, not in m"),
         ({"where": ("direction = 4 N",)}, "is in words, not in N"),
@@ -248,7 +248,7 @@ def test_trends_on_the_terminal_as_csv_and_as_report(line: Path, labpipe) -> Non
     assert len((line / "t.csv").read_text().splitlines()) == 5
     assert "Campaign" in (line / "t.html").read_text()
     ended = labpipe("trend", line, "-p", "k", "--over", "preload", "--where", "preload < 250 N")
-    assert "no trend can be told" in ended.out
+    assert "no trend can be computed" in ended.out
 
 
 @pytest.mark.parametrize(
@@ -256,7 +256,7 @@ def test_trends_on_the_terminal_as_csv_and_as_report(line: Path, labpipe) -> Non
     [
         (["--over", "speed"], "no test has the amount 'speed'"),
         (["--over", "preload", "--where", "preload > 9 kN"], "no test has the amount 'preload'"),
-        (["--over", "date", "--since", "2030-01-01"], "no result is left by these filters"),
+        (["--over", "date", "--since", "2030-01-01"], "no result matches these filters"),
         (["--over", "preload", "-o", "x.docx"], "no report format for the ending '.docx'"),
     ],
 )

@@ -54,7 +54,7 @@ def test_labpipe_without_an_installation_says_so(labpipe, monkeypatch: pytest.Mo
 
     monkeypatch.setattr("importlib.metadata.requires", unknown)
     ended = labpipe("doctor")
-    assert ended.code == 2 and "pip install ." in ended.out and "1 thing(s) to put right" in ended.out
+    assert ended.code == 2 and "pip install ." in ended.out and "1 fault(s) to correct" in ended.out
 
 
 def test_every_module_of_the_dependencies_can_be_imported_by_its_name(root: Path) -> None:

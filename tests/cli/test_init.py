@@ -190,7 +190,7 @@ def test_examples_are_listed_and_an_unknown_one_is_refused(tmp_path: Path, labpi
     ended = labpipe("init", tmp_path / "x", "--example", "hnb")
     assert ended.code == 2 and "did you mean 'hmb'?" in ended.err and not (tmp_path / "x").exists()
     ended = labpipe("init", tmp_path / "x", "a.csv", "--example", "hmb")
-    assert ended.code == 2 and "brings its own recordings" in ended.err
+    assert ended.code == 2 and "has its own recordings" in ended.err
 
 
 @pytest.mark.parametrize("name", sorted(examples()))

@@ -95,7 +95,7 @@ def test_rate_and_unit_are_held_against_the_rig(project: Path, labpipe) -> None:
     ("file", "content", "fragment"),
     [
         ("h.uff", b"", "the file is empty"),
-        ("h.uff", b"MZ\x90", "is no universal file"),
+        ("h.uff", b"MZ\x90", "is not a universal file"),
         ("h.mat", b"", "the file is empty"),
         ("h.mat", b"MATLAB 5.0 MAT-file" + bytes(200), "is not a readable MATLAB file"),
         ("h.xyz", b"1", "FRF files with the ending '.xyz' cannot be read"),

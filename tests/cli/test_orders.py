@@ -41,7 +41,7 @@ def rows(folder: Path) -> list[dict[str, float]]:
 def test_a_run_up_by_its_tacho(project: Path, labpipe) -> None:
     out = project / "out"
     ended = labpipe("orders", project / "run.csv", "-r", project / "rig.yaml", "--tacho", "n", "-o", out)
-    assert ended.code == 0 and "stretches of 20 revolutions" in ended.out, ended
+    assert ended.code == 0 and "segments of 20 revolutions" in ended.out, ended
     found = rows(out)
     assert found[0]["speed_hz"] < 22 and found[-1]["speed_hz"] > 38
     # E|dX|^2 = 4 s^2 / n; with s = 0.5 um and about 1300 samples a stretch 0.028 um; f and b have 1 / sqrt 2 of it.
@@ -76,7 +76,7 @@ def test_a_constant_speed_without_tacho(project: Path, labpipe) -> None:
         (("--tacho", "m"), "'m'"),
         (("--speed", "50 N"), "--speed: 'N' has the wrong dimension"),
         (("--tacho", "n", "--order", "-1"), "--order must be positive"),
-        (("--tacho", "n", "--revolutions", "5000"), "holds no 5000 revolutions"),
+        (("--tacho", "n", "--revolutions", "5000"), "shorter than 5000 revolutions"),
     ],
 )
 def test_what_cannot_be_tracked_is_said(project: Path, labpipe, arguments: tuple[str, ...], message: str) -> None:

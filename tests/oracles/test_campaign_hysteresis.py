@@ -23,7 +23,7 @@ from labpipe.spectra.settings import FrfSettings
 
 RIG = Path(__file__).parents[2] / "configs/virtual-ball-bearing.yaml"
 FIT = FitSettings("sdof", input=("z",), output=("z",), band=(300.0, 900.0), name="axial")
-ASKED = CompareSettings("difference", fit="axial", over="preload", group="way", groups=("up", "down"), setting_error=0.005)
+ASKED = CompareSettings(kind="difference", fit="axial", over="preload", group="way", groups=("up", "down"), setting_error=0.005)
 
 
 def compared(hysteresis: float, seed: int) -> Comparison:
@@ -33,7 +33,9 @@ def compared(hysteresis: float, seed: int) -> Comparison:
         for preload in rig.deep_groove.preloads:
             (run,) = simulate_ball_bearing(rig, seed, [f"6208-{preload:g}N-{way}-z"])
             conditions = {"preload": f"{preload:g} N", "way": way}
-            responses.append(measure([run.recording], FrfSettings("periodic", period=0.5, skip=0), name=run.name, conditions=conditions))
+            responses.append(
+                measure([run.recording], FrfSettings(excitation="periodic", period=0.5, skip=0), name=run.name, conditions=conditions)
+            )
             fits.extend(replace(fit, test=run.name) for fit in identify(responses[-1], FIT))
     return compare(ASKED, Evidence(tuple(fits), tuple(responses), (FIT,)))
 

@@ -16,7 +16,7 @@ from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 
 REPEATS = 200
-FRF = FrfSettings("periodic", period=2.0, skip=3, band=(1.0, 100.0))
+FRF = FrfSettings(excitation="periodic", period=2.0, skip=3, band=(1.0, 100.0))
 FIT = FitSettings("sdof", mass=0.79, band=(60.0, 70.0), name="pedestal")
 
 

@@ -21,7 +21,9 @@ CASES = {
 
 
 def bearing(depth: float, angle: float) -> JournalBearing:
-    return JournalBearing(31e-3, 18e-3, 90e-6, 0.1044, depth * 1e-6, np.deg2rad(angle))
+    return JournalBearing(
+        diameter=31e-3, length=18e-3, clearance=90e-6, viscosity=0.1044, wear_depth=depth * 1e-6, wear_angle=np.deg2rad(angle)
+    )
 
 
 def scaled(equilibrium: JournalEquilibrium) -> tuple[np.ndarray, np.ndarray]:

@@ -27,7 +27,7 @@ ROLLERS = RollingBearing(60, 1e9, 0.1, ANGLE)
 
 def half_loaded(bearing: RollingBearing) -> Equilibrium:
     """dx cos a = dz sin a: delta = dx cos a (1 + cos psi) is epsilon = 1; dz = 0 is epsilon = 0.5."""
-    return equilibrium(bearing, displacements=[1e-5, 0, 0, 0, 0], held=("x", "y", "z", *PARALLEL))
+    return equilibrium(bearing, displacements=[1e-5, 0, 0, 0, 0], fixed_dofs=("x", "y", "z", *PARALLEL))
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_half_of_the_circumference_loaded(bearing: RollingBearing, greatest: flo
 def test_the_loads_that_were_found_bring_the_displacement_back(bearing: RollingBearing) -> None:
     """Forces instead of displacements: the same load zone from F_a = 1.216 (1.260) F_r tan a."""
     there = half_loaded(bearing)
-    back = equilibrium(bearing, there.load, held=PARALLEL)
+    back = equilibrium(bearing, there.load, fixed_dofs=PARALLEL)
     np.testing.assert_allclose(back.displacement, there.displacement, atol=1e-12)
 
 
@@ -56,7 +56,7 @@ def test_the_loads_that_were_found_bring_the_displacement_back(bearing: RollingB
 def test_radial_bearing_without_clearance(bearing: RollingBearing, greatest: float) -> None:
     """Contact angle 0, no clearance: half of the circumference carries a radial load."""
     radial = RollingBearing(60, bearing.stiffness_constant, 0.1, groove_distance=bearing.groove_distance)
-    state = equilibrium(radial, load_vector(x=1000.0), held=("z", *PARALLEL))
+    state = equilibrium(radial, load_vector(x=1000.0), fixed_dofs=("z", *PARALLEL))
     assert state.contacts.load.max() == pytest.approx(greatest * 1000 / 60, abs=0.006 * 1000 / 60)
 
 
@@ -69,7 +69,7 @@ def test_sjovall_s_integrals(bearing: RollingBearing, epsilon: float) -> None:
     """
     dx = 1e-5
     dz = (2 * epsilon - 1) * dx / math.tan(ANGLE)
-    state = equilibrium(bearing, displacements=[dx, 0, dz, 0, 0], held=("x", "y", "z", *PARALLEL))
+    state = equilibrium(bearing, displacements=[dx, 0, dz, 0, 0], fixed_dofs=("x", "y", "z", *PARALLEL))
     edge = math.acos(1 - 2 * epsilon) if epsilon < 1 else math.pi
 
     def mean(weight) -> float:  # type: ignore[no-untyped-def]
@@ -85,16 +85,16 @@ def test_sjovall_s_integrals(bearing: RollingBearing, epsilon: float) -> None:
 
 @pytest.mark.parametrize("bearing", [BALLS, ROLLERS], ids=["point contact", "line contact"])
 def test_axial_load_is_shared_alike(bearing: RollingBearing) -> None:
-    state = equilibrium(bearing, load_vector(z=6000.0), held=PARALLEL)
+    state = equilibrium(bearing, load_vector(z=6000.0), fixed_dofs=PARALLEL)
     np.testing.assert_allclose(state.contacts.load, 6000 / (60 * np.sin(state.contact_angle)), rtol=1e-9)
 
 
 def test_clearance_narrows_the_load_zone_and_raises_its_peak() -> None:
     """epsilon = (1 - clearance / displacement) / 2: the edge of the zone lies where dx cos psi = clearance."""
     rollers = RollingBearing(60, 1e9, 0.1, clearance=1e-5)
-    state = equilibrium(rollers, load_vector(x=1000.0), held=("z", *PARALLEL))
+    state = equilibrium(rollers, load_vector(x=1000.0), fixed_dofs=("z", *PARALLEL))
     dx = state.displacement[0, 0]
     inside = np.cos(state.angles[0]) > 1e-5 / dx
     np.testing.assert_array_equal(state.contacts.load[0] > 0, inside)
-    tight = equilibrium(RollingBearing(60, 1e9, 0.1), load_vector(x=1000.0), held=("z", *PARALLEL))
+    tight = equilibrium(RollingBearing(60, 1e9, 0.1), load_vector(x=1000.0), fixed_dofs=("z", *PARALLEL))
     assert state.contacts.load.max() > 1.1 * tight.contacts.load.max() and np.sum(inside) < 30

@@ -77,5 +77,5 @@ def test_the_position_of_the_first_ball_changes_no_printed_digit(name: str) -> N
 
 def test_held_tilt_is_not_what_was_printed() -> None:
     """With the tilt held at zero a coupling term misses by 150 % and more: the printed matrices are those of free tilt."""
-    held = equilibrium(BEARINGS["7208"], load_vector(y=-24.0, z=445.0), held=("bx", "by")).stiffness[0]
+    held = equilibrium(BEARINGS["7208"], load_vector(y=-24.0, z=445.0), fixed_dofs=("bx", "by")).stiffness[0]
     assert abs(held[1, 2] / -0.1764e6 - 1) > 1.5

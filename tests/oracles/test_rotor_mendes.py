@@ -36,7 +36,7 @@ def test_static_loads(rotor: Rotor) -> None:
 @pytest.mark.parametrize("mesh", [FilmMesh(120, 30), FilmMesh(480, 60)], ids=["120x30", "480x60"])
 def test_modes_on_healthy_bearings(rotor: Rotor, mesh: FilmMesh) -> None:
     """Frequencies within .05 Hz, damping ratios within 2 %."""
-    bearing = JournalBearing(31e-3, 18e-3, 90e-6, 0.1044)
+    bearing = JournalBearing(diameter=31e-3, length=18e-3, clearance=90e-6, viscosity=0.1044)
     supports = []
     for node, load in zip((4, 14), bearing_loads(rotor, [4, 14], {10: (0.0, -80.0)}), strict=True):
         equilibrium = journal_equilibrium(bearing, (float(load[0]), float(load[1])), SPEED, mesh)

@@ -21,7 +21,7 @@ from labpipe.rotors.parts import Disc, Material, Rotor, ShaftElement, Support
 
 STIFF = Material(7800.0, 1e16, 4e15)
 ROTOR = Rotor((ShaftElement(0.2, 0.05, STIFF), ShaftElement(0.2, 0.05, STIFF)), (Disc(2, 20.0, 0.05, 0.08),))
-BEARING = JournalBearing(0.05, 0.0125, 80e-6, 0.02)
+BEARING = JournalBearing(diameter=0.05, length=0.0125, clearance=80e-6, viscosity=0.02)
 Coefficients = Callable[[float], tuple[np.ndarray, np.ndarray]]
 
 

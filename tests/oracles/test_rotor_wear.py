@@ -22,7 +22,7 @@ from labpipe.rotors.worn import VaryingSupport, WornRig, worn_response
 
 SPEED = 2 * np.pi * 50
 LINES = np.concatenate([np.arange(15.9, 35.0, 1.0), np.arange(78.1, 88.0, 0.8)])
-BEARING = JournalBearing(31e-3, 18e-3, 90e-6, 0.1044)
+BEARING = JournalBearing(diameter=31e-3, length=18e-3, clearance=90e-6, viscosity=0.1044)
 # Depth um and angle deg of the source's bearings 1 to 4.
 WEAR = [(22.27, 11.0), (22.27, -11.0), (40.19, 8.0), (48.26, 17.0)]
 

@@ -40,7 +40,7 @@ CASES = [
 @pytest.mark.parametrize(("window", "overlap"), CASES)
 def test_predicted_variance_is_that_of_repeats(window: str, overlap: float) -> None:
     rng = np.random.default_rng(41)
-    settings = FrfSettings("random", block=0.5, window=window, overlap=overlap, band=(6.0, 58.0))
+    settings = FrfSettings(excitation="random", block=0.5, window=window, overlap=overlap, band=(6.0, 58.0))
     responses = [measure([recording(rng)], settings) for _ in range(REPEATS)]
     matrices = np.array([response.matrix for response in responses])
     predicted = np.mean([response.variance for response in responses], axis=0)

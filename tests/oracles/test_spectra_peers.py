@@ -32,7 +32,7 @@ def noisy_gain(gain: float, share: float, rate: float = 256.0, n: int = 40_000) 
 def test_hv_does_not_collapse_to_h1_in_metres(gain: float) -> None:
     # Equal shares of noise on both sides: Hv is unbiased in any unit, H1 is low by 1 / (1 + 0.25), H2 high by as much.
     recording = noisy_gain(gain, 0.5)
-    settings = {name: FrfSettings("random", block=1.0, estimator=name) for name in ("H1", "H2", "Hv")}
+    settings = {name: FrfSettings(excitation="random", block=1.0, estimator=name) for name in ("H1", "H2", "Hv")}
     found = {name: np.mean(measure([recording], own).matrix.real) / gain for name, own in settings.items()}
     assert found["Hv"] == pytest.approx(1.0, abs=0.01)
     assert found["H1"] == pytest.approx(1 / 1.25, abs=0.01)
@@ -72,7 +72,7 @@ def test_a_sampling_rate_that_is_no_whole_number(rate: float) -> None:
     rng = np.random.default_rng(34)
     u = rng.normal(size=8000)
     recording = Recording((FORCE, X), np.column_stack([u, np.roll(u, 1)]), rate, "run")
-    response = measure([recording], FrfSettings("random", block=100 / rate))
+    response = measure([recording], FrfSettings(excitation="random", block=100 / rate))
     np.testing.assert_allclose(response.frequency, np.arange(1, 51) * rate / 100, rtol=1e-12)
     # One sample of delay; within a block one sample of 100 is not the force's own.
     np.testing.assert_allclose(response.matrix[:, 0, 0], np.exp(-2j * np.pi * response.frequency / rate), atol=0.05)
@@ -105,7 +105,8 @@ def test_a_response_that_comes_late_has_negative_phase(excitation: str) -> None:
     }[excitation]
     length = {"period" if excitation == "periodic" else "block": 1.0}
     response = measure(
-        [Recording((FORCE, X), np.column_stack([u, np.roll(u, 3)]), 512.0, "run")], FrfSettings(excitation, band=(5.0, 60.0), **length)
+        [Recording((FORCE, X), np.column_stack([u, np.roll(u, 3)]), 512.0, "run")],
+        FrfSettings(excitation=excitation, band=(5.0, 60.0), **length),
     )
     np.testing.assert_allclose(np.angle(response.matrix[:, 0, 0]), -2 * np.pi * response.frequency * 3 / 512, atol=0.05)
 
@@ -117,7 +118,7 @@ def test_no_scale_changes_a_result(excitation: str) -> None:
     u = np.tile(rng.normal(size=512), 16) if excitation != "impact" else (np.arange(n) % 1024 == 200).astype(float)
     y = signal.lfilter([1.0], [1.0, -0.5], u) + 1e-3 * rng.normal(size=n)
     length = {"period" if excitation == "periodic" else "block": 1.0}
-    settings = FrfSettings(excitation, band=(5.0, 100.0), **length)
+    settings = FrfSettings(excitation=excitation, band=(5.0, 100.0), **length)
     plain, tiny = (measure([Recording((FORCE, X), np.column_stack([u, y]) * scale, 512.0, "run")], settings) for scale in (1.0, 1e-12))
     np.testing.assert_allclose(tiny.matrix, plain.matrix, rtol=1e-9)
     np.testing.assert_allclose(tiny.covariance, plain.covariance, rtol=1e-6)
@@ -126,7 +127,7 @@ def test_no_scale_changes_a_result(excitation: str) -> None:
 
 @pytest.mark.parametrize("share", [0.0, 1e-9, 30.0])
 def test_coherence_stays_within_0_and_1(share: float) -> None:
-    response = measure([noisy_gain(1e-6, share, n=3000)], FrfSettings("random", block=1.0))
+    response = measure([noisy_gain(1e-6, share, n=3000)], FrfSettings(excitation="random", block=1.0))
     assert response.coherence is not None and response.multiple_coherence is not None
     for values in (response.coherence, response.multiple_coherence):
         assert values.min() >= 0 and values.max() <= 1

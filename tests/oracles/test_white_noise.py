@@ -16,7 +16,7 @@ from labpipe.simulate.white_noise_rig import SensorNoise, WhiteNoiseRig, truth, 
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings, MaskSettings, ShaftLines
 
-SETTINGS = FrfSettings("random", block=5.0, band=(30.0, 130.0))
+SETTINGS = FrfSettings(excitation="random", block=5.0, band=(30.0, 130.0))
 NAMES = [f"{letter}_{pair}" for letter in "kc" for pair in ("xx", "xy", "yx", "yy")]
 
 

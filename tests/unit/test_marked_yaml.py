@@ -27,8 +27,8 @@ def test_every_duplicate_key_is_named() -> None:
     with pytest.raises(ConfigErrors) as caught:
         parse_marked("a: 1\nb: 2\na: 3\nb: 4\n", "p.yaml")
     assert [str(fault) for fault in caught.value.faults] == [
-        "p.yaml:3:1: a: the key stands twice; first at p.yaml:1:1",
-        "p.yaml:4:1: b: the key stands twice; first at p.yaml:2:1",
+        "p.yaml:3:1: a: the key appears twice; first at p.yaml:1:1",
+        "p.yaml:4:1: b: the key appears twice; first at p.yaml:2:1",
     ]
 
 

@@ -15,7 +15,7 @@ from labpipe.errors import ConfigError, FitError
 
 GROOVE = np.deg2rad(20)
 MESH = FilmMesh(72, 12)
-GROOVED = JournalBearing(16.5e-3, 8.25e-3, 0.2e-3, 0.55, groove_width=GROOVE)
+GROOVED = JournalBearing(diameter=16.5e-3, length=8.25e-3, clearance=0.2e-3, viscosity=0.55, groove_width=GROOVE)
 
 
 def test_grooves_hold_the_ambient_pressure_and_nothing_else_does() -> None:

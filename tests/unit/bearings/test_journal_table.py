@@ -15,7 +15,7 @@ from labpipe.errors import ConfigError, FitError
 SPEED = 2 * np.pi * 50
 LOAD = (0.0, -58.85)
 MESH = FilmMesh(60, 12)
-BEARING = JournalBearing(31e-3, 18e-3, 90e-6, 0.1044)
+BEARING = JournalBearing(diameter=31e-3, length=18e-3, clearance=90e-6, viscosity=0.1044)
 WIDE = TableRange(viscosity_factor=1.1, clearance_factor=1.03, cavitation_pressure=-0.3e5, n_depth=13, n_angle=5)
 
 

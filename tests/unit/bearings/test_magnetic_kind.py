@@ -39,8 +39,8 @@ def test_shares_sum_to_the_coefficients() -> None:
 
 
 def test_speed_is_the_frequency_unless_one_is_given() -> None:
-    assert replace(FILE, frequency=None, speed=30.0).asked == 30.0
-    assert replace(FILE, speed=30.0).asked == 50.0
+    assert replace(FILE, frequency=None, speed=30.0).motion_frequency == 30.0
+    assert replace(FILE, speed=30.0).motion_frequency == 50.0
 
 
 def test_static_stiffness_is_a_way_to_give_the_negative_one() -> None:
@@ -84,7 +84,7 @@ def test_verdict_is_kept_over_a_sweep() -> None:
         ({"mass": 0.0}, "mass: must be above zero"),
         ({"frequency": None}, "frequency: is missing"),
         ({"frequency": 0.0}, "frequency: must be above zero"),
-        ({"negative_stiffness": 1e4}, "says it already"),
+        ({"negative_stiffness": 1e4}, "is given as well"),
         ({"static_stiffness": None}, "negative_stiffness: is missing"),
     ],
 )

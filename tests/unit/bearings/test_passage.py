@@ -32,7 +32,7 @@ def test_an_axial_load_sees_no_passage(deep_groove: RollingBearing, angular: Rol
 def test_a_radial_load_swings_between_a_ball_below_and_a_gap_below() -> None:
     """Closed form with the tilt, y and z held: F = K_n dx^1.5 sum cos^2.5, K = 1.5 F / dx at either position."""
     bearing = RollingBearing(7, 1e10, 30e-3, groove_distance=6e-4)
-    passage = ball_passage(bearing, load_vector(x=800.0), held=("y", "z", "bx", "by"), positions=2)
+    passage = ball_passage(bearing, load_vector(x=800.0), fixed_dofs=("y", "z", "bx", "by"), positions=2)
     for n, angle in enumerate((0.0, math.pi / 7)):
         lobes = np.sum(np.maximum(np.cos(bearing.angles(angle)), 0) ** 2.5)
         dx = (800 / (1e10 * lobes)) ** (2 / 3)

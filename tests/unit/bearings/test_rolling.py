@@ -90,7 +90,7 @@ def test_stiffness_at_a_thousand_rest_positions_is_the_derivative(bearing: Rolli
     else:
         radial = np.hypot(loads[:, 0], loads[:, 1])
         loads[:, 2] = 1 + np.abs(loads[:, 2]) + 1.2 * radial * math.tan(bearing.contact_angle)
-        state = equilibrium(bearing, loads, held=("bx", "by"))
+        state = equilibrium(bearing, loads, fixed_dofs=("bx", "by"))
     determinate = state.determinate
     assert determinate.mean() > 0.85
     q, k = state.displacement[determinate], state.stiffness[determinate]

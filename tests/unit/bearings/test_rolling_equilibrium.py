@@ -51,11 +51,11 @@ def test_taper_rollers_carry_what_lies_between_their_normals(taper: RollingBeari
         possible = optimize.nnls(normals, loads[:3])[1] < 1e-9 * np.linalg.norm(loads)
         outcomes.append(possible)
         if possible:
-            state = equilibrium(taper, loads, held=HELD_TILT)
+            state = equilibrium(taper, loads, fixed_dofs=HELD_TILT)
             np.testing.assert_allclose(state.load[0, :3], loads[:3], atol=1e-9 * np.abs(loads).max())
         else:
             with pytest.raises(FitError, match="no rest position: the bearing cannot carry x"):
-                equilibrium(taper, loads, held=HELD_TILT)
+                equilibrium(taper, loads, fixed_dofs=HELD_TILT)
     assert 20 < sum(outcomes) < 180
 
 
@@ -109,7 +109,7 @@ def test_one_ball_alone_leaves_the_position_open() -> None:
     loose = RollingBearing(9, 1.10e10, 30e-3, clearance=3e-5, groove_distance=6e-4)
     state = equilibrium(loose, load_vector(x=1.0))
     assert np.sum(state.contacts.load > 0) == 1 and not state.determinate[0]
-    held = equilibrium(loose, load_vector(x=1.0), held=("y", "z", "bx", "by"))
+    held = equilibrium(loose, load_vector(x=1.0), fixed_dofs=("y", "z", "bx", "by"))
     assert held.determinate[0] and held.displacement[0, 0] == pytest.approx(3e-5 + (1 / 1.10e10) ** (2 / 3))
 
 
@@ -129,14 +129,14 @@ def test_reversed_axial_load_gives_the_mirror_and_says_so(angular: RollingBearin
     ("arguments", "kind", "message"),
     [
         ({"loads": load_vector(y=-100)}, ConfigError, "leave the tilt bx without support"),
-        ({"loads": load_vector(z=1.0), "held": ("bx",)}, ConfigError, "leave the tilt by without support"),
+        ({"loads": load_vector(z=1.0), "fixed_dofs": ("bx",)}, ConfigError, "leave the tilt by without support"),
         ({"loads": [1.0, 2.0]}, ConfigError, "has 5 loads and displacements, found 2 and 5"),
         ({"loads": load_vector(y=math.nan)}, ConfigError, "a load is not a finite number"),
-        ({"held": ("bz", "bx", "by")}, ConfigError, "no displacement 'bz'"),
+        ({"fixed_dofs": ("bz", "bx", "by")}, ConfigError, "no displacement 'bz'"),
         ({"loads": np.ones((3, 5)), "cage_angle": [0.0, 1.0]}, ConfigError, "3 load cases, 1 of displacements and 2 cage angles"),
-        ({"loads": load_vector(z=-10), "held": HELD_TILT}, FitError, "no rest position: the bearing cannot carry z -10 N"),
-        ({"loads": load_vector(z=1e9), "held": HELD_TILT}, FitError, "element 1 is pressed in by"),
-        ({"loads": [load_vector(z=9), load_vector(x=9, z=1)], "held": HELD_TILT}, FitError, "load case 2: no rest position"),
+        ({"loads": load_vector(z=-10), "fixed_dofs": HELD_TILT}, FitError, "no rest position: the bearing cannot carry z -10 N"),
+        ({"loads": load_vector(z=1e9), "fixed_dofs": HELD_TILT}, FitError, "element 1 is pressed in by"),
+        ({"loads": [load_vector(z=9), load_vector(x=9, z=1)], "fixed_dofs": HELD_TILT}, FitError, "load case 2: no rest position"),
     ],
 )
 def test_what_cannot_be_carried_is_refused(taper: RollingBearing, arguments: dict, kind: type, message: str) -> None:
@@ -154,8 +154,8 @@ def test_what_cannot_be_carried_is_refused(taper: RollingBearing, arguments: dic
 def test_cylindrical_rollers_need_z_held(held: tuple[str, ...], loads: dict[str, float], message: str) -> None:
     rollers = RollingBearing(14, 1.0e9, 32.5e-3)
     with pytest.raises(ConfigError, match=message):
-        equilibrium(rollers, load_vector(**loads), held=held)
-    state = equilibrium(rollers, load_vector(x=100.0), held=("z", *held))
+        equilibrium(rollers, load_vector(**loads), fixed_dofs=held)
+    state = equilibrium(rollers, load_vector(x=100.0), fixed_dofs=("z", *held))
     assert state.load[0, 0] == pytest.approx(100.0)
 
 

@@ -22,9 +22,14 @@ from labpipe.bearings.rolling_shaft import sdof_stiffness
 from labpipe.errors import ConfigError, DataError
 
 GIVEN = BallBearingSettings(
-    "ball-bearing", 9, stiffness_constant=1.10e10, groove_distance=5.953e-4, pitch_radius=30.1488e-3, loads=Loads(y=-24.0, z=427.0)
+    kind="ball-bearing",
+    elements=9,
+    stiffness_constant=1.10e10,
+    groove_distance=5.953e-4,
+    pitch_radius=30.1488e-3,
+    loads=Loads(y=-24.0, z=427.0),
 )
-ROLLERS = RollerBearingSettings("roller-bearing", 14, pitch_radius=32.5e-3, roller_length=9.6e-3, loads=Loads(y=-100.0))
+ROLLERS = RollerBearingSettings(kind="roller-bearing", elements=14, pitch_radius=32.5e-3, roller_length=9.6e-3, loads=Loads(y=-100.0))
 
 
 def amount(found: BearingCoefficients, name: str) -> float:
@@ -61,7 +66,7 @@ def test_many_settings_keep_their_order_whatever_differs() -> None:
 
 
 def test_geometry_stands_in_for_what_is_not_given() -> None:
-    shape = BallGeometrySettings(11.90625e-3, 60e-3, 0.5125, 0.5375)
+    shape = BallGeometrySettings(ball_diameter=11.90625e-3, pitch_diameter=60e-3, inner_conformity=0.5125, outer_conformity=0.5375)
     derived = replace(GIVEN, stiffness_constant=None, groove_distance=None, pitch_radius=None, geometry=shape)
     assert derived.bearing().groove_distance == pytest.approx(5.953e-4, rel=1e-4)
     assert derived.bearing().stiffness_constant == pytest.approx(1.0976e10, rel=1e-3) == derived.hertz_constant()
@@ -70,7 +75,7 @@ def test_geometry_stands_in_for_what_is_not_given() -> None:
 
 
 def test_ceramic_balls_are_stiffer() -> None:
-    shape = BallGeometrySettings(12e-3, 60e-3)
+    shape = BallGeometrySettings(ball_diameter=12e-3, pitch_diameter=60e-3)
     hybrid = replace(shape, ball_youngs_modulus=310e9, ball_poissons_ratio=0.26)
     steel, ceramic = (replace(GIVEN, stiffness_constant=None, geometry=each).bearing().stiffness_constant for each in (shape, hybrid))
     assert 1.1 < ceramic / steel < 1.3
@@ -88,7 +93,7 @@ def test_ceramic_balls_are_stiffer() -> None:
     ],
 )
 def test_what_is_held(settings, held: tuple[str, ...]) -> None:  # type: ignore[no-untyped-def]
-    assert settings.held == held
+    assert settings.fixed_dofs == held
 
 
 def test_cylindrical_rollers_in_closed_form() -> None:
@@ -107,8 +112,11 @@ def test_cylindrical_rollers_in_closed_form() -> None:
         (lambda: replace(ROLLERS, pitch_radius=None), "pitch_radius: is missing"),
         (lambda: replace(GIVEN, displacements=Displacements(y=0.0)), "displacements.y and loads.y are both given"),
         (lambda: replace(GIVEN, damping_factor=-1e-5), "damping_factor is negative"),
-        (lambda: replace(GIVEN, geometry=BallGeometrySettings(21e-3, 60e-3)), "9 balls of 21 mm do not fit on the pitch circle"),
-        (lambda: BallGeometrySettings(12e-3, 60e-3, ball_youngs_modulus=0.0), "Young's modulus above zero"),
+        (
+            lambda: replace(GIVEN, geometry=BallGeometrySettings(ball_diameter=21e-3, pitch_diameter=60e-3)),
+            "9 balls of 21 mm do not fit on the pitch circle",
+        ),
+        (lambda: BallGeometrySettings(ball_diameter=12e-3, pitch_diameter=60e-3, ball_youngs_modulus=0.0), "Young's modulus above zero"),
     ],
 )
 def test_faults_of_the_settings(make, message: str) -> None:  # type: ignore[no-untyped-def]
@@ -119,9 +127,14 @@ def test_faults_of_the_settings(make, message: str) -> None:  # type: ignore[no-
 
 def test_findings_name_what_must_not_be_overlooked(angular) -> None:  # type: ignore[no-untyped-def]
     mirrored = BallBearingSettings(
-        "ball-bearing", 12, contact_angle=angular.contact_angle, stiffness_constant=6e9, groove_distance=5.6e-4, pitch_radius=0.03,
+        kind="ball-bearing",
+        elements=12,
+        contact_angle=angular.contact_angle,
+        stiffness_constant=6e9,
+        groove_distance=5.6e-4,
+        pitch_radius=0.03,
         loads=Loads(z=-100.0),
-    )  # fmt: skip
+    )
     loose = replace(GIVEN, clearance=3e-5, loads=Loads(x=1.0))
     assert [finding.code for finding in rolling_coefficients([mirrored])[0].findings] == ["mirrored"]
     (finding,) = rolling_coefficients([loose])[0].findings
@@ -153,8 +166,8 @@ def test_units_and_relative_coupling() -> None:
 
 def test_coefficients_are_checked_and_read_only() -> None:
     with pytest.raises(DataError, match=r"stiffness has the shape \(2, 3\), \(2, 2\) is needed"):
-        BearingCoefficients(("y", "z"), np.ones((2, 3)), np.ones((2, 2)))
-    found = BearingCoefficients(("y", "z"), np.eye(2), np.eye(2))
+        BearingCoefficients(dofs=("y", "z"), stiffness=np.ones((2, 3)), damping=np.ones((2, 2)))
+    found = BearingCoefficients(dofs=("y", "z"), stiffness=np.eye(2), damping=np.eye(2))
     with pytest.raises(ValueError, match="read-only"):
         found.stiffness[0, 0] = 2
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from labpipe.campaign.observations import Campaign, observed
+from labpipe.campaign.observations import Campaign, campaign_of
 from labpipe.campaign.settings import CompareSettings
 from labpipe.records.identification import Fit, Goodness, Parameter
 
@@ -29,6 +29,6 @@ def campaign() -> Callable[..., Campaign]:
 
     def make(settings: CompareSettings, tests: Sequence[tuple[float, float, dict[str, str]]]) -> Campaign:
         fits = [a_fit(f"test {n}", {"k": (value, error)}) for n, (value, error, _) in enumerate(tests)]
-        return observed(settings, fits, {f"test {n}": given for n, (_, _, given) in enumerate(tests)})
+        return campaign_of(settings, fits, {f"test {n}": given for n, (_, _, given) in enumerate(tests)})
 
     return make

@@ -25,7 +25,7 @@ from labpipe.report.document import Figure, Table
 from tests.unit.campaign.conftest import a_fit
 from tests.unit.campaign.loop_cases import SETTINGS, bearing, measured
 
-ASKED = CompareSettings("bands", fit="sliding", group="speed", groups=("0 rpm", "8000 rpm"), name="rotation")
+ASKED = CompareSettings(kind="bands", fit="sliding", group="speed", groups=("0 rpm", "8000 rpm"), name="rotation")
 
 
 def test_holm_is_that_of_the_textbook() -> None:

@@ -10,7 +10,7 @@ from labpipe.campaign.components import components, repeatability
 from labpipe.campaign.settings import CompareSettings
 from labpipe.errors import FitError
 
-SETTINGS = CompareSettings("repeatability", fit="axial", group="mounting", name="repeats")
+SETTINGS = CompareSettings(kind="repeatability", fit="axial", group="mounting", name="repeats")
 
 
 def test_a_small_table_by_hand() -> None:
@@ -74,7 +74,7 @@ def test_repeatability_tells_settings_from_noise(campaign, rng) -> None:
     assert differing.amount("noise").value == pytest.approx(1e3)
     alike = repeatability(campaign(SETTINGS, mounted(rng, 0.0)))
     assert alike.verdict == "settings alike"
-    assert "is what the fits' standard errors say" in alike.statement
+    assert "agrees with the fits' standard errors" in alike.statement
 
 
 def test_repeats_that_scatter_more_than_their_errors_are_told(campaign, rng) -> None:

@@ -10,7 +10,7 @@ from labpipe.campaign.settings import CompareSettings
 from labpipe.errors import ConfigError, FitError
 
 PRELOADS = (427.0, 701.0, 1422.0, 1721.0)
-PAIRED = CompareSettings("difference", fit="axial", over="preload", group="way", groups=("up", "down"), name="hysteresis")
+PAIRED = CompareSettings(kind="difference", fit="axial", over="preload", group="way", groups=("up", "down"), name="hysteresis")
 
 
 def both_ways(up, down, error: float = 1e3):
@@ -46,7 +46,7 @@ def test_the_error_is_that_of_the_weighted_logarithms(campaign) -> None:
 
 def test_the_setting_s_error_enters_by_the_exponent(campaign) -> None:
     """Without noise of the fits each pair has sqrt(2) 0.7 x 0.5 %, four pairs half of it."""
-    settings = CompareSettings("difference", fit="axial", over="preload", group="way", groups=("up", "down"), setting_error=0.005)
+    settings = CompareSettings(kind="difference", fit="axial", over="preload", group="way", groups=("up", "down"), setting_error=0.005)
     k = stiffness()
     found = difference(campaign(settings, both_ways(k, k, 1.0)))
     assert found.amount("difference").std_error == pytest.approx(np.sqrt(2) * 0.7 * 0.005 / 2, rel=1e-4)
@@ -54,7 +54,7 @@ def test_the_setting_s_error_enters_by_the_exponent(campaign) -> None:
 
 def test_no_difference_is_claimed_at_the_stated_rate_and_three_per_cent_are_seen(campaign, rng) -> None:
     """300 campaigns: 5 % false alarms (within 3.5 binomial standard deviations of 6.7 %, with enlarged errors); 3 % found in 99 %."""
-    settings = CompareSettings("difference", fit="axial", over="preload", group="way", groups=("up", "down"), setting_error=0.005)
+    settings = CompareSettings(kind="difference", fit="axial", over="preload", group="way", groups=("up", "down"), setting_error=0.005)
     false, seen = 0, 0
     for _ in range(300):
         up, down = (stiffness(rng, 0.005, 1e4) for _ in range(2))
@@ -73,7 +73,7 @@ def test_only_shared_conditions_are_paired(campaign) -> None:
 
 
 def test_without_a_condition_groups_are_compared_as_they_are(campaign) -> None:
-    settings = CompareSettings("difference", fit="axial", group="way", groups=("before", "after"))
+    settings = CompareSettings(kind="difference", fit="axial", group="way", groups=("before", "after"))
     given = [(value, 0.1, {"way": way}) for way, value in (("before", 10.0), ("before", 10.0), ("after", 11.0), ("after", 11.0))]
     found = difference(campaign(settings, given))
     assert found.amount("difference").value == pytest.approx(0.1, rel=1e-9)
@@ -82,12 +82,12 @@ def test_without_a_condition_groups_are_compared_as_they_are(campaign) -> None:
 
 def test_groups_that_are_not_there_are_named(campaign) -> None:
     k = stiffness()
-    wrong = CompareSettings("difference", fit="axial", over="preload", group="way", groups=("up", "dwon"))
+    wrong = CompareSettings(kind="difference", fit="axial", over="preload", group="way", groups=("up", "dwon"))
     with pytest.raises(ConfigError, match="no test has way: dwon") as caught:
         difference(campaign(wrong, both_ways(k, k)))
     assert caught.value.hint == "known: down, up"
     with pytest.raises(ConfigError, match="at no common 'preload'"):
         difference(campaign(PAIRED, [both_ways(k, k)[0], both_ways(k, k)[7]]))
-    lone = CompareSettings("difference", fit="axial", group="way", groups=("up", "down"), setting_error=0.01)
+    lone = CompareSettings(kind="difference", fit="axial", group="way", groups=("up", "down"), setting_error=0.01)
     with pytest.raises(FitError, match="'setting_error' needs the condition"):
         difference(campaign(lone, both_ways(k, k)))

@@ -17,7 +17,7 @@ from tests.unit.campaign.loop_cases import bearing, measured
 
 
 def loop_fit(views: list[View], names: tuple[str, ...]) -> LoopFit:
-    return fit_of_all([view.held for view in views], names)
+    return fit_of_all([view.observation for view in views], names)
 
 
 @pytest.mark.parametrize(

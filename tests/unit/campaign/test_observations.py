@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import pytest
 
-from labpipe.campaign.observations import observed
+from labpipe.campaign.observations import campaign_of
 from labpipe.campaign.settings import CompareSettings, TheorySettings
 from labpipe.errors import ConfigError, FitError
 from tests.unit.campaign.conftest import a_fit
 
-OVER = CompareSettings("trend", fit="axial", over="preload", name="series")
+OVER = CompareSettings(kind="trend", fit="axial", over="preload", name="series")
 CONDITIONS = {"b": {"preload": "0.7 kN"}, "a": {"preload": "427 N"}}
 
 
 def test_tests_come_in_rising_condition_in_si() -> None:
     fits = [a_fit("b", {"k": (2e7, 1e4)}), a_fit("a", {"k": (1e7, 1e4)})]
-    campaign = observed(OVER, fits, CONDITIONS)
+    campaign = campaign_of(OVER, fits, CONDITIONS)
     assert [each.fit.test for each in campaign.observations] == ["a", "b"]
     assert campaign.condition.tolist() == [427.0, 700.0]
     assert (campaign.condition_unit, campaign.unit) == ("N", "N/m")
@@ -26,19 +26,19 @@ def test_tests_come_in_rising_condition_in_si() -> None:
 
 def test_a_pure_number_is_a_condition_and_fractions_come_in_parts_of_one() -> None:
     fits = [a_fit("a", {"k": (1.0, 0.1)}), a_fit("b", {"k": (2.0, 0.1)})]
-    campaign = observed(OVER, fits, {"a": {"preload": 3}, "b": {"preload": "50 %"}})
+    campaign = campaign_of(OVER, fits, {"a": {"preload": 3}, "b": {"preload": "50 %"}})
     assert campaign.condition.tolist() == [0.5, 3.0]
     assert campaign.condition_unit == "1"
 
 
 def test_a_term_is_chosen_among_peaks() -> None:
     fits = [a_fit(test, {"k": (value, 1.0)}, term=term) for test, term, value in (("a", "x", 1.0), ("a", "z", 2.0), ("b", "x", 3.0))]
-    settings = CompareSettings("trend", fit="axial", term="x", over="preload")
-    assert observed(settings, fits, CONDITIONS).value.tolist() == [1.0, 3.0]
+    settings = CompareSettings(kind="trend", fit="axial", term="x", over="preload")
+    assert campaign_of(settings, fits, CONDITIONS).value.tolist() == [1.0, 3.0]
     with pytest.raises(ConfigError, match="has no term 'y'"):
-        observed(CompareSettings("trend", fit="axial", term="y", over="preload"), fits, CONDITIONS)
+        campaign_of(CompareSettings(kind="trend", fit="axial", term="y", over="preload"), fits, CONDITIONS)
     with pytest.raises(ConfigError, match="several results in test 'a'"):
-        observed(OVER, fits, CONDITIONS)
+        campaign_of(OVER, fits, CONDITIONS)
 
 
 @pytest.mark.parametrize(
@@ -53,19 +53,19 @@ def test_a_term_is_chosen_among_peaks() -> None:
 )
 def test_conditions_that_do_not_serve_are_named(conditions, what: str) -> None:
     with pytest.raises(ConfigError, match=what):
-        observed(OVER, [a_fit("a", {"k": (1.0, 0.1)}), a_fit("b", {"k": (1.0, 0.1)})], conditions)
+        campaign_of(OVER, [a_fit("a", {"k": (1.0, 0.1)}), a_fit("b", {"k": (1.0, 0.1)})], conditions)
 
 
 def test_missing_fits_parameters_and_errors_are_named() -> None:
     fits = [a_fit("a", {"k": (1.0, 0.1)}), a_fit("b", {"k": (1.0, 0.1)})]
     with pytest.raises(ConfigError, match="no fit 'axail' to compare") as caught:
-        observed(CompareSettings("trend", fit="axail", over="preload"), fits, CONDITIONS)
+        campaign_of(CompareSettings(kind="trend", fit="axail", over="preload"), fits, CONDITIONS)
     assert "axial" in caught.value.hint
     with pytest.raises(ConfigError, match="fit 'axial' has no 'c'"):
-        observed(CompareSettings("trend", fit="axial", parameter="c", over="preload"), fits, CONDITIONS)
+        campaign_of(CompareSettings(kind="trend", fit="axial", parameter="c", over="preload"), fits, CONDITIONS)
     with pytest.raises(FitError, match=r"has 1 test\(s\)"):
-        observed(OVER, fits[:1], CONDITIONS)
-    negative = observed(OVER, [a_fit("a", {"k": (-1.0, 0.1)}), fits[1]], CONDITIONS)
+        campaign_of(OVER, fits[:1], CONDITIONS)
+    negative = campaign_of(OVER, [a_fit("a", {"k": (-1.0, 0.1)}), fits[1]], CONDITIONS)
     with pytest.raises(FitError, match="only positive values"):
         assert negative.relative is None
 

@@ -22,7 +22,7 @@ from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure, Paragraph, Table
 from tests.unit.campaign.loop_cases import SETTINGS, bearing, measured
 
-ASKED = CompareSettings("prediction", fit="sliding", theory=TheorySettings("hmb.yaml", "loop.proportional"), name="loop")
+ASKED = CompareSettings(kind="prediction", fit="sliding", theory=TheorySettings("hmb.yaml", "loop.proportional"), name="loop")
 GEOMETRY = bearing("hmb-geometry")
 
 

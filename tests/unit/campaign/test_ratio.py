@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.campaign.observations import observed
+from labpipe.campaign.observations import campaign_of
 from labpipe.campaign.ratio import rayleigh, stiffness_ratio
 from labpipe.campaign.settings import CompareSettings, TheorySettings
 from labpipe.campaign.theory import Matched
 from labpipe.errors import FitError
 from tests.unit.campaign.conftest import a_fit
 
-RATIO = CompareSettings("ratio", fit="axial", over="preload", theory=TheorySettings("b.yaml"), setting_error=0.01, name="ratio")
-RAYLEIGH = CompareSettings("rayleigh", fit="axial", parameter="c", over="preload", name="damping")
+RATIO = CompareSettings(kind="ratio", fit="axial", over="preload", theory=TheorySettings("b.yaml"), setting_error=0.01, name="ratio")
+RAYLEIGH = CompareSettings(kind="rayleigh", fit="axial", parameter="c", over="preload", name="damping")
 
 
 def a_match(ratio: float, error: float = 1e-3, bending: float = 0.0, condition: float = 0.0, beta: float = 2e-5) -> Matched:
@@ -25,7 +25,7 @@ def a_match(ratio: float, error: float = 1e-3, bending: float = 0.0, condition: 
 def series(settings: CompareSettings, stiffness=(1e7, 2e7), damping=(200.0, 400.0), error: float = 1.0):
     pairs = enumerate(zip(stiffness, damping, strict=True))
     fits = [a_fit(f"t{n}", {"k": (k, k / 1000), "c": (c, error * c / 500)}) for n, (k, c) in pairs]
-    return observed(settings, fits, {fit.test: {"preload": f"{100 * (n + 1)} N"} for n, fit in enumerate(fits)})
+    return campaign_of(settings, fits, {fit.test: {"preload": f"{100 * (n + 1)} N"} for n, fit in enumerate(fits)})
 
 
 def test_tests_are_weighed_and_the_shaft_s_error_is_common() -> None:
@@ -40,7 +40,7 @@ def test_tests_are_weighed_and_the_shaft_s_error_is_common() -> None:
     assert ratio.std_error == pytest.approx(np.exp(log) * error, rel=1e-9)
     assert ratio.ci95 == pytest.approx(tuple(np.exp(log + np.array([-1, 1]) * 1.959964 * error)), rel=1e-6)
     assert found.verdict == "stiffer than theory"
-    assert "bending shaft is taken out" in found.statement
+    assert "corrected for the bending shaft" in found.statement
 
 
 def test_the_setting_s_error_is_each_test_s_own() -> None:
@@ -94,5 +94,5 @@ def test_chance_alone_is_not_proportional_in_one_case_of_twenty(rng) -> None:
 
 
 def test_a_fit_without_damping_is_refused() -> None:
-    with pytest.raises(FitError, match="has no error"):
+    with pytest.raises(FitError, match="has no standard error"):
         rayleigh(series(RAYLEIGH), [a_match(1.1), Matched(np.log([1.1, 2e-5]), np.zeros((2, 2)), np.zeros(2), np.zeros(2), np.ones(2))])

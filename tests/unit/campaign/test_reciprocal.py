@@ -10,7 +10,7 @@ from labpipe.campaign.settings import CompareSettings
 from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 
-SETTINGS = CompareSettings("reciprocity", name="symmetry")
+SETTINGS = CompareSettings(kind="reciprocity", name="symmetry")
 NOISE = 2e-8
 
 

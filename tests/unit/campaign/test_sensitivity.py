@@ -22,7 +22,7 @@ from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure
 from tests.unit.campaign.loop_cases import bearing
 
-ASKED = CompareSettings("sensitivity", name="sensitivity")
+ASKED = CompareSettings(kind="sensitivity", name="sensitivity")
 FILE = bearing("hmb-magnetic")
 FREQUENCY = np.arange(10.0, 1000.0, 2.0)
 # On a grid 100 times finer.

@@ -10,8 +10,8 @@ from labpipe.campaign.trend import trend
 from labpipe.errors import FitError
 
 PRELOADS = (427.0, 701.0, 1422.0, 1721.0)
-POWER = CompareSettings("trend", fit="axial", over="preload", law="power", name="series")
-LINE = CompareSettings("trend", fit="axial", over="preload", name="series")
+POWER = CompareSettings(kind="trend", fit="axial", over="preload", law="power", name="series")
+LINE = CompareSettings(kind="trend", fit="axial", over="preload", name="series")
 
 
 def a_series(values, error: float = 1e3, preloads=PRELOADS):
@@ -39,7 +39,7 @@ def test_a_straight_line_is_found_exactly(campaign) -> None:
 
 def test_the_setting_s_error_widens_the_exponent_s(campaign, rng) -> None:
     """400 series whose preloads are off by 1 %: the stated error is the scatter, within 4 standard deviations of a scatter."""
-    settings = CompareSettings("trend", fit="axial", over="preload", law="power", setting_error=0.01)
+    settings = CompareSettings(kind="trend", fit="axial", over="preload", law="power", setting_error=0.01)
     found, stated = [], []
     for _ in range(400):
         actual = np.array(PRELOADS) * (1 + 0.01 * rng.standard_normal(4))

@@ -67,7 +67,7 @@ def test_intervals_cover_at_the_stated_rate(rng) -> None:
 def test_what_cannot_be_weighed_is_refused() -> None:
     with pytest.raises(FitError, match="cannot determine 2 parameters"):
         weighted_fit(np.ones((1, 2)), np.ones(1), np.ones(1))
-    with pytest.raises(FitError, match="has no error"):
+    with pytest.raises(FitError, match="has no standard error"):
         weighted_mean(np.ones(2), np.array([0.0, 1.0]))
     with pytest.raises(FitError, match="do not differ"):
         weighted_fit(np.ones((3, 2)), np.ones(3), np.ones(3))

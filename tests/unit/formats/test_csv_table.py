@@ -83,7 +83,7 @@ def test_columns_missing_or_twice(tmp_path: Path) -> None:
     table = CsvTable(written(tmp_path, "t,force,force\n0,1,2\n1,2,3\n"))
     with pytest.raises(DataError, match="no column 'forse'; did you mean 'force'"):
         check_columns(table, ["forse"])
-    with pytest.raises(DataError, match="'force' stands 2 times"):
+    with pytest.raises(DataError, match="'force' appears 2 times"):
         check_columns(table, ["force"])
     check_columns(table, ["t"])
 

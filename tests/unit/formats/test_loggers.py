@@ -84,7 +84,7 @@ def test_broken_tdms_files(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="is not a readable TDMS file"):
         open_table(path)
     rates = [ChannelObject("g", name, np.arange(5.0), {"wf_increment": step}) for name, step in (("a", 0.1), ("b", 0.2))]
-    with pytest.raises(DataError, match="one rate is needed"):
+    with pytest.raises(DataError, match="one rate is required"):
         open_table(tdms(path, *rates))
     with pytest.raises(DataError, match="no channel of numbers"):
         open_table(tdms(path, ChannelObject("g", "a", ["text"])))

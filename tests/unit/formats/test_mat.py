@@ -121,8 +121,8 @@ def test_a_file_cut_off_anywhere_is_refused(tmp_path: Path, rng, name: str) -> N
 @pytest.mark.parametrize(
     ("variables", "fragment"),
     [
-        ({"x": np.ones(9), "fs": 100.0, "dt": 0.02}, "states no one sampling rate"),
-        ({"x": np.ones(9), "fs": -1.0}, "states no one sampling rate"),
+        ({"x": np.ones(9), "fs": 100.0, "dt": 0.02}, "has no valid sampling rate"),
+        ({"x": np.ones(9), "fs": -1.0}, "has no valid sampling rate"),
         ({"x": np.ones(9) * 1j}, "holds no vector of numbers"),
         ({"x": "text"}, "holds no vector of numbers"),
     ],
@@ -145,7 +145,7 @@ FRF = {"frequency_hz": np.arange(3.0), "H": np.ones((3, 1, 1)) * 1j, "form": "re
         ({"H": np.ones((3, 2)) * 1j, "outputs": np.array(["x", "y"], object), "inputs": np.array(["x", "y"], object)}, "H has the size"),
         ({"H": "text"}, "H holds no numbers"),
         ({"form": "reluctance"}, "unknown form 'reluctance'"),
-        ({"output_dofs": np.array(["x", "y"], object)}, "are not of one length"),
+        ({"output_dofs": np.array(["x", "y"], object)}, "differ in length"),
     ],
 )
 def test_what_is_no_response_is_refused(tmp_path: Path, changes: dict, fragment: str) -> None:

@@ -101,20 +101,20 @@ def test_other_units_of_the_lab(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("# load: 3.66 N\n", "", "the load is not stated"),
+        ("# load: 3.66 N\n", "", "the load is missing"),
         ("3.66 N", "3.66 um", "load: .*wrong dimension"),
         ("3.66 N", "-1 N", "the load of run .* is positive"),
         ("# load", "# laod", "unknown entry 'laod'; did you mean 'load'"),
-        ("# threshold: 2772", "# load: 1 N\n# threshold: 2772", "'load' stands twice"),
+        ("# threshold: 2772", "# load: 1 N\n# threshold: 2772", "'load' appears twice"),
         (" +- 6 rpm", "", "its uncertainty is missing"),
-        ("50 g.mm at 90 deg", "50 g.mm", "no size and angle"),
+        ("50 g.mm at 90 deg", "50 g.mm", "not a size and an angle"),
         ("unbalance disc 1", "unbalance disc 7", "not among its planes"),
         ("# unbalance disc 1: 50 g.mm at 90 deg\n", "", "either an unbalance or a shaker"),
-        ("# phase error: 1 deg\n", "", "the phase error is not stated"),
+        ("# phase error: 1 deg\n", "", "the phase error is missing"),
         ("speed [rpm]", "speed", "'speed' has no unit"),
-        ("speed [rpm]", "rate [rpm]", "no part of a run-up"),
+        ("speed [rpm]", "rate [rpm]", "does not belong to a run-up"),
         ("x amplitude [um]", "x amplitude [N]", "wrong dimension"),
-        ("y phase [deg]", "y phased [deg]", "no part of a run-up"),
+        ("y phase [deg]", "y phased [deg]", "does not belong to a run-up"),
         ("600,10", "600,", "a number is missing in row 1"),
         ("1200,30", "1200,ten", "is not a number"),
         ("1200,", "500,", "must rise"),
@@ -143,8 +143,8 @@ def test_a_fault_above_the_table_is_named_with_its_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("# shaker: 2 N at disc 1", "no force at a plane"),
-        ("# shaker: 2 N in x, 0 N in y at disc 1", "shaker frequency is not stated"),
+        ("# shaker: 2 N at disc 1", "not a force at a plane"),
+        ("# shaker: 2 N in x, 0 N in y at disc 1", "shaker frequency is missing"),
         ("# shaker: 2 N in x, 0 N in y at disc 1\n# shaker frequency: 0", "must be positive"),
     ],
 )

@@ -150,10 +150,10 @@ def test_units_of_labels(tmp_path: Path, rng, label: str, per: str, factor: floa
 @pytest.mark.parametrize(
     ("changes", "fragment"),
     [
-        ([{"ordinate_axis_units_lab": "furlong"}], "the unit 'furlong' is not understood"),
-        ([{"ordinate_spec_data_type": 0}], "are no displacement, velocity or acceleration per force"),
-        ([{"rsp_dir": 4}], "rotations and moments are not read"),
-        ([{}, {}], "is a second one for the same dofs"),
+        ([{"ordinate_axis_units_lab": "furlong"}], "unknown unit 'furlong'"),
+        ([{"ordinate_spec_data_type": 0}], "are not displacement, velocity or acceleration per force"),
+        ([{"rsp_dir": 4}], "rotations and moments are not supported"),
+        ([{}, {}], "has the same dofs as"),
         ([{}, {"rsp_dir": 2, "ref_dir": 1}], "no FRF record for response 1 x and reference 2 x"),
         ([{}, {"rsp_dir": 2, "ordinate_spec_data_type": 8}], "is a receptance"),
         ([{}, {"rsp_dir": 2, "x": FREQUENCY + 0.05}], "the frequencies of record 2"),
@@ -246,7 +246,7 @@ def test_a_file_cut_off_anywhere_is_refused(tmp_path: Path, binary: int) -> None
     ("content", "fragment"),
     [
         (b"", "the file is empty"),
-        (b"PK\x03\x04 zip\n", "is no universal file"),
+        (b"PK\x03\x04 zip\n", "is not a universal file"),
         (b"    -1\n    15\n    -1\n", "holds no record 58"),
         (b"    -1\n   164\n  x\n 0.0 0.0\n    -1\n", "units record 164 cannot be read"),
     ],
@@ -289,5 +289,5 @@ def test_long_exponents_that_touch_and_exponents_with_d(tmp_path: Path) -> None:
 
 def test_names_too_long_for_the_format(tmp_path: Path, rng) -> None:
     channels = (Channel("temperature 1", "temperature", "reference", "none"), Channel("temperature 2", "temperature", "reference", "none"))
-    with pytest.raises(DataError, match="one name in a universal file"):
+    with pytest.raises(DataError, match="the same name in a universal file"):
         write_recording_uff(tmp_path / "r.uff", Recording(channels, rng.normal(size=(10, 2)), 1.0))

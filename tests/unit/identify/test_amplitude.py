@@ -68,7 +68,7 @@ def test_what_cannot_be_fitted_is_said(sdof_response) -> None:
         identify(sdof_response(), replace(SDOF, weight="noise"))
     with pytest.raises(FitError, match="cannot determine"):
         identify(sdof_response(), replace(SDOF, band=(60.0, 60.6)))
-    with pytest.raises(ConfigError, match="takes k and c"):
+    with pytest.raises(ConfigError, match="estimates k and c"):
         identify(sdof_response(), replace(SDOF, fixed=(("c", 0.0),)))
     flat = sdof_response()
     with pytest.raises(FitError, match="no real"):

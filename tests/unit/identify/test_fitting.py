@@ -230,4 +230,4 @@ def test_a_response_without_noise_is_fitted_with_equal_weights(sdof_response, va
     (fit,) = identify(silent, SDOF)
     assert fit.parameter("k").value == pytest.approx(134.5e3, rel=1e-9)
     assert fit.gof.chi2_reduced is None
-    assert any("all lines weigh alike" in note for note in fit.notes)
+    assert any("all lines have equal weight" in note for note in fit.notes)

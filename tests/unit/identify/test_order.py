@@ -16,7 +16,15 @@ from labpipe.records.response import FrequencyResponse
 
 
 def measured(response: FrequencyResponse) -> Measured:
-    return Measured(2 * np.pi * response.frequency, response.matrix, response.covariance, np.inf, 1.0, response.outputs, response.inputs)
+    return Measured(
+        omega=2 * np.pi * response.frequency,
+        matrix=response.matrix,
+        covariance=response.covariance,
+        noise_dof=np.inf,
+        noise_lines=1.0,
+        outputs=response.outputs,
+        inputs=response.inputs,
+    )
 
 
 def test_slopes_of_the_rational_fit_are_central_differences(three_dof_response, rng) -> None:

@@ -15,7 +15,7 @@ LOW, HIGH = np.full((3, 2), -1.0), np.full((3, 2), 1.0)
 RELEASE = tuple(int(part) for part in scipy.__version__.split(".")[:2])
 NEWER = pytest.mark.skipif(RELEASE < (1, 14), reason="COBYQA came with scipy 1.14")
 NAMES = [pytest.param(name, marks=NEWER if name == "cobyqa" else ()) for name in SEARCHES]
-FINE = SearchLimits(smallest_mesh=1e-7, enough=0.0)
+FINE = SearchLimits(smallest_mesh=1e-7, target_share=0.0)
 
 
 def bowls(points: np.ndarray, chosen: np.ndarray) -> np.ndarray:
@@ -68,7 +68,7 @@ def test_a_minimum_outside_the_box_is_met_on_its_bound(name: str) -> None:
 def test_it_is_the_search_of_the_books() -> None:
     """Point for point, count for count, mesh for mesh as the plain twin goes."""
     start = np.array([[-0.9, 0.3], [0.1, 0.9], [0.4, -0.8]])
-    limits = SearchLimits(smallest_mesh=1e-3, enough=0.0)
+    limits = SearchLimits(smallest_mesh=1e-3, target_share=0.0)
     found = compass_search(bowls, start, LOW, HIGH, limits)
     for n in range(3):
         x, rows = plain_compass(lambda one, n=n: float(bowls(one[None, None], np.array([n]))[0, 0]), start[n], LOW[n], HIGH[n], limits)
@@ -86,12 +86,12 @@ def test_in_a_curved_valley_it_creeps_and_says_that_it_hit_the_cap() -> None:
     short = compass_search(valley, start, low, high, SearchLimits(most_evaluations=200))
     assert short.capped.all() and short.evaluations[0] in range(200, 205)
     assert 0 < short.objective[0] < valley(start, np.zeros(1, np.intp))[0]
-    long = compass_search(valley, start, low, high, SearchLimits(most_evaluations=200_000, smallest_mesh=1e-9, enough=0.0))
+    long = compass_search(valley, start, low, high, SearchLimits(most_evaluations=200_000, smallest_mesh=1e-9, target_share=0.0))
     np.testing.assert_allclose(long.values, 1, atol=1e-3)
 
 
 def test_low_enough_is_enough() -> None:
-    found = compass_search(bowls, np.zeros((3, 2)), LOW, HIGH, SearchLimits(enough=1e-2))
+    found = compass_search(bowls, np.zeros((3, 2)), LOW, HIGH, SearchLimits(target_share=1e-2))
     first = bowls(np.zeros((3, 2)), np.arange(3))
     assert np.all(found.objective <= 1e-2 * first) and not found.capped.any()
     assert found.evaluations.max() < compass_search(bowls, np.zeros((3, 2)), LOW, HIGH, FINE).evaluations.min()
@@ -120,7 +120,7 @@ def test_a_problem_that_ended_is_asked_no_more() -> None:
 
 @NEWER
 def test_cobyqa_keeps_its_trace() -> None:
-    found = cobyqa_search(bowls, np.zeros((3, 2)), LOW, HIGH, SearchLimits(enough=0.0))
+    found = cobyqa_search(bowls, np.zeros((3, 2)), LOW, HIGH, SearchLimits(target_share=0.0))
     assert np.all(np.diff(found.history.objective, axis=0) <= 0)
     np.testing.assert_allclose(found.history.objective[-1], found.objective)
     np.testing.assert_array_equal(found.history.evaluations[-1], found.evaluations)

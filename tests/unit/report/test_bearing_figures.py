@@ -13,7 +13,12 @@ from labpipe.report.bearing_figures import stiffness_figure, sweep_figures
 
 def bearing(force: float) -> BearingCoefficients:
     settings = BallBearingSettings(
-        "ball-bearing", 9, stiffness_constant=1.10e10, groove_distance=5.953e-4, pitch_radius=0.03, loads=Loads(y=-24.0, z=force)
+        kind="ball-bearing",
+        elements=9,
+        stiffness_constant=1.10e10,
+        groove_distance=5.953e-4,
+        pitch_radius=0.03,
+        loads=Loads(y=-24.0, z=force),
     )
     return rolling_coefficients([settings])[0]
 
@@ -45,7 +50,7 @@ def test_sweep_curves_are_the_coefficients_in_panels_by_unit() -> None:
 def test_damping_has_its_figure_and_asymmetric_matrices_show_both_sides() -> None:
     """A journal bearing's two dofs: k_yz and k_zy differ and are both drawn."""
     stiffness = np.array([[2.0, 7.0], [-8.0, 1.0]]) * 1e6
-    found = [BearingCoefficients(("y", "z"), factor * stiffness, np.eye(2) * 1e3) for factor in (1.0, 2.0)]
+    found = [BearingCoefficients(dofs=("y", "z"), stiffness=factor * stiffness, damping=np.eye(2) * 1e3) for factor in (1.0, 2.0)]
     figures = sweep_figures("journal", "speed [Hz]", np.array([10.0, 20.0]), found)
     labels = [series.name for series in figures["stiffness"].graphic.panels[0].series]
     assert labels == ["k y,y", "k y,z", "k z,y", "k z,z"]

@@ -29,7 +29,7 @@ from labpipe.records.run_up_result import (
 from labpipe.report.build import build
 from labpipe.report.chart import Drawing
 from labpipe.report.document import Figure, Paragraph, Table
-from labpipe.report.run_up import result_sections
+from labpipe.report.run_up import run_up_sections
 from labpipe.report.run_up_coefficients import coefficient_figure, convergence_figure, spread_figure, surface_figures
 from labpipe.report.run_up_figures import best_method, bode_figure, cascade_figure, orbit_figure, orbit_places, polar_figure, speeds_figure
 from labpipe.report.run_up_tables import both_differences, coefficient_table, doubt_blocks, rpm_text, speed_blocks
@@ -298,4 +298,6 @@ def test_the_whole_report_reads_and_warns() -> None:
     text = render.markdown_report(identification).decode()
     assert "collinear: run-ups" in text and "no rig file was named" not in text and "falah.yaml" in text
     page = render.html_report(identification).decode()
-    assert page.count("<figure") == sum(isinstance(block, Figure) for section in result_sections(RESULT) for block in section.blocks)
+    assert page.count("<figure") == sum(
+        isinstance(block, Figure) for section in run_up_sections(RESULT, Identification(())) for block in section.blocks
+    )

@@ -86,7 +86,7 @@ def test_far_above_resonance_the_disc_turns_about_its_centre_of_mass() -> None:
 
 def test_a_node_that_was_not_kept_is_named(overhung: Rotor) -> None:
     free = reduced_rotor(overhung, (1, 4), LINES, SPEED)
-    with pytest.raises(ConfigError, match=r"node 5 is not among those kept in the reduced rotor \(1, 4\)"):
+    with pytest.raises(ConfigError, match=r"node 5 is not in the reduced rotor \(nodes 1, 4\)"):
         free.response(5, 1)
 
 

@@ -20,7 +20,7 @@ SILENT = replace(RIG, noise=Noise(0.0, 0.0, 0.0))
 
 def test_the_pedestal_s_recorded_frf_is_its_closed_form() -> None:
     (run,) = simulate(SILENT, 1, ["pedestal"])
-    response = measure([run.recording], FrfSettings("periodic", period=2.0, skip=7, smooth=0, band=(1.0, 100.0)))
+    response = measure([run.recording], FrfSettings(excitation="periodic", period=2.0, skip=7, smooth=0, band=(1.0, 100.0)))
     w = 2 * np.pi * response.frequency
     expected = 1 / (134.5e3 - 0.79 * w**2 + 3.682j * w)
     # After 7 periods of 2 s the free decay is down to exp(-zeta w 14 s) = 7e-15 of its start.
@@ -71,7 +71,7 @@ def test_noise_has_the_level_asked_for() -> None:
 
 def test_two_directions_show_the_whole_matrix() -> None:
     runs = simulate(SILENT, 1, ["two-directions-x", "two-directions-y"])
-    response = measure([run.recording for run in runs], FrfSettings("periodic", period=1.0, skip=0, smooth=0))
+    response = measure([run.recording for run in runs], FrfSettings(excitation="periodic", period=1.0, skip=0, smooth=0))
     w = 2 * np.pi * response.frequency[:, None, None]
     stiffness = np.linalg.inv(response.matrix) + 0.92 * w**2 * np.eye(2)
     np.testing.assert_allclose(stiffness.real, np.broadcast_to(mechanics.COUPLED_STIFFNESS, stiffness.shape), rtol=1e-6)

@@ -10,13 +10,13 @@ from scipy import signal
 
 from labpipe.errors import DataError
 from labpipe.records.recording import Channel, Recording
-from labpipe.spectra.aliasing import Watched
+from labpipe.spectra.aliasing import AliasingMonitor
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 
 RATE, N = 1024.0, 40960
 FORCE, X = Channel("f", "force", "input", "x", 0.0), Channel("x", "displacement", "output", "x", 0.0)
-SETTINGS = FrfSettings("random", block=1.0, band=(20.0, 200.0))
+SETTINGS = FrfSettings(excitation="random", block=1.0, band=(20.0, 200.0))
 
 
 def recording(rng: np.random.Generator, cut: float | None, noise: float = 1e-3) -> Recording:
@@ -42,12 +42,12 @@ def test_a_channel_of_noise_alone_is_not_accused(rng: np.random.Generator) -> No
 
 
 def test_powers_are_those_of_white_noise(rng: np.random.Generator) -> None:
-    watched = Watched(recording(rng, None))
+    watched = AliasingMonitor(recording(rng, None))
     blocks = list(watched.blocks(2048))
     np.testing.assert_array_equal(np.concatenate(blocks), recording(np.random.default_rng(20240917), None).samples)
     # White noise of variance 1 has the same power on every line; 20 segments of 25 and 180 lines.
     np.testing.assert_allclose(watched.powers((20.0, 200.0)), 1.0, rtol=0.2)
-    assert np.all(Watched(recording(rng, None)).powers(None) == 0)
+    assert np.all(AliasingMonitor(recording(rng, None)).powers(None) == 0)
 
 
 def test_a_sensor_s_frequency_response_is_taken_out(rng: np.random.Generator) -> None:

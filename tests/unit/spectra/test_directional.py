@@ -19,7 +19,7 @@ RATE, N = 256.0, 256
 MASS, DAMPING = 2.0, 300.0
 ISOTROPIC = np.array([[5e4, 8e3], [-8e3, 5e4]])
 ANISOTROPIC = np.array([[5e4, 2e3], [1e3, 9e4]])
-PERIODIC = FrfSettings("periodic", period=1.0, skip=0, band=(1.0, 100.0), directional=True)
+PERIODIC = FrfSettings(excitation="periodic", period=1.0, skip=0, band=(1.0, 100.0), directional=True)
 
 
 def stiffness(static: np.ndarray, frequency: np.ndarray) -> np.ndarray:
@@ -91,7 +91,7 @@ def test_random_data_give_directional_terms_too(rng: np.random.Generator) -> Non
     samples = np.column_stack([forces, forces @ np.array([[1.0, 0.5], [-0.5, 1.0]]) + 0.01 * rng.normal(size=(40_000, 2))])
     names = (("fx", "force", "input"), ("fy", "force", "input"), ("x", "displacement", "output"), ("y", "displacement", "output"))
     channels = tuple(Channel(*name, "xy"[n % 2], (n % 2) * np.pi / 2) for n, name in enumerate(names))
-    response = measure([Recording(channels, samples, RATE, "run")], FrfSettings("random", block=1.0, directional=True))
+    response = measure([Recording(channels, samples, RATE, "run")], FrfSettings(excitation="random", block=1.0, directional=True))
     np.testing.assert_allclose(response.matrix.mean(axis=0), [[1 + 0.5j, 0], [0, 1 - 0.5j]], atol=1e-3)
     assert response.coherence is None and response.averages > 200
 
@@ -99,7 +99,7 @@ def test_random_data_give_directional_terms_too(rng: np.random.Generator) -> Non
 def test_one_direction_is_not_enough(rng: np.random.Generator) -> None:
     with pytest.raises(DataError, match="need two forces in known directions"):
         measure([run(0, ISOTROPIC, rng)], PERIODIC)
-    plain = measure([run(0, ISOTROPIC, rng)], FrfSettings("periodic", period=1.0, skip=0))
+    plain = measure([run(0, ISOTROPIC, rng)], FrfSettings(excitation="periodic", period=1.0, skip=0))
     with pytest.raises(DataError, match="needs forward and backward terms"):
         two_sided(plain)
     with pytest.raises(DataError, match="two forces"):

@@ -14,7 +14,7 @@ from labpipe.spectra.settings import FrfSettings
 
 N = 1024
 FORCE, X = Channel("f", "force", "input", "x", 0.0), Channel("x", "displacement", "output", "x", 0.0)
-SETTINGS = FrfSettings("periodic", period=1.0, skip=0, smooth=0, band=(1.0, 160.0))
+SETTINGS = FrfSettings(excitation="periodic", period=1.0, skip=0, smooth=0, band=(1.0, 160.0))
 # Odd lines of which every fourth is left out.
 LINES = np.array([k for k in range(1, 160, 2) if k % 8 != 7])
 

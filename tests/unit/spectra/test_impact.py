@@ -54,7 +54,8 @@ LENGTH = 30 * N
 def test_without_windows_a_response_that_dies_away_is_exact(rng: np.random.Generator) -> None:
     quick = -2 * np.pi * 4.0 + 2j * np.pi * 60.0
     response = measure(
-        [hammered(rng, half_sine(LENGTH, STARTS, [1.0, 0.8, 1.1, 0.9, 1.0]), quick)], FrfSettings("impact", block=2.0, band=(10.0, 150.0))
+        [hammered(rng, half_sine(LENGTH, STARTS, [1.0, 0.8, 1.1, 0.9, 1.0]), quick)],
+        FrfSettings(excitation="impact", block=2.0, band=(10.0, 150.0)),
     )
     np.testing.assert_allclose(response.matrix[:, 0, 0], truth(response.frequency, quick), rtol=1e-9)
     assert response.averages == 5 and not response.findings
@@ -65,7 +66,8 @@ def test_the_damping_of_the_exponential_window_is_taken_out_again(rng: np.random
     decay = BLOCK / np.log(100)
     impact = ImpactSettings(decay=decay)
     response = measure(
-        [hammered(rng, half_sine(LENGTH, STARTS, [1.0] * 5))], FrfSettings("impact", block=BLOCK, band=(20.0, 150.0), impact=impact)
+        [hammered(rng, half_sine(LENGTH, STARTS, [1.0] * 5))],
+        FrfSettings(excitation="impact", block=BLOCK, band=(20.0, 150.0), impact=impact),
     )
     expected = truth(response.frequency)
     # What the window leaves at the block's end, 1 % x exp(-0.4 x 2 pi) = 0.08 %, is cut off.
@@ -101,7 +103,7 @@ def test_bad_hits_are_left_out_and_named(rng: np.random.Generator) -> None:
     # The second response is clipped in the third hit.
     samples[third, 2] = np.clip(samples[third, 2], -np.inf, 0.6 * samples[third, 2].max())
     impact = ImpactSettings(decay=0.2, reject=("5",))
-    response = measure([Recording(recording.channels, samples, RATE, "taps")], FrfSettings("impact", block=BLOCK, impact=impact))
+    response = measure([Recording(recording.channels, samples, RATE, "taps")], FrfSettings(excitation="impact", block=BLOCK, impact=impact))
     messages = [finding.message for finding in response.findings if finding.code == "hit-rejected"]
     assert [message.partition("left out: ")[2] for message in messages] == ["double hit", "overload of channel 'y'", "left out by hand"]
     assert [message[:5] for message in messages] == ["hit 2", "hit 3", "hit 5"]
@@ -114,7 +116,7 @@ def test_bad_hits_are_left_out_and_named(rng: np.random.Generator) -> None:
 def test_predicted_variance_is_the_scatter_of_repeats(rng: np.random.Generator) -> None:
     # Recipe: 200 simulated tests of 8 hits each, exponential window with its damping taken out.
     impact = ImpactSettings(decay=0.25)
-    settings = FrfSettings("impact", block=BLOCK, band=(40.0, 90.0), impact=impact)
+    settings = FrfSettings(excitation="impact", block=BLOCK, band=(40.0, 90.0), impact=impact)
     starts = [500 + 4 * N * k for k in range(8)]
     force = half_sine(33 * N, starts, [1.0] * 8)
     quick = -2 * np.pi * 2.0 + 2j * np.pi * 60.0
@@ -127,7 +129,7 @@ def test_predicted_variance_is_the_scatter_of_repeats(rng: np.random.Generator) 
 
 def test_a_response_that_rings_on_is_said(rng: np.random.Generator) -> None:
     recording = hammered(rng, half_sine(LENGTH, STARTS, [1.0] * 5))
-    response = measure([recording], FrfSettings("impact", block=BLOCK, band=(10.0, 500.0)))
+    response = measure([recording], FrfSettings(excitation="impact", block=BLOCK, band=(10.0, 500.0)))
     assert [finding.code for finding in response.findings] == ["not-died-away"]
 
 
@@ -139,7 +141,7 @@ def test_two_hammered_directions_give_one_matrix(rng: np.random.Generator) -> No
         response = signal.lfilter(*discrete(quick), force)
         samples = np.column_stack([force, gains[0] * response, gains[1] * response])
         runs.append(Recording((Channel("hammer", "force", "input", dof), X, Y), samples, RATE, dof))
-    found = measure(runs, FrfSettings("impact", block=2.0, band=(20.0, 100.0)))
+    found = measure(runs, FrfSettings(excitation="impact", block=2.0, band=(20.0, 100.0)))
     expected = truth(found.frequency, quick)[:, None, None] * np.array([[1.0, 0.2], [0.3, 1.0]])
     np.testing.assert_allclose(found.matrix, expected, rtol=1e-8)
 
@@ -170,14 +172,14 @@ def test_what_is_no_impact_test_is_refused(rng: np.random.Generator) -> None:
     force = half_sine(LENGTH, STARTS, [1.0] * 5)
     both = Recording((HAMMER, Channel("g", "force", "input", "y"), X), np.column_stack([force, force, force]), RATE, "both")
     with pytest.raises(DataError, match=r"'both' of hits has 2 forces \(hammer, g\)"):
-        measure([both], FrfSettings("impact", block=1.0))
+        measure([both], FrfSettings(excitation="impact", block=1.0))
     with pytest.raises(DataError, match="no hit whose block is complete"):
-        measure([hammered(rng, half_sine(3000, [1900], [1.0]))], FrfSettings("impact", block=1.0))
+        measure([hammered(rng, half_sine(3000, [1900], [1.0]))], FrfSettings(excitation="impact", block=1.0))
     with pytest.raises(DataError, match=r"'taps' is 0\.976562 s long, too short for one block of 1 s"):
-        measure([hammered(rng, half_sine(2000, [900], [1.0]))], FrfSettings("impact", block=1.0))
+        measure([hammered(rng, half_sine(2000, [900], [1.0]))], FrfSettings(excitation="impact", block=1.0))
     with pytest.raises(DataError, match=r"1 hit\(s\) found, none of them good"):
         rejecting = ImpactSettings(reject=("1",))
-        measure([hammered(rng, half_sine(6000, [900], [1.0]))], FrfSettings("impact", block=1.0, impact=rejecting))
+        measure([hammered(rng, half_sine(6000, [900], [1.0]))], FrfSettings(excitation="impact", block=1.0, impact=rejecting))
     for wrong, fault in ((("x",), "'x' is not the number"), (("0",), "'0' is not the number")):
         with pytest.raises(ConfigError, match=fault):
             ImpactSettings(reject=wrong)
@@ -191,7 +193,7 @@ def test_an_offset_of_the_hammer_makes_no_hits(rng: np.random.Generator) -> None
     quick = -2 * np.pi * 4.0 + 2j * np.pi * 60.0
     plain = hammered(rng, half_sine(LENGTH, STARTS, [1.0] * 5), quick)
     offset = Recording(plain.channels, plain.samples + np.array([0.5, -3.0]), RATE, "taps")
-    settings = FrfSettings("impact", block=2.0, band=(10.0, 150.0))
+    settings = FrfSettings(excitation="impact", block=2.0, band=(10.0, 150.0))
     np.testing.assert_allclose(measure([offset], settings).matrix, measure([plain], settings).matrix, rtol=1e-6)
 
 
@@ -204,7 +206,7 @@ def test_the_force_window_takes_the_noise_between_hits_away(rng: np.random.Gener
     noisy = Recording(plain.channels, plain.samples + noise, RATE, "taps")
     errors = []
     for impact in (ImpactSettings(trigger=0.4, double_hit=0.4), ImpactSettings(trigger=0.4, double_hit=0.4, force_window=8e-3)):
-        response = measure([noisy], FrfSettings("impact", block=2.0, band=(20.0, 100.0), impact=impact))
+        response = measure([noisy], FrfSettings(excitation="impact", block=2.0, band=(20.0, 100.0), impact=impact))
         expected = truth(response.frequency, quick)
         errors.append(np.sqrt(np.mean(np.abs(response.matrix[:, 0, 0] / expected - 1) ** 2)))
     # sqrt(1 / 250), and as much again for the one draw there is.

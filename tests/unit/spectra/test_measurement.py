@@ -18,7 +18,7 @@ from labpipe.spectra.settings import FrfSettings
 RATE = 256.0
 FORCE = Channel("f", "force", "input", "x", 0.0)
 X, Y = Channel("x", "displacement", "output", "x", 0.0), Channel("y", "displacement", "output", "y", np.pi / 2)
-PERIODIC = FrfSettings("periodic", period=1.0, skip=0)
+PERIODIC = FrfSettings(excitation="periodic", period=1.0, skip=0)
 
 
 def periodic_recording(rng: np.random.Generator, gains: tuple[float, ...], noise: float, periods: int = 6, dof: str = "x") -> Recording:
@@ -89,7 +89,7 @@ def test_hum_in_one_force_channel_makes_no_line(rng: np.random.Generator) -> Non
 def test_a_silent_response_is_named(rng: np.random.Generator, estimator: str) -> None:
     samples = np.column_stack([rng.normal(size=4000), np.zeros(4000)])
     with pytest.raises(DataError, match="silent: x"):
-        measure([Recording((FORCE, X), samples, RATE, "dead")], FrfSettings("random", block=1.0, estimator=estimator))
+        measure([Recording((FORCE, X), samples, RATE, "dead")], FrfSettings(excitation="random", block=1.0, estimator=estimator))
 
 
 def random_recording(rng: np.random.Generator, noise: float, n: int = 20_000) -> Recording:
@@ -102,7 +102,7 @@ def random_recording(rng: np.random.Generator, noise: float, n: int = 20_000) ->
 @pytest.mark.parametrize(("window", "overlap"), [("hann", 0.5), ("hann", 0.0), ("hann", 0.67), ("hamming", 0.5), ("blackman", 0.5)])
 def test_random_variance_is_what_the_scatter_of_repeats_shows(window: str, overlap: float) -> None:
     rng = np.random.default_rng(6)
-    settings = FrfSettings("random", block=1.0, window=window, overlap=overlap, band=(10.0, 100.0))
+    settings = FrfSettings(excitation="random", block=1.0, window=window, overlap=overlap, band=(10.0, 100.0))
     repeats = [measure([random_recording(rng, 0.5, 8000)], settings) for _ in range(120)]
     matrices = np.array([response.matrix[:, 0, 0] for response in repeats])
     observed = np.mean(np.abs(matrices - matrices.mean(axis=0)) ** 2, axis=0) * 120 / 119
@@ -111,14 +111,14 @@ def test_random_variance_is_what_the_scatter_of_repeats_shows(window: str, overl
 
 
 def test_random_data_near_the_filter_s_own_response(rng: np.random.Generator) -> None:
-    response = measure([random_recording(rng, 0.01, 200_000)], FrfSettings("random", block=4.0, band=(20.0, 60.0)))
+    response = measure([random_recording(rng, 0.01, 200_000)], FrfSettings(excitation="random", block=4.0, band=(20.0, 60.0)))
     _, expected = signal.freqz(*signal.iirpeak(30.0, 8.0, fs=RATE), worN=response.frequency, fs=RATE)
     np.testing.assert_allclose(response.matrix[:, 0, 0], expected, atol=0.03)
     assert response.coherence.max() <= 1 and response.coherence.min() > 0.8
 
 
 def test_poor_coherence_is_said(rng: np.random.Generator) -> None:
-    response = measure([random_recording(rng, 3.0)], FrfSettings("random", block=1.0))
+    response = measure([random_recording(rng, 3.0)], FrfSettings(excitation="random", block=1.0))
     assert [finding.code for finding in response.findings] == ["low-coherence"]
 
 
@@ -128,7 +128,7 @@ def test_one_period_has_no_covariance_and_says_so(rng: np.random.Generator) -> N
 
 
 def test_excluded_bands_are_left_out_and_edges_belong(rng: np.random.Generator) -> None:
-    settings = FrfSettings("periodic", period=1.0, skip=0, band=(10.0, 20.0), exclude=((12.0, 13.0),))
+    settings = FrfSettings(excitation="periodic", period=1.0, skip=0, band=(10.0, 20.0), exclude=((12.0, 13.0),))
     response = measure([periodic_recording(rng, (2.0,), 0.01)], settings)
     assert response.frequency.tolist() == [10, 11, 14, 15, 16, 17, 18, 19, 20]
 
@@ -167,25 +167,25 @@ def test_what_does_not_fit_together_is_refused(rng: np.random.Generator) -> None
         measure([one, other_rate], PERIODIC)
     both = Recording((FORCE, Channel("g", "force", "input", "y"), X), one.samples, RATE, "both")
     with pytest.raises(DataError, match="cannot separate 2 forces"):
-        measure([both], FrfSettings("periodic", period=1.0, skip=0))
+        measure([both], FrfSettings(excitation="periodic", period=1.0, skip=0))
     still = Recording(one.channels, one.samples * [0, 1, 1], RATE, "still")
     with pytest.raises(DataError, match="force channel 'f' of 'still' does not vary"):
         measure([still], PERIODIC)
     with pytest.raises(DataError, match=r"no line lies in the band.*every 1 Hz up to 128 Hz"):
-        measure([one], FrfSettings("periodic", period=1.0, band=(500.0, 600.0)))
+        measure([one], FrfSettings(excitation="periodic", period=1.0, band=(500.0, 600.0)))
     with pytest.raises(DataError, match="too short for one block"):
-        measure([one], FrfSettings("random", block=60.0))
+        measure([one], FrfSettings(excitation="random", block=60.0))
 
 
 def test_settings_must_fit_the_excitation() -> None:
     with pytest.raises(ConfigError, match="'period' is missing"):
-        FrfSettings("periodic")
+        FrfSettings(excitation="periodic")
     with pytest.raises(ConfigError, match="'block' is missing"):
-        FrfSettings("random", period=1.0)
+        FrfSettings(excitation="random", period=1.0)
     with pytest.raises(ConfigError, match="below 100 %"):
-        FrfSettings("random", block=1.0, overlap=1.0)
+        FrfSettings(excitation="random", block=1.0, overlap=1.0)
     with pytest.raises(ConfigError, match="skip: '-1' is not a whole number of at least 0"):
-        FrfSettings("periodic", period=1.0, skip=-1)
+        FrfSettings(excitation="periodic", period=1.0, skip=-1)
 
 
 def test_a_reference_channel_changes_nothing(rng: np.random.Generator) -> None:
@@ -193,7 +193,7 @@ def test_a_reference_channel_changes_nothing(rng: np.random.Generator) -> None:
     tacho = Channel("tacho", "voltage", "reference", "tacho")
     samples = np.column_stack([plain.samples[:, 0], rng.normal(size=plain.n_sample), plain.samples[:, 1]])
     with_tacho = Recording((FORCE, tacho, X), samples, RATE, "noise")
-    settings = FrfSettings("random", block=1.0)
+    settings = FrfSettings(excitation="random", block=1.0)
     one, other = measure([plain], settings), measure([with_tacho], settings)
     np.testing.assert_allclose(other.matrix, one.matrix, rtol=1e-10)
     np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-8)
@@ -204,7 +204,7 @@ def test_a_drift_is_taken_out_with_a_straight_line(rng: np.random.Generator) -> 
     plain = random_recording(rng, 0.01)
     drift = np.column_stack([np.zeros(plain.n_sample), np.arange(plain.n_sample) * 30 / RATE])
     drifting = Recording(plain.channels, plain.samples + drift, RATE, "drift")
-    plainly = FrfSettings("random", block=1.0, band=(2.0, 20.0), window="boxcar", overlap=0.0)
+    plainly = FrfSettings(excitation="random", block=1.0, band=(2.0, 20.0), window="boxcar", overlap=0.0)
     settings = {name: replace(plainly, detrend=name) for name in ("constant", "linear")}
     truth = measure([plain], settings["linear"]).matrix
     error = {name: np.max(np.abs(measure([drifting], own).matrix - truth)) for name, own in settings.items()}

@@ -19,7 +19,7 @@ N, LINES = 512, np.arange(1, 80)
 X = Channel("x", "displacement", "output", "x", 0.0)
 Y = Channel("y", "displacement", "output", "y", np.pi / 2)
 FORCES = (Channel("f", "force", "input", "x", 0.0), Channel("f", "force", "input", "y", np.pi / 2))
-SETTINGS = FrfSettings("periodic", period=1.0, skip=0, smooth=5, band=(1.0, 79.0), realisations=True)
+SETTINGS = FrfSettings(excitation="periodic", period=1.0, skip=0, smooth=5, band=(1.0, 79.0), realisations=True)
 
 
 def recording(
@@ -46,7 +46,7 @@ def test_a_linear_system_shows_noise_only(rng: np.random.Generator) -> None:
 
 
 def test_distortion_is_the_scatter_of_single_realisations(rng: np.random.Generator) -> None:
-    single = FrfSettings("periodic", period=1.0, skip=0, smooth=5, band=(1.0, 79.0))
+    single = FrfSettings(excitation="periodic", period=1.0, skip=0, smooth=5, band=(1.0, 79.0))
     many = np.array([measure([recording(rng, 0.05, 1e-4)], single).matrix[:, 0, 0] for _ in range(150)])
     scatter = np.sqrt(np.mean(np.var(many, axis=0, ddof=1)))
     found = [measure([recording(rng, 0.05, 1e-4) for _ in range(4)], SETTINGS) for _ in range(10)]
@@ -74,10 +74,10 @@ def test_directions_are_sorted_into_realisations(rng: np.random.Generator) -> No
 def test_what_are_no_realisations_is_refused(rng: np.random.Generator) -> None:
     runs = [recording(rng, 0.0, 1e-4, force, (X, Y)) for force in FORCES]
     for wrong in (runs, [*runs, runs[0]]):
-        with pytest.raises(DataError, match=r"recording\(s\) are no realisations of one measurement"):
+        with pytest.raises(DataError, match=r"recording\(s\) do not form realisations of one measurement"):
             measure(wrong, SETTINGS)
     with pytest.raises(ConfigError, match="'realisations' are of periodic excitation"):
-        FrfSettings("random", block=1.0, realisations=True)
+        FrfSettings(excitation="random", block=1.0, realisations=True)
 
 
 def test_distortion_and_partial_coherence_survive_the_file(rng: np.random.Generator, tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_distortion_and_partial_coherence_survive_the_file(rng: np.random.Genera
     np.testing.assert_array_equal(again.distortion, response.distortion)
     assert again.partial_coherence is None and again.line_correlation == ()
     runs = [recording(rng, 0.0, 0.1, force, (X, Y)) for force in FORCES]
-    response = measure(runs, FrfSettings("random", block=0.5))
+    response = measure(runs, FrfSettings(excitation="random", block=0.5))
     write_response(tmp_path / "b.frf.parquet", response, Header("frf", {}, ()))
     again = read_response(tmp_path / "b.frf.parquet")
     np.testing.assert_array_equal(again.partial_coherence, response.partial_coherence)

@@ -66,7 +66,7 @@ def test_a_steady_recording_is_no_run_up() -> None:
     tacho = np.where((25 * time) % 1.0 < 0.5, 5.0, 0.0)
     steady = Recording(sweep(1.0).channels, np.column_stack([np.real(X * turn), np.real(Y * turn), tacho]), RATE, "steady")
     track = track_order(steady, ShaftLines(speed=25.0))
-    with pytest.raises(DataError, match="one and the same speed"):
+    with pytest.raises(DataError, match="constant speed"):
         run_up_of(track, "steady", 5.0, {"disc 1": 1e-5 + 0j})
     with pytest.raises(DataError, match="no plane"):
         run_up_of(replace(track, planes=()), "steady", 5.0, {"disc 1": 1e-5 + 0j})

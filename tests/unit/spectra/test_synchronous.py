@@ -73,7 +73,7 @@ def test_the_tacho_follows_a_speed_that_changes(rng: np.random.Generator) -> Non
 def test_beside_a_removed_or_masked_line_the_response_is_right_within_its_doubt(rng: np.random.Generator, way: str) -> None:
     recording = run(rng, even(50.0), (5.0, 0.5, 0.2))
     lines = MaskSettings(speed=50.0, harmonics=3) if way == "mask" else ShaftLines(speed=50.0, harmonics=3)
-    settings = FrfSettings("random", block=1.0, band=(40.0, 160.0), **{way: lines})
+    settings = FrfSettings(excitation="random", block=1.0, band=(40.0, 160.0), **{way: lines})
     response = measure([recording], settings)
     error = np.abs(response.matrix[:, 0, 0] - truth(response.frequency)) ** 2
     # Blocks of 1 s bias the resonance a little; lines of 50 Hz would be off by 100 deviations.
@@ -82,7 +82,7 @@ def test_beside_a_removed_or_masked_line_the_response_is_right_within_its_doubt(
     kept = response.frequency.tolist()
     assert ([f for f in (47.0, 48.0, 49.0, 50.0, 51.0, 52.0, 53.0) if f in kept] == [47.0, 53.0]) if way == "mask" else 50.0 in kept
     assert [finding.code for finding in response.findings][:1] == [{"mask": "masked", "remove": "synchronous-removed"}[way]]
-    untreated = measure([recording], FrfSettings("random", block=1.0, band=(40.0, 160.0)))
+    untreated = measure([recording], FrfSettings(excitation="random", block=1.0, band=(40.0, 160.0)))
     plain = np.abs(untreated.matrix[:, 0, 0] - truth(untreated.frequency))
     assert plain[10] > 5 * np.sqrt(np.max(error))
 
@@ -91,14 +91,14 @@ def test_the_mask_follows_the_tacho(rng: np.random.Generator) -> None:
     time = np.arange(60_000) / RATE
     recording = run(rng, 50 * time + np.sin(2 * np.pi * 0.05 * time) / (2 * np.pi * 0.05), (5.0,))
     mask = MaskSettings(tacho="tacho", width=1.0)
-    response = measure([recording], FrfSettings("random", block=1.0, band=(40.0, 70.0), mask=mask))
+    response = measure([recording], FrfSettings(excitation="random", block=1.0, band=(40.0, 70.0), mask=mask))
     # 49 to 51 Hz, the pulses' rounding to samples (10 %), and 1 Hz to either side.
     left_out = sorted(set(range(40, 71)) - {round(f) for f in response.frequency})
     assert {48, 49, 50, 51, 52} <= set(left_out) and left_out[0] >= 44 and left_out[-1] <= 58
 
 
 def test_what_cannot_be_removed_is_refused(rng: np.random.Generator) -> None:
-    with pytest.raises(DataError, match="less than two revolutions"):
+    with pytest.raises(DataError, match="shorter than two revolutions"):
         without_synchronous(run(rng, even(0.001), ()), ShaftLines(speed=0.001))
     with pytest.raises(ConfigError, match="'remove' works on random excitation"):
-        FrfSettings("periodic", period=1.0, remove=ShaftLines(speed=50.0))
+        FrfSettings(excitation="periodic", period=1.0, remove=ShaftLines(speed=50.0))

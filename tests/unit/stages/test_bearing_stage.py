@@ -20,10 +20,10 @@ from labpipe.stages.sweep import parse_sweep
 
 FILE = "kind: ball-bearing\nelements: 9\nstiffness_constant: {}\ngroove_distance: 0.5953 mm\npitch_radius: 30 mm\nloads: {{z: 100 N}}\n"
 JOURNAL = BearingCoefficients(
-    ("y", "z"),
-    np.array([[2.0, 7.0], [-8.0, 1.0]]) * 1e6,
-    np.array([[9.0, -2.0], [-2.0, 8.0]]) * 1e3,
-    (Amount("eccentricity_ratio", 0.4, "1"), Amount("attitude_angle", 0.5, "rad")),
+    dofs=("y", "z"),
+    stiffness=np.array([[2.0, 7.0], [-8.0, 1.0]]) * 1e6,
+    damping=np.array([[9.0, -2.0], [-2.0, 8.0]]) * 1e3,
+    rest=(Amount("eccentricity_ratio", 0.4, "1"), Amount("attitude_angle", 0.5, "rad")),
     findings=(Finding("one", "first"), Finding("two", "second")),
 )
 

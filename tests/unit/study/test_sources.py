@@ -15,7 +15,7 @@ from labpipe.spectra.settings import FrfSettings
 from labpipe.study.sources import source_of
 
 ONE = VirtualMdofRig(KIND, ((4.0,),), ((0.5,),), (1.0,), Lines(0.1, 0.6, 30), 0.02)
-FRF = FrfSettings("periodic", period=2.0, skip=3, band=(50.0, 80.0))
+FRF = FrfSettings(excitation="periodic", period=2.0, skip=3, band=(50.0, 80.0))
 
 
 def test_bounds_of_one_dof_are_the_closed_form() -> None:
