@@ -106,7 +106,8 @@ def _tuple(entry: Any, kinds: tuple[Any, ...]) -> tuple[Any, ...]:
 
 def _array(entry: Any, kind: Any) -> Any:
     """An array of the declared type, complex from its parts."""
-    (element,) = get_args(get_args(kind)[1])
+    (declared,) = get_args(get_args(kind)[1])
+    element = get_origin(declared) or declared
     if issubclass(element, np.complexfloating):
         real, imaginary = (entry["re"], entry["im"]) if isinstance(entry, dict) else (_need(entry, list), 0.0)
         values = np.empty(np.shape(real), np.complex128)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from dataclasses import MISSING
 from typing import Any, TypeVar
 
@@ -53,7 +54,8 @@ def _made(owner: type[Owner], fields: dict[str, Any], node: Marked, key: str, fa
     try:
         return owner(**fields)
     except ConfigError as error:
-        if error.field in unread and error.field:
+        # A complaint that names what could not be read would be one of the same fault.
+        if any(name and re.search(rf"\b{name}\b", f"{error.field} {error.what}") for name in unread):
             return None
         faults.add_of_field(error, node, key)
         return None

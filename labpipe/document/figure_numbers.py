@@ -24,7 +24,7 @@ class NumberList:
         self._places: dict[tuple[float | None, ...], int] = {}
 
     def add(self, values: FloatArray) -> int:
-        """The place of *values* (n,) in the list, rounded to the digits that a screen can show."""
+        """The place of *values* (n,) [unit of their axis] in the list, rounded to the digits that a screen can show."""
         rounded = tuple(_rounded(value) for value in np.ravel(values).tolist())
         if rounded not in self._places:
             self._places[rounded] = len(self.lists)

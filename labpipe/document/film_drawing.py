@@ -49,7 +49,7 @@ def _mid_width(axes: Axes, film: PressureField, angle: FloatArray, pressure: Flo
 
 
 def contour_levels(pressure: FloatArray) -> FloatArray:
-    """Rising levels at round pressures from below the least to above the largest, which leave no cell blank."""
+    """Rising levels (n_level,) [Pa] at round pressures around all of *pressure* (n_theta, n_axial) [Pa], which leave no cell blank."""
     range_of_pressure = float(np.ptp(pressure)) or 1.0
     low, high = float(pressure.min()) - TORN * range_of_pressure, float(pressure.max()) + TORN * range_of_pressure
     levels = np.asarray(MaxNLocator(N_CONTOUR).tick_values(low + 2 * TORN * range_of_pressure, high))
@@ -58,6 +58,6 @@ def contour_levels(pressure: FloatArray) -> FloatArray:
 
 
 def mid_width_pressure(film: PressureField, pressure: FloatArray) -> FloatArray:
-    """(n_theta,) mean of the cells (n_theta, n_axial) nearest to mid width: the middle ones, or the two beside it."""
+    """(n_theta,) [Pa] mean of the cells (n_theta, n_axial) [Pa] nearest to mid width: the middle ones, or the two beside it."""
     nearest = np.isclose(np.abs(film.axial), np.abs(film.axial).min(), atol=1e-12)
     return np.asarray(pressure[:, nearest].mean(axis=1))

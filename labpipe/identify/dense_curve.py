@@ -42,7 +42,7 @@ def drawn_densely(model: Model, lines: FloatArray) -> tuple[FloatArray, ComplexA
 
 
 def between(lines: FloatArray) -> FloatArray:
-    """The lines with equal parts of every step between them."""
+    """The lines (n_line,) [Hz] with equal parts of every step between them, (n,) [Hz]."""
     steps = max(lines.size - 1, 1)
     parts = max(1, min(max(PARTS, -(-(FEWEST - 1) // steps)), (MOST - 1) // steps))
     places = np.arange((lines.size - 1) * parts + 1) / parts

@@ -73,7 +73,7 @@ def test_set_overrides_and_a_failing_rule_is_exit_code_1(tmp_path: Path, labpipe
 def test_identification_json_has_the_agreed_shape(tmp_path: Path, labpipe) -> None:
     labpipe("run", "pipelines/radial-direct.yaml", "-o", tmp_path)
     result = json.loads((tmp_path / "identification.json").read_text())
-    assert result["schema"] == "labpipe/identification/1"
+    assert result["schema"] == "labpipe/identification/2"
     assert set(result["sources"][0]) == {"path", "sha256"} and len(result["sources"][0]["sha256"]) == 64
     (fit,) = result["fits"]
     agreed = (

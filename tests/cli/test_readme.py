@@ -60,7 +60,7 @@ def test_the_notebook_code_runs(capsys) -> None:
     (code,) = blocks("python")
     names: dict[str, object] = {}
     exec(code, names)
-    assert "name='k', value=134" in capsys.readouterr().out
+    assert "k          134." in capsys.readouterr().out
     assert "<!DOCTYPE html>" in str(names["html"])
 
 

@@ -46,7 +46,7 @@ def repeated(repeats: int) -> list[dict[str, Comparison]]:
     """Every repeat's ratio and Rayleigh comparisons by name, made as the shipped pipeline makes them, but on every other line."""
     pipeline = load_pipeline(ROOT / "pipelines/preload-series.yaml", ["frf.period=250 ms"])
     rig = load_virtual_rig(ROOT / "configs/virtual-ball-bearing.yaml")
-    chosen = [settings for settings in pipeline.comparisons if settings.kind in ("ratio", "rayleigh")]
+    chosen = [settings for settings in pipeline.sections["compare"] if settings.kind in ("ratio", "rayleigh")]
     theories = {settings.name: theory_of(pipeline.folder, settings.theory) for settings in chosen if settings.theory}
     rng = np.random.default_rng(20260801)
     found = []

@@ -140,7 +140,7 @@ def test_the_model_between_the_lines_travels_and_older_files_have_none(tmp_path:
     assert old is not None and old.dense is None and old.drawn[0].tolist() == lines.tolist()
     assert new is not None and new.drawn[0].tolist() == between.tolist()
     np.testing.assert_array_equal(new.drawn[1], dense.dense)
-    assert "dense" not in (tmp_path / "plain").read_text(encoding="utf-8")
+    assert '"dense": null' in (tmp_path / "plain").read_text(encoding="utf-8")
 
 
 def test_a_folder_changes_only_if_all_succeeds(tmp_path: Path) -> None:

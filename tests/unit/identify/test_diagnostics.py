@@ -135,7 +135,7 @@ def nearly_parallel(angle: float) -> Estimate:
     """Two unit columns at a small *angle*: condition number cot(angle / 2); both values may change by the same amplification."""
     triangle = np.array([[1.0, np.cos(angle)], [0.0, np.sin(angle)]])
     gof = Goodness(1.0, 1.0)
-    return Estimate(np.array([1.0, 1.0]), np.eye(2), triangle, gof, dof=100, amplification=np.full(2, 2 / angle))
+    return Estimate(values=np.ones(2), covariance=np.eye(2), scaled_design=triangle, gof=gof, dof=100, amplification=np.full(2, 2 / angle))
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,17 @@ X = 1e-6 * np.column_stack([np.linspace(1, 5, 5) + 0j, 2j * np.ones(5)])
 def track(speed: np.ndarray = SPEED, amplitude: np.ndarray = X, labels: tuple[str, str] = ("x", "y")) -> OrderTrack:
     ports = tuple(Port(label, label, label) for label in labels)
     variance = np.full(amplitude.shape, 2e-14)
-    return OrderTrack(1.0, TIME, speed, amplitude, variance, ports, 1.5 * np.abs(amplitude), 6e-6 * np.ones((5, 1)), (PLANE,))
+    return OrderTrack(
+        order=1.0,
+        time=TIME,
+        speed=speed,
+        amplitude=amplitude,
+        variance=variance,
+        ports=ports,
+        overall=1.5 * np.abs(amplitude),
+        orbit=6e-6 * np.ones((5, 1)),
+        planes=(PLANE,),
+    )
 
 
 def test_amplitude_phase_and_circles_over_the_speed() -> None:

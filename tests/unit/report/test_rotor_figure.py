@@ -82,7 +82,7 @@ def test_positions_and_diameters_at_nodes() -> None:
 
 
 def fits(*rigs: dict[str, Any] | None) -> dict[str, Any]:
-    return {"identify": [{"name": str(n), "wear": None if rig is None else {"rig": rig}} for n, rig in enumerate(rigs)]}
+    return {"identify": [{"name": str(n), "model_settings": None if rig is None else {"rig": rig}} for n, rig in enumerate(rigs)]}
 
 
 def test_fits_on_one_rotor_draw_it_once_and_other_fits_none() -> None:

@@ -118,8 +118,8 @@ def test_a_ball_bearing_on_a_rotor_is_that_of_its_file(tmp_path: Path) -> None:
     bearing = rotor("ball-bearing", tmp_path).place("left").bearing
     kind: BearingKind = BEARINGS["ball-bearing"]
     settings = BallBearingSettings(
-        "ball-bearing",
-        9,
+        kind="ball-bearing",
+        elements=9,
         stiffness_constant=1.10e10,
         groove_distance="0.5953 mm",
         pitch_radius="30.1488 mm",
