@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from labpipe import __version__
+from labpipe.artefacts.code import code_digest
 from labpipe.artefacts.fit_entry import fit_entry, read_fit
 from labpipe.artefacts.header import SourceRef
 from labpipe.artefacts.json_file import write_json
@@ -24,6 +25,7 @@ def _work(settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> di
     entry = {
         "schema": SCHEMA,
         "labpipe": __version__,
+        "code": code_digest(),
         "settings": [entry_of(fit) for fit in settings],
         "responses": [dataclasses.asdict(one) for one in responses],
     }

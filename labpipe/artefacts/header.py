@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from labpipe import __version__
+from labpipe.artefacts.code import code_digest
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 
@@ -37,14 +38,15 @@ class Header:
     contents: dict[str, Any] = field(default_factory=dict)
     schema: int = SCHEMA
     labpipe: str = __version__
+    code: str = field(default_factory=code_digest)
 
     def to_json(self) -> str:
         """The header as it stands in the file."""
         return json.dumps(dataclasses.asdict(self), allow_nan=False)
 
     def same_work(self, other: Header) -> bool:
-        """Whether both were made from the same inputs with the same parameters by the same version."""
-        mine, theirs = (json.dumps([h.kind, h.schema, h.labpipe, h.parameters, _asdicts(h.inputs)]) for h in (self, other))
+        """Whether both were made from the same inputs with the same parameters by the same code."""
+        mine, theirs = (json.dumps([h.kind, h.schema, h.labpipe, h.code, h.parameters, _asdicts(h.inputs)]) for h in (self, other))
         return mine == theirs
 
 
@@ -62,7 +64,7 @@ def header_from_json(text: str | bytes, path: Path, kind: str) -> Header:
         raise DataError(f"has schema {entries.get('schema')}, this version reads {SCHEMA}", where=str(path), hint=hint)
     entries["inputs"] = tuple(SourceRef(**entry) for entry in entries["inputs"])
     entries["findings"] = tuple(Finding(**entry) for entry in entries["findings"])
-    return Header(**entries)
+    return Header(**{"code": "", **entries})
 
 
 def source_ref(path: Path, folder: Path) -> SourceRef:

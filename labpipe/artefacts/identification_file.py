@@ -34,9 +34,11 @@ def write_identification(path: Path, identification: Identification) -> None:
     entries = {
         "schema": SCHEMA,
         "labpipe": __version__,
+        "code": identification.code,
         "title": identification.title,
         "pipeline": identification.pipeline,
         "sources": list(identification.sources),
+        "inputs": list(identification.inputs),
         "rig": identification.rig,
         "settings": identification.settings,
         **({"failed": [dataclasses.asdict(failed) for failed in identification.failed]} if identification.failed else {}),
@@ -92,6 +94,8 @@ def _identification(entries: dict[str, Any]) -> Identification:
         outcomes=tuple(outcomes),
         version=entries["labpipe"],
         failed=tuple(Failed(**entry) for entry in entries.get("failed", [])),
+        inputs=tuple(entries.get("inputs", [])),
+        code=entries.get("code", ""),
         sections={
             name: record_of(entries[part.entry], part.load("record")) for name, part in sections() if part.entry and part.entry in entries
         },

@@ -33,9 +33,9 @@ def identify(frfs: tuple[Path, ...], pipeline_path: Path, output: Path, override
     options.teller(quiet, verbose)(f"identify  {pipeline.title}")
     with output_folder(output) as folder:
         responses = [load_response(path) for path in frfs] or _pipeline_responses(pipeline, folder)
-        sources = [source_ref(path, path.parent) for path in frfs or _pipeline_paths(pipeline, folder)]
-        sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
-        identification = identify_stage(pipeline, responses, sources, folder)
+        inputs = [source_ref(path, path.parent) for path in frfs or _pipeline_paths(pipeline, folder)]
+        sources = [*inputs, *(source_ref(path, pipeline.folder) for path in pipeline.side_files)]
+        identification = identify_stage(pipeline, responses, sources, folder, inputs=inputs)
     echo_identification(identification, quiet)
     return 0 if identification.accepted else 1
 

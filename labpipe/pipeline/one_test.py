@@ -107,10 +107,15 @@ def responses_of(job: Job, output: OutputFolder) -> list[FrequencyResponse]:
     return [*made, *(load_response(path, job.test.name or path.stem, job.test.conditions) for path in job.test.frfs)]
 
 
+def response_refs(job: Job, output: OutputFolder) -> list[SourceRef]:
+    """The digests of the test's responses, by their file names."""
+    measured = [output.read_path(frf_file_name(job.test.name))] if job.test.recordings else []
+    return [source_ref(path, path.parent) for path in (*measured, *job.test.frfs)]
+
+
 def fit(job: Job, output: OutputFolder) -> None:
     """The independent fits of the test, made unless those on disk are fresh."""
-    measured = [output.read_path(frf_file_name(job.test.name))] if job.test.recordings else []
-    inputs = [source_ref(path, path.parent) for path in (*measured, *job.test.frfs)]
+    inputs = response_refs(job, output)
     if has_fresh_fits(output.read_path(job.fits_name), job.fits, inputs):
         return
     responses = responses_of(job, output)

@@ -17,7 +17,7 @@ from labpipe.artefacts.writing import OutputFolder, existing_home
 from labpipe.config.pipeline import Pipeline
 from labpipe.errors import ConfigError, DataError
 from labpipe.pipeline.executors import Execute, serially
-from labpipe.pipeline.one_test import Done, Job, Tell, finished_fits, measure, responses_of, silent, work
+from labpipe.pipeline.one_test import Done, Job, Tell, finished_fits, measure, response_refs, responses_of, silent, work
 from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.records.response import FrequencyResponse
 from labpipe.stages.fits import check_tested
@@ -44,12 +44,13 @@ class Manner:
 
 @dataclass(frozen=True)
 class Measured:
-    """The responses of all tests, the files behind them, the fits made on the way, and the tests that failed."""
+    """The responses of all tests, the files behind them, the fits made on the way, the tests that failed, digests of the responses."""
 
     responses: tuple[FrequencyResponse, ...]
     sources: tuple[SourceRef, ...]
     fits: dict[str, list[Fit]] = field(default_factory=dict)
     failed: tuple[Failed, ...] = ()
+    inputs: tuple[SourceRef, ...] = ()
 
 
 def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identification:
@@ -57,7 +58,15 @@ def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identificat
     measured = measure_tests(pipeline, output, manner, independent_fits(pipeline))
     manner.tell(f"identify  {pipeline.title}")
     return identify_stage(
-        pipeline, measured.responses, measured.sources, output, manner.tell, manner.processes, measured.fits, measured.failed
+        pipeline,
+        measured.responses,
+        measured.sources,
+        output,
+        manner.tell,
+        manner.processes,
+        measured.fits,
+        measured.failed,
+        measured.inputs,
     )
 
 
@@ -76,7 +85,8 @@ def measure_tests(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits
     sources = [source for job in finished for source in done[job.test.name].sources]
     sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
     responses = [response for job in finished for response in responses_of(job, output)]
-    return Measured(tuple(responses), tuple(sources), finished_fits(finished, output), failed)
+    inputs = tuple(reference for job in finished for reference in response_refs(job, output))
+    return Measured(tuple(responses), tuple(sources), finished_fits(finished, output), failed, inputs)
 
 
 def independent_fits(pipeline: Pipeline) -> list[str]:

@@ -155,7 +155,8 @@ class Failed:
 class Identification:
     """All fits of a pipeline with what they came from: the measured responses, the source files, the settings used.
 
-    *sections*: the records of the pipeline's other sections by their key (compare, study, run_ups, ...).
+    *inputs*: digests of the responses that the fits were made from, *code*: of the program that made them. *sections*: the records of the
+    pipeline's other sections by their key (compare, study, run_ups, ...).
     """
 
     fits: tuple[Fit, ...]
@@ -168,6 +169,8 @@ class Identification:
     outcomes: tuple[RuleOutcome, ...] = ()
     version: str = ""
     failed: tuple[Failed, ...] = ()
+    inputs: tuple[dict[str, str], ...] = ()
+    code: str = ""
     sections: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
 from labpipe import __version__
+from labpipe.artefacts.code import code_digest
 from labpipe.artefacts.header import SourceRef
 from labpipe.artefacts.identification_file import NAME, read_identification, write_identification
 from labpipe.artefacts.typed_json import entry_of
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.config.pipeline import Pipeline
-from labpipe.config.tests import Test
 from labpipe.errors import DataError
 from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.records.response import FrequencyResponse
@@ -23,6 +22,9 @@ from labpipe.sections import section
 from labpipe.stages.compare import COMPARE_PREFIX
 from labpipe.stages.judging import judge
 from labpipe.stages.work import Work
+
+# What a result is fresh by.
+BASIS = ("sources", "inputs", "settings", "rig", "version", "code")
 
 
 def identify_stage(
@@ -34,29 +36,36 @@ def identify_stage(
     jobs: int = 0,
     made: Mapping[str, Sequence[Fit]] = MappingProxyType({}),
     failed: Sequence[Failed] = (),
+    inputs: Sequence[SourceRef] = (),
 ) -> Identification:
     """The identification of all tests and all sections of a pipeline, made unless the one on disk is fresh.
 
     *jobs*: processes of the study, 0 for one per processor. *made*: fits that were made test by test, by their name in the
     pipeline. *failed*: the tests that are missing; a comparison that cannot do without them is missing as well.
+    *inputs*: the digests of the responses themselves, by which a change of a rig, a sensor or a recording reaches the result.
     """
-    listed = tuple(dataclasses.asdict(source) for source in sources)
-    settings = settings_entry(pipeline)
+    basis = Identification(
+        fits=(),
+        sources=tuple(dataclasses.asdict(source) for source in sources),
+        settings=settings_entry(pipeline),
+        rig=_rig_entry(pipeline),
+        version=__version__,
+        failed=tuple(failed),
+        inputs=tuple(dataclasses.asdict(reference) for reference in inputs),
+        code=code_digest(),
+    )
     existing = _existing(output)
-    if existing is not None and _same_work(existing, listed, settings, failed):
+    if existing is not None and _same_work(existing, basis):
         return existing
     work = Work(pipeline, responses, output, tell, jobs, made, failed=list(failed))
     records = _run_sections(work)
-    identification = Identification(
+    identification = dataclasses.replace(
+        basis,
         fits=tuple(work.fits),
         title=pipeline.title,
         pipeline=pipeline.path.name,
-        sources=listed,
-        settings=settings,
-        rig=_rig_entry(pipeline),
         responses=tuple(responses),
         outcomes=judge(pipeline.rules, work.fits, records, incomplete=bool(work.failed)),
-        version=__version__,
         failed=tuple(work.failed),
         sections=records,
     )
@@ -77,9 +86,11 @@ def _run_sections(work: Work) -> dict[str, Any]:
     return records
 
 
-def _same_work(existing: Identification, sources: tuple[dict[str, str], ...], settings: dict[str, Any], failed: Sequence[Failed]) -> bool:
-    tests_failed = tuple(failure for failure in existing.failed if not failure.name.startswith(COMPARE_PREFIX))
-    return (existing.sources, existing.settings, existing.version, tests_failed) == (sources, settings, __version__, tuple(failed))
+def _same_work(existing: Identification, basis: Identification) -> bool:
+    """True if both rest on the same inputs, settings, rig and code, and the same tests failed."""
+    kept = tuple(failure for failure in existing.failed if not failure.name.startswith(COMPARE_PREFIX))
+    same = all(getattr(existing, name) == getattr(basis, name) for name in BASIS)
+    return same and kept == basis.failed
 
 
 def _existing(output: OutputFolder) -> Identification | None:
@@ -99,17 +110,11 @@ def settings_entry(pipeline: Pipeline) -> dict[str, Any]:
         "frf": pipeline.frf,
         **pipeline.sections,
         "rules": [[rule.section, rule.text] for rule in pipeline.rules],
-        "tests": [_test_entry(test) for test in pipeline.tests],
+        "tests": [{"name": test.name, "conditions": test.conditions} for test in pipeline.tests],
         "title": pipeline.title,
         "pipeline": pipeline.path.name,
     }
     return json.loads(json.dumps(entry_of(entry)))  # type: ignore[no-any-return]
-
-
-def _test_entry(test: Test) -> dict[str, Any]:
-    """Name and conditions of a test, and the digests of the rigs that recorded it: other calibrations make another result."""
-    rigs = (json.dumps(dataclasses.asdict(source.rig)) for source in test.recordings)
-    return {"name": test.name, "conditions": test.conditions, "rigs": [hashlib.sha256(rig.encode()).hexdigest() for rig in rigs]}
 
 
 def _rig_entry(pipeline: Pipeline) -> dict[str, Any]:

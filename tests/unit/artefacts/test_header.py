@@ -85,7 +85,7 @@ def test_a_header_read_back_is_the_same_work(parameters: dict, inputs: tuple[Sou
 def test_a_header_names_the_version_that_made_it_and_no_time() -> None:
     entries = json.loads(HEADER.to_json())
     assert entries["labpipe"] == labpipe.__version__
-    assert set(entries) == {"kind", "parameters", "inputs", "findings", "contents", "schema", "labpipe"}
+    assert set(entries) == {"kind", "parameters", "inputs", "findings", "contents", "schema", "labpipe", "code"}
 
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf")])

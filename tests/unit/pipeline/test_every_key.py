@@ -1,0 +1,232 @@
+"""Every key of every file changed, one at a time: the run into the old folder ends as one into a new folder does.
+
+The keys and their kinds come from the declared settings, so that a new key is tested without anyone thinking of it. Both runs may refuse
+the change: then they say the same, and the old result stays as it was.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from labpipe.config.rig import ChannelSettings, RigSettings
+from labpipe.config.rotor_parts import RotorSettings
+from labpipe.errors import LabpipeError
+from labpipe.identify.settings import FitSettings
+from labpipe.records.settings import Setting, settings_of
+from labpipe.sections import sections
+from labpipe.spectra.settings import FrfSettings
+from tests.unit.pipeline.laboratory import ALONE, RIG, contents, done, recording
+
+ROOT = Path(__file__).parents[3]
+RESPONSE_TABLE = "frequency_hz,gain,phase_deg\n0,1,0\n50,1.01,-1\n"
+OTHER_TABLE = "frequency_hz,gain,phase_deg\n0,1,0\n50,1.2,-5\n"
+
+# Where the settings of a file's mappings are declared: (file, path of keys) -> dataclass; * stands for any name or number.
+DECLARED: dict[tuple[str, tuple[str, ...]], type] = {
+    ("rig.yaml", ()): RigSettings,
+    ("rig.yaml", ("channels", "*")): ChannelSettings,
+    ("pipeline.yaml", ("frf",)): FrfSettings,
+    ("pipeline.yaml", ("identify", "*")): FitSettings,
+    **{("pipeline.yaml", (name,)): entry.load("settings") for name, entry in sections() if not entry.named},
+    **{("pipeline.yaml", (name, "*")): entry.load("settings") for name, entry in sections() if entry.named and name != "identify"},
+    ("rotor.yaml", ()): RotorSettings,
+}
+
+
+def other_value(declared: Setting, value: Any) -> Any:
+    """Another valid value of the setting, if its kind has one at hand; None else."""
+    unit = declared.unit if declared.unit not in ("", "1") else ""
+    if declared.kind == "choice":
+        return next((choice for choice in declared.choices if choice != value), None)
+    if declared.kind == "flag":
+        return not bool(value)
+    if declared.kind == "integer":
+        return (value or 1) + 1
+    return {
+        "value": f"0.13 {unit}".strip(),
+        "uncertain": f"0.13 {unit} +- 1 %",
+        "band": f"12-33 {unit}",
+        "bands": [f"12-33 {unit}"],
+        "values": [f"0.13 {unit}".strip()],
+        "mass": "0.81 kg",
+        "text": "words",
+        "names": ["y"],
+    }.get(declared.kind)
+
+
+def changes(name: str, tree: Any, at: tuple[str, ...] = ()) -> Iterator[tuple[str, tuple[str, ...], Any]]:
+    """(file, keys, new value) for every key that stands in a mapping and every key that could, by its declaration."""
+    if isinstance(tree, list):
+        for number, entry in enumerate(tree):
+            yield from changes(name, entry, (*at, str(number)))
+        return
+    if not isinstance(tree, dict):
+        return
+    pattern = next((keys for file, keys in DECLARED if file == name and matches(keys, at)), None)
+    declared = {} if pattern is None else {key: setting for key, (setting, _) in settings_of(DECLARED[name, pattern]).items()}
+    for key, setting in declared.items():
+        value = other_value(setting, tree.get(key))
+        if value is not None:
+            yield name, (*at, key), value
+    for key, value in tree.items():
+        yield name, (*at, key), None
+        yield from changes(name, value, (*at, key))
+
+
+def matches(pattern: tuple[str, ...], keys: tuple[str, ...]) -> bool:
+    return len(pattern) == len(keys) and all(part in ("*", key) for part, key in zip(pattern, keys, strict=True))
+
+
+def changed(tree: Any, keys: tuple[str, ...], value: Any) -> Any:
+    """A copy of the tree with one entry set, or removed for None."""
+    key: Any = int(keys[0]) if isinstance(tree, list) else keys[0]
+    copy = list(tree) if isinstance(tree, list) else dict(tree)
+    if len(keys) > 1:
+        copy[key] = changed(copy[key], keys[1:], value)
+    elif value is None:
+        del copy[key]
+    else:
+        copy[key] = value
+    return copy
+
+
+def outcome(lab: Path, out: Path) -> tuple[str, dict[str, bytes]]:
+    """The refusal in words, or nothing, and what lies in the folder."""
+    try:
+        done(lab / "pipeline.yaml", out)
+    except LabpipeError as error:
+        return str(error).replace(str(out), "OUT"), {}
+    return "", contents(out)
+
+
+def same_as_a_new_folder(finished: Path, files: dict[str, str], tmp_path: Path) -> None:
+    """The files changed in a copy of a finished laboratory: old folder and new folder end alike."""
+    lab = tmp_path / "lab"
+    shutil.copytree(finished, lab)
+    for name, text in files.items():
+        (lab / name).write_text(text)
+    before = contents(lab / "out")
+    old, new = outcome(lab, lab / "out"), outcome(lab, lab / "new")
+    shutil.rmtree(tmp_path / "lab" / "new", ignore_errors=True)
+    assert old[0] == new[0]
+    if new[0]:
+        assert contents(lab / "out") == before
+        return
+    # What a changed name leaves behind of the old run may stay; what the new run gives must be there byte for byte.
+    assert {name: old[1].get(name) for name in new[1]} == new[1]
+
+
+BASIC = {
+    "rig.yaml": RIG.replace("role: output, dof: y", "role: output, dof: y, response: probe.csv"),
+    "pipeline.yaml": ALONE,
+    "probe.csv": RESPONSE_TABLE,
+    "soft.csv": recording(18e3),
+}
+BASIC_CHANGES = [change for name in ("rig.yaml", "pipeline.yaml") for change in changes(name, yaml.safe_load(BASIC[name]))]
+
+
+def described(change: tuple[str, tuple[str, ...], Any]) -> str:
+    name, keys, value = change
+    return f"{name.removesuffix('.yaml')}:{'.'.join(keys)}={'(none)' if value is None else value}"
+
+
+def finished_laboratory(folder: Path, files: dict[str, str]) -> Path:
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    done(folder / "pipeline.yaml", folder / "out")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return finished_laboratory(tmp_path_factory.mktemp("basic"), BASIC)
+
+
+@pytest.mark.parametrize("change", BASIC_CHANGES, ids=described)
+def test_a_changed_key_reaches_the_result(finished: Path, change: tuple[str, tuple[str, ...], Any], tmp_path: Path) -> None:
+    name, keys, value = change
+    tree = changed(yaml.safe_load(BASIC[name]), keys, value)
+    same_as_a_new_folder(finished, {name: yaml.safe_dump(tree, sort_keys=False)}, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [("probe.csv", OTHER_TABLE), ("soft.csv", recording(18.3e3)), ("soft.csv", recording(18e3, seed=2))]
+)
+def test_a_changed_file_reaches_the_result(finished: Path, name: str, text: str, tmp_path: Path) -> None:
+    same_as_a_new_folder(finished, {name: text}, tmp_path)
+
+
+def test_every_declared_setting_of_the_basic_files_is_changed() -> None:
+    """The list above would be short if a declaration were missed."""
+    seen = {(name, keys[-1]) for name, keys, value in BASIC_CHANGES if value is not None}
+    for owner, name in ((ChannelSettings, "rig.yaml"), (FrfSettings, "pipeline.yaml"), (FitSettings, "pipeline.yaml")):
+        testable = {key for key, (setting, _) in settings_of(owner).items() if other_value(setting, None) is not None}
+        assert {(name, key) for key in testable} <= seen, owner
+    assert len(BASIC_CHANGES) > 80
+
+
+def test_the_sensitivity_of_a_probe_reaches_the_damping(tmp_path: Path) -> None:
+    """By hand: a sensitivity of 12 instead of 8 V/mm makes every motion 8/12 as large, and k and c 12/8 as large."""
+    rig = RIG.replace('"y [um]"', '"y [V]"').replace("unit: um,", "unit: V, sensitivity: 8 V/mm,").replace("mass: 0.79 kg\n", "")
+    pipeline = ALONE.replace("model: sdof,", "model: sdof, mass: estimate,")
+    files = {"rig.yaml": rig, "pipeline.yaml": pipeline, "soft.csv": recording(18e3).replace("y [um]", "y [V]")}
+    lab = finished_laboratory(tmp_path, files)
+    first = done(lab / "pipeline.yaml", lab / "out").fits[0]
+    (lab / "rig.yaml").write_text(rig.replace("8 V/mm", "12 V/mm"))
+    second = done(lab / "pipeline.yaml", lab / "out").fits[0]
+    for name in ("k", "c", "m"):
+        assert second.parameter(name).value == pytest.approx(1.5 * first.parameter(name).value, rel=1e-9)
+
+
+# Other sections, each in a small pipeline of its own; a key that makes work for seconds is left to the long run.
+
+SECTIONS = {
+    "calibrate": {
+        "pipeline.yaml": "title: lines\ncalibrate:\n  probe: {table: line.csv, x: 'x [um]', y: 'y [V]'}\nreport: {formats: []}\n",
+        "line.csv": "x [um],y [V]\n0,0.01\n10,0.08\n20,0.17\n30,0.24\n",
+    },
+    "unbalance": {
+        "pipeline.yaml": "title: u\nunbalance: {rotor: rotor.yaml, speeds: 40-44 Hz, step: 2 Hz, cases: {healthy: {depth: 0 um}}}\n"
+        "report: {formats: []}\n",
+        "rotor.yaml": (ROOT / "configs/rotors/laval.yaml").read_text(encoding="utf-8"),
+    },
+    "study": {
+        "pipeline.yaml": "title: s\nstudy: {rig: virtual.yaml, noise: [2 %], repeats: 10}\n"
+        "identify:\n  ml: {model: mdof, mass: [1 kg, 2 kg, 3 kg], symmetric: true, estimator: ls}\nreport: {formats: []}\n",
+        "virtual.yaml": (ROOT / "configs/three-dof.yaml").read_text(encoding="utf-8"),
+    },
+}
+SECTION_CHANGES = [
+    (section, change)
+    for section, files in SECTIONS.items()
+    for name, text in files.items()
+    if name.endswith(".yaml")
+    for change in changes(name, yaml.safe_load(text))
+]
+QUICK = {"calibrate"}
+
+
+@pytest.fixture(scope="module")
+def laboratories(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    return {section: finished_laboratory(tmp_path_factory.mktemp(section), files) for section, files in SECTIONS.items()}
+
+
+@pytest.mark.parametrize(
+    ("section", "change"),
+    [
+        pytest.param(section, change, id=f"{section} {described(change)}", marks=() if section in QUICK else pytest.mark.long)
+        for section, change in SECTION_CHANGES
+    ],
+)
+def test_a_changed_key_of_a_section_reaches_the_result(
+    laboratories: dict[str, Path], section: str, change: tuple[str, tuple[str, ...], Any], tmp_path: Path
+) -> None:
+    name, keys, value = change
+    tree = changed(yaml.safe_load(SECTIONS[section][name]), keys, value)
+    same_as_a_new_folder(laboratories[section], {name: yaml.safe_dump(tree, sort_keys=False)}, tmp_path)
