@@ -20,6 +20,7 @@ from labpipe.registry import nearest
 # The unit of a coefficient by the first letter of its name.
 COEFFICIENT_UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg", "b": "1"}
 ESTIMATE = "estimate"
+LONGEST_ECHO = 80
 _NUMBER = r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)"
 _BAND = re.compile(rf"^\s*{_NUMBER}\s*((?!to\b)[^\d\s.–-][^\s–]*?)?\s*(?:-|–|\.\.|to)\s*{_NUMBER}\s*(.*?)\s*$")
 
@@ -150,7 +151,9 @@ def to_choice(value: Any, setting: Setting) -> str:
     text = _text(value, f"one of {', '.join(setting.choices)}")
     if text not in setting.choices:
         hint = nearest(text, setting.choices)
-        raise UnitError(f"unknown choice '{text}'", hint if hint.startswith("known") else f"{hint} (known: {', '.join(setting.choices)})")
+        raise UnitError(
+            f"unknown choice '{shortened(text)}'", hint if hint.startswith("known") else f"{hint} (known: {', '.join(setting.choices)})"
+        )
     return text
 
 
@@ -325,4 +328,9 @@ def _pairs(value: Any) -> list[tuple[str, Any]]:
 def _shown(value: Any) -> str:
     if value is None:
         return "(nothing)"
-    return "(a mapping)" if isinstance(value, Mapping) else "(a list)" if _is_list(value) else str(value)
+    return "(a mapping)" if isinstance(value, Mapping) else "(a list)" if _is_list(value) else shortened(str(value))
+
+
+def shortened(text: str) -> str:
+    """Text of a file as a message repeats it: the first LONGEST_ECHO characters."""
+    return text if len(text) <= LONGEST_ECHO else f"{text[:LONGEST_ECHO]}..."

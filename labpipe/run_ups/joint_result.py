@@ -117,8 +117,7 @@ class JointFit:
         parts = []
         if self.rejected:
             parts.append(
-                f"chi-square per datum is {self.chi2_per_datum:.1f}: the bearing is not of the fitted family, and the interval, though "
-                "widened, may miss the truth"
+                f"chi-square per datum is {self.chi2_per_datum:.1f}: the bearing is not of the fitted family, and no interval would hold"
             )
         low, high = min(self.loads), max(self.loads)
         if not low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):

@@ -84,7 +84,7 @@ def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSetti
 def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001
     """(c): one fit of the physical family to everything."""
     fit = fit_jointly(rig, trained)
-    return Solved(joint_method("joint", "(c) joint physical fit", fit), _joint_at(fit), anywhere=fit)
+    return Solved(joint_method("joint", "(c) joint physical fit", fit), _joint_at(fit, fit.rejected), anywhere=fit)
 
 
 def solve_process(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001
@@ -107,7 +107,7 @@ def solve_process(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSett
         n_effective=fit.n_effective,
         remarks=(f"{fit.statement}.",),
     )
-    return Solved(method, _joint_at(fit), anywhere=fit)
+    return Solved(method, _joint_at(fit, p_value < REJECTED), anywhere=fit)
 
 
 def joint_method(name: str, title: str, fit: JointFit) -> RunUpMethod:
@@ -134,15 +134,21 @@ def _parameter(fit: JointFit, name: str) -> Parameter:
     found, bound = fit.parameter(name), bool(fit.at_bound[PARAMETERS.index(name)])
     if bound:
         return Parameter(name, found.value, "1", at_bound=True)
+    if fit.rejected:
+        return Parameter(name, found.value, "1")
     return Parameter(name, found.value, "1", found.std_error, None, Amount(found.value, found.std_error).ci95)
 
 
-def _joint_at(fit: JointFit | ProcessFit) -> Predictor:
+def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:
+    """Predictions at any load; those of a fit that chi-square rejects have no errors, since none would be honest."""
+
     def at(own: RunUpRotor, run: RunUp) -> AtLoad:
         there = replace(fit, rig=own)
         eight, error = fit.coefficients(run.load, run.speed)
         caution = fit.caution(run.load)
         notes = (caution,) if caution else ()
+        if rejected:
+            return AtLoad(fit.at_load(run.load), eight, notes=notes)
         return AtLoad(fit.at_load(run.load), eight, error, lambda: there.critical_speed(run.load), lambda: there.threshold(run.load), notes)
 
     return at

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,6 +49,12 @@ def with_unbalance_of(rig: RunUpRotor, run: RunUp) -> RunUpRotor:
         return rig
     amounts = tuple(Unbalance(rig.node(plane), abs(size), float(np.angle(size))) for plane, size in run.unbalance.items())
     return replace(rig, unbalances=amounts)
+
+
+def excited_as(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
+    """The rotor with the unbalance of the first of *runs* that has one, where its file states none."""
+    stated = [run for run in runs if run.shaker is None]
+    return rig if rig.unbalances or not stated else with_unbalance_of(rig, stated[0])
 
 
 def predict(own: RunUpRotor, run: RunUp, found: AtLoad | str, plane: str, curves: bool = True) -> RunPrediction:

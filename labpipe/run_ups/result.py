@@ -16,7 +16,7 @@ from labpipe.run_ups.joint_result import REJECTED
 from labpipe.run_ups.measured import ReadRun, measured_run
 from labpipe.run_ups.metamodel_results import metamodels
 from labpipe.run_ups.methods import Predictor, Solved, solve_start
-from labpipe.run_ups.predictions import RPM, predict, with_unbalance_of
+from labpipe.run_ups.predictions import RPM, excited_as, predict, with_unbalance_of
 from labpipe.run_ups.rank import RankStatement, measured_statement, rank_statements
 from labpipe.run_ups.settings import METHODS, RunUpSettings
 
@@ -27,7 +27,7 @@ def run_up_result(settings: RunUpSettings, rig: RunUpRotor, read: Sequence[ReadR
     """All methods that the settings name, fitted to the trained runs, held against every run."""
     measured = [measured_run(one, settings.plane) for one in read]
     runs = [one.run for one in read]
-    rig = searched_over(rig, runs)
+    rig = excited_as(searched_over(rig, runs), runs)
     trained = [one.run for one in read if one.settings.role == TRAINED]
     solved = []
     for name in [START, *(name for name in METHODS if name in settings.methods)]:
@@ -116,7 +116,7 @@ def _doubts(method: RunUpMethod, runs: Sequence[MeasuredRun]) -> list[Finding]:
         found.append(Finding("collinear", f"{message}, however well the response is met."))
     if method.verdict == "rejected":
         excess = f"chi² per datum is {method.chi2_per_datum:.2f}"
-        family = "the bearing is not of the fitted family, and intervals are widened"
+        family = "the bearing is not of the fitted family, and no interval is given"
         found.append(Finding("model-mismatch", f"{method.title}: {excess}: {family}."))
     if "determined" in method.verdict and method.chi2_p is not None and method.chi2_p < REJECTED:
         excess = f"chi² per datum is {method.chi2_per_datum:.2f}: more than noise is left"

@@ -184,7 +184,7 @@ def test_the_sensitivity_of_a_probe_reaches_the_damping(tmp_path: Path) -> None:
         assert second.parameter(name).value == pytest.approx(1.5 * first.parameter(name).value, rel=1e-9)
 
 
-# Other sections, each in a small pipeline of its own; a key that makes work for seconds is left to the long run.
+# Other sections, each in a small pipeline of its own.
 
 SECTIONS = {
     "calibrate": {
@@ -209,7 +209,6 @@ SECTION_CHANGES = [
     if name.endswith(".yaml")
     for change in changes(name, yaml.safe_load(text))
 ]
-QUICK = {"calibrate"}
 
 
 @pytest.fixture(scope="module")
@@ -219,10 +218,7 @@ def laboratories(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.mark.parametrize(
     ("section", "change"),
-    [
-        pytest.param(section, change, id=f"{section} {described(change)}", marks=() if section in QUICK else pytest.mark.long)
-        for section, change in SECTION_CHANGES
-    ],
+    [pytest.param(section, change, id=f"{section} {described(change)}") for section, change in SECTION_CHANGES],
 )
 def test_a_changed_key_of_a_section_reaches_the_result(
     laboratories: dict[str, Path], section: str, change: tuple[str, tuple[str, ...], Any], tmp_path: Path
