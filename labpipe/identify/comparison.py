@@ -18,6 +18,8 @@ from labpipe.records.identification import Candidate
 
 # Difference in AIC to the best model beyond which a model has practically no support (Burnham and Anderson 2002, sec. 2.6).
 NO_SUPPORT = 10.0
+# Bound of the descent from each start: a structure that contradicts the data may have no minimum to reach.
+MOST_STEPS = 40
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,8 @@ class _Variant:
 def candidates(measured: Measured, setup: Setup) -> tuple[Candidate, ...]:
     """Every variant fitted by ml, in ascending order of AIC = chi-square + 2 parameters; none for an unknown noise.
 
-    Without `compare` only the alternative to proportional damping: independent damping coefficients.
+    A variant without a minimum in MOST_STEPS of each start is left out. Without `compare` only the alternative to proportional damping:
+    independent damping coefficients.
     p_value: probability of an equal or larger decrease of chi-square to the richest variant that contains this one, if this one is true
     (likelihood ratio, chi-square with as many degrees of freedom as additional parameters).
     """
@@ -134,7 +137,7 @@ def _fitted(measured: Measured, setup: Setup, name: str) -> Candidate | None:
     """The variant's fit; None where it does not suit these ports, or does not converge."""
     try:
         model = constrained(MODELS[setup.settings.model](setup), setup.settings)
-        estimate = maximum_likelihood(measured, model)
+        estimate = maximum_likelihood(measured, model, most_steps=MOST_STEPS)
         doubt = weight_doubt(measured, estimate.dof)
     except (ConfigError, FitError):
         return None

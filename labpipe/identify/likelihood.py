@@ -18,7 +18,7 @@ from labpipe.identify.regression import solve_scaled, triangle_of
 from labpipe.identify.starts import Start, starts
 from labpipe.identify.statistics import Estimate, determination
 from labpipe.identify.weights import WeightDoubt, equal_weights, has_noise, weight_doubt, whitener
-from labpipe.optimise.levenberg import Minimum, minimise
+from labpipe.optimise.levenberg import MAX_ITERATIONS, Minimum, minimise
 from labpipe.records.identification import Goodness
 
 # p-value of a minimum below which, as without convergence, further starts are tried.
@@ -29,11 +29,18 @@ UNWEIGHTED_NOTE = (
 )
 
 
-def maximum_likelihood(measured: Measured, model: ResponseModel, weight: str = "noise") -> Estimate:  # noqa: ARG001 (always by noise)
+def maximum_likelihood(
+    measured: Measured,
+    model: ResponseModel,
+    weight: str = "noise",  # noqa: ARG001 (always by noise)
+    *,
+    most_steps: int = MAX_ITERATIONS,
+) -> Estimate:
     """Weighted output-error estimate with standard errors from the information matrix, cov = (J^T J)^-1.
 
     Chi-square and covariance are corrected for the estimated weights (weights.py). Without measured noise all lines have equal weight and
-    the residual gives the standard errors. FitError for fewer equations than parameters, or for a covariance that cannot be inverted.
+    the residual gives the standard errors. *most_steps* bounds the descent from each start. FitError for fewer equations than parameters,
+    or for a covariance that cannot be inverted.
     """
     n_parameter = len(model.names)
     dof = measured.n_equation - n_parameter
@@ -42,7 +49,7 @@ def maximum_likelihood(measured: Measured, model: ResponseModel, weight: str = "
     weighted = has_noise(measured)
     doubt = weight_doubt(measured, dof) if weighted else WeightDoubt()
     problem = OutputError(measured, model, whitener(measured) if weighted else equal_weights(measured))
-    best, start = _best_minimum(problem, lambda chi2: weighted and doubt.p_value(chi2 / dof / doubt.excess, dof) < DOUBTFUL_P)
+    best, start = _best_minimum(problem, lambda chi2: weighted and doubt.p_value(chi2 / dof / doubt.excess, dof) < DOUBTFUL_P, most_steps)
     values, converged, iterations = best.values, best.converged, best.steps
     jacobian, residual = problem.jacobian(values), problem.residual(values)
     _, inverse = solve_scaled(jacobian, residual)
@@ -80,11 +87,11 @@ def maximum_likelihood(measured: Measured, model: ResponseModel, weight: str = "
     )
 
 
-def _best_minimum(problem: OutputError, doubtful: Callable[[float], bool]) -> tuple[Minimum, Start]:
+def _best_minimum(problem: OutputError, doubtful: Callable[[float], bool], most_steps: int) -> tuple[Minimum, Start]:
     """The lowest minimum of the starts; further starts only where the last minimum's chi-square is *doubtful*."""
     minima: list[tuple[float, Minimum, Start]] = []
     for start in starts(problem):
-        minimum = minimise(problem, start.values)
+        minimum = minimise(problem, start.values, most_steps=most_steps)
         minima.append((problem.chi2(minimum.values), minimum, start))
         if minimum.converged and not doubtful(minima[-1][0]):
             break

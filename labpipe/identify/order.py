@@ -13,6 +13,11 @@ from labpipe.identify.weights import has_noise, whitened
 from labpipe.optimise.levenberg import minimise, sum_of_squares
 
 PASSES = 8
+# The descent ends where a further full step would lower chi-square by a small part of its expectation per equation only: differences
+# in AIC count from 10, and a surplus mode creeps long through noise before it converges.
+NEAR = 0.2
+# Bound of each descent: a mode count that the data do not determine has no minimum to reach.
+MOST_STEPS = 40
 # Least ratio of a motion's singular value to the largest one of noise alone.
 STANDS_OUT = 1.5
 
@@ -77,7 +82,8 @@ class RationalFit:
         for _ in range(PASSES):
             right_side = self._whitened(self.elements * (self.powers[:, -1] * weight)[:, None])
             columns = self._equation(self.elements, weight)
-            values = np.linalg.lstsq(columns, right_side, rcond=None)[0]
+            triangle = np.linalg.qr(np.column_stack([columns, right_side]), mode="r")
+            values = np.linalg.lstsq(triangle[:, :-1], triangle[:, -1], rcond=None)[0]
             denominator, _ = self._polynomials(values)
             if np.any(denominator == 0):
                 break
@@ -108,14 +114,14 @@ class RationalFit:
 
 
 def modal_chi2(measured: Measured, whitener: ComplexArray, modes: int) -> tuple[float, int] | None:
-    """Chi-square [1] and number of parameters of the best rational fit with *modes* modes; None without convergence.
+    """Chi-square [1] and number of parameters of the best rational fit with *modes* modes; None without convergence in MOST_STEPS.
 
     *whitener* (n_line, n_element, n_element) [N/m].
     """
     fit = RationalFit(measured, whitener, modes)
     if measured.n_equation <= fit.n_parameter:
         return None
-    minimum = minimise(fit, fit.start())
+    minimum = minimise(fit, fit.start(), near=NEAR, most_steps=MOST_STEPS)
     return (fit.chi2(minimum.values), fit.n_parameter) if minimum.converged else None
 
 

@@ -62,49 +62,50 @@ class Minimum:
     steps: int
 
 
-def minimise(problem: SquareSum, start: FloatArray, near: float = 0.0) -> Minimum:
+def minimise(problem: SquareSum, start: FloatArray, near: float = 0.0, most_steps: int = MAX_ITERATIONS) -> Minimum:
     """Levenberg-Marquardt from *start* (n_parameter,) [parameter units].
 
-    *near*: distance to the minimum in standard errors (residual per equation) at which the descent stops.
+    *near*: distance to the minimum in standard errors (residual per equation) at which the descent stops. Not converged after
+    *most_steps*.
     """
     values, damping = start, 1e-3
     rounding = ROUNDING * problem.size
-    for steps in range(MAX_ITERATIONS):
+    for steps in range(most_steps):
         residual, jacobian = problem.residual(values), problem.jacobian(values)
         scale = np.linalg.norm(jacobian, axis=0)
-        scaled = jacobian / scale
-        gain, size = _projection(scaled, residual), float(np.linalg.norm(residual))
+        # With J = Q R every step of this iteration needs R and Q^T r only; both are in the triangle of [J r].
+        joint = np.linalg.qr(np.column_stack([jacobian / scale, residual]), mode="r")
+        triangle, projected = joint[: scale.size, : scale.size], joint[: scale.size, -1]
+        # Unlike the length of the last step, the gain of a further full step does not become small through large damping.
+        before = float(residual @ residual)
+        gain, size = float(np.linalg.norm(projected)), float(np.sqrt(before))
         if gain <= max(GRADIENT_TOLERANCE * size, rounding, near * size / np.sqrt(residual.size)):
             return Minimum(values, True, steps)
-        step, damping = _damped_step(problem, values, residual, scaled, scale, damping)
+        step, damping = _damped_step(problem, values, before, projected, triangle, scale, damping)
         if step is None:
             return Minimum(values, gain <= NEGLIGIBLE * size / np.sqrt(residual.size), steps)
         values = values + step
-    return Minimum(values, False, MAX_ITERATIONS)
-
-
-def _projection(scaled: FloatArray, residual: FloatArray) -> float:
-    """Norm of the residual's projection on the Jacobian's columns: the gain of a further full step.
-
-    Unlike the length of the last step it does not become small through large damping.
-    """
-    return float(np.linalg.norm(np.linalg.qr(scaled)[0].T @ residual))
+    return Minimum(values, False, most_steps)
 
 
 def _damped_step(
     problem: SquareSum,
     values: FloatArray,
-    residual: FloatArray,
-    scaled: FloatArray,
+    before: float,
+    projected: FloatArray,
+    triangle: FloatArray,
     scale: FloatArray,
     damping: float,
 ) -> tuple[FloatArray | None, float]:
-    """A step that lowers chi-square and the damping for the next one; None when no step lowers it."""
+    """A step that lowers chi-square below *before*, and the damping for the next one; None when no step lowers it.
+
+    *triangle* R of the Jacobian with columns divided by *scale*, *projected* Q^T r.
+    """
     n = values.size
-    before = float(residual @ residual)
+    right_side = np.concatenate([-projected, np.zeros(n)])
     for _ in range(MAX_DAMPING_STEPS):
-        joint = np.vstack([scaled, np.sqrt(damping) * np.eye(n)])
-        step = np.linalg.lstsq(joint, np.concatenate([-residual, np.zeros(n)]), rcond=None)[0] / scale
+        joint = np.vstack([triangle, np.sqrt(damping) * np.eye(n)])
+        step = np.linalg.lstsq(joint, right_side, rcond=None)[0] / scale
         if problem.chi2(values + step) < before:
             return step, max(damping / 10, 1e-15)
         damping *= 10

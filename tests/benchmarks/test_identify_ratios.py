@@ -7,13 +7,15 @@ from collections.abc import Callable
 
 import numpy as np
 
+from labpipe.identify.fitting import identify
 from labpipe.identify.instrumental import instrumental_variables
 from labpipe.identify.mdof import mdof
 from labpipe.identify.measured import Measured
 from labpipe.identify.regression import least_squares
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.setup import Setup
-from tests.unit.identify.conftest import DAMPING, DOFS, FORCES, MASS, STIFFNESS
+from labpipe.records.response import FrequencyResponse, Port
+from tests.unit.identify.conftest import DAMPING, DOFS, FORCES, MASS, STIFFNESS, with_noise
 from tests.unit.identify.literal import literal_iv
 
 MODEL = mdof(Setup(DOFS, FORCES, FitSettings("mdof", mass=(1.0, 2.0, 3.0), symmetric=True)))
@@ -58,3 +60,28 @@ def test_cost_is_linear_in_the_lines(record_property) -> None:  # type: ignore[n
     ratio = cpu_time(lambda: both(many), 4) / cpu_time(lambda: both(few), 8)
     record_property("ls+iv_10x_lines", round(ratio, 1))
     assert 4 < ratio < 20
+
+
+def four_dofs() -> FrequencyResponse:
+    """Four masses in a chain with skew stiffness and non-proportional damping, 300 lines, every FRF with noise of known variance."""
+    rng = np.random.default_rng(1)
+    springs, mass = 1e5 * np.array([1.1, 0.8, 1.3, 0.9]), np.diag([1.1, 0.9, 1.3, 1.0])
+    stiffness = np.diag(springs + np.append(springs[1:], 0.0)) - np.diag(springs[1:], 1) - np.diag(springs[1:], -1)
+    skew = 3e3 * rng.normal(size=(4, 4))
+    damping = 2e-4 * stiffness + np.diag([3.0, 9.0, 5.0, 11.0])
+    frequency = np.linspace(15.0, 110.0, 300)
+    w = 2 * np.pi * frequency[:, None, None]
+    h = np.linalg.inv(stiffness + skew - skew.T + 1j * w * damping - w**2 * mass)
+    dofs = [f"x{number}" for number in range(1, 5)]
+    outputs, inputs = tuple(Port(dof, dof, dof) for dof in dofs), tuple(Port(f"f{dof}", f"f{dof}", dof) for dof in dofs)
+    return with_noise(frequency, h, outputs, inputs, 0.01 * float(np.median(np.abs(h))), rng)
+
+
+def test_comparison_of_models_over_the_fit(record_property) -> None:  # type: ignore[no-untyped-def]
+    response = four_dofs()
+    settings = FitSettings("mdof", symmetric=False)
+    fit = cpu_time(lambda: identify(response, settings), 3)
+    ratio = cpu_time(lambda: identify(response, FitSettings("mdof", symmetric=False, compare=True)), 1) / fit
+    record_property("compared_over_fit_4x4", round(ratio, 1))
+    # Eight models are fitted, three of them with up to three times the parameters of the fit.
+    assert ratio < 20
