@@ -18,6 +18,7 @@ from labpipe.run_ups.amplitudes import AmplitudeFit, fit_amplitudes, perfect_but
 from labpipe.run_ups.joint import fit_jointly
 from labpipe.run_ups.joint_result import REJECTED, JointFit
 from labpipe.run_ups.measured import column
+from labpipe.run_ups.metamodels_grid import Fitted, Queried
 from labpipe.run_ups.points import PointFit, fit_points
 from labpipe.run_ups.predictions import RPM, AtLoad
 from labpipe.run_ups.process import fit_with_process
@@ -42,8 +43,8 @@ class Solved:
 
     method: RunUpMethod
     predictor: Predictor
-    fits: tuple[PointFit | AmplitudeFit, ...] = ()
-    anywhere: JointFit | ProcessFit | None = None
+    fits: tuple[Fitted, ...] = ()
+    anywhere: Queried | None = None
 
 
 def solve_start(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001 (one signature for the table)
