@@ -93,7 +93,7 @@ def rotor_sketch(rig: Mapping[str, Any]) -> RotorSketch:
 def bearing_dimensions(bearing: Mapping[str, Any], shaft: float) -> tuple[float, float]:
     """(bore, length) [m] as the bearing's entries have them; of a kind without such entries the *shaft*'s diameter [m], and half of it."""
     entries = bearing.get("settings", bearing)
-    return entries.get("diameter", shaft), entries.get("length", shaft / 2)
+    return entries.get("diameter") or shaft, entries.get("length") or shaft / 2
 
 
 def _ring(part: str, left: float, length: float, inner: float, outer: float) -> Ring:
