@@ -199,7 +199,7 @@ def _convergence(fit: AmplitudeFit) -> Convergence:
     point = int(np.argmax(fit.evaluations))
     rows = fit.history.of(point)
     evaluations = np.diff(rows.evaluations[:, 0], prepend=0)
-    best = fit.coefficients[point] / fit.start[point]
+    best = fit.factors[int(np.argmin(fit.objectives[:, point])), point]
     where = f"{fit.load:.3g} N, {fit.speed[point] / RPM:.0f} rpm"
     objective, mesh, counts = (column(values) for values in (rows.objective[:, 0], rows.mesh[:, 0], evaluations))
     return Convergence(where, objective, mesh, counts, bool(fit.capped[point]), column(best))
