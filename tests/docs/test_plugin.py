@@ -198,16 +198,19 @@ def test_the_common_factor_scatters_as_its_standard_error_says(part, film: RunUp
     assert abs(np.mean(deviations)) < 0.52 and abs(np.sqrt(np.mean(deviations**2)) - 1) < 0.37
 
 
-def test_one_factor_that_is_not_enough_is_rejected_and_its_error_widened(part, film: RunUpRotor) -> None:
+def test_one_factor_that_is_not_enough_is_rejected_and_has_no_errors(part, film: RunUpRotor) -> None:
     module = part("common_factor")
     settings = RunUpSettings(rotor="r.yaml", runs=({"file": "a.csv"},), rig=film)
-    factors = {"alike": np.full(8, 1.2), "unlike": np.array([1.2, 1.2, 1.2, 0.7, 1.2, 1.2, 1.2, 0.8])}
+    factors = {"not rejected": np.full(8, 1.2), "rejected": np.array([1.2, 1.2, 1.2, 0.7, 1.2, 1.2, 1.2, 0.8])}
     rng = np.random.default_rng(5)
-    solved = {name: module.solve_common_factor(film, [run_up(film, 5.0, eight, rng)], settings) for name, eight in factors.items()}
-    assert {name: one.method.verdict for name, one in solved.items()} == {"alike": "not rejected", "unlike": "rejected"}
-    fit, method = solved["unlike"].anywhere, solved["unlike"].method
-    slope = module.residual_and_slope(film, module.runs_by_load(film, [run_up(film, 5.0, factors["unlike"])]), np.log(fit.factor))[1]
-    assert fit.std_error == pytest.approx(fit.factor / np.linalg.norm(slope) * np.sqrt(method.chi2_per_datum), rel=0.05)
+    for verdict, eight in factors.items():
+        run = run_up(film, 5.0, eight, rng)
+        solved = module.solve_common_factor(film, [run], settings)
+        (factor,) = solved.method.parameters
+        at_load = solved.predictor(film, run)
+        assert solved.method.verdict == verdict and (solved.method.chi2_p < 1e-3) == (verdict == "rejected")
+        errors = (factor.std_error, factor.ci95, at_load.std_error, at_load.critical, at_load.threshold)
+        assert [error is None for error in errors] == [verdict == "rejected"] * 5
 
 
 def test_the_common_factor_predicts_any_run(part, film: RunUpRotor) -> None:

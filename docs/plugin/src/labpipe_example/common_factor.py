@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
 from labpipe.records.parameter import Parameter
@@ -16,6 +16,7 @@ from labpipe.records.run_up_result import TWO_SIDED, RunUpMethod
 from labpipe.records.settings import Uncertain
 from labpipe.rigs.film_family import as_eight
 from labpipe.rigs.run_up_rotor import RunUpRotor
+from labpipe.rotors.threshold import CoefficientsAtSpeed
 from labpipe.run_ups.methods import Solved
 from labpipe.run_ups.misfit import LoadRuns, runs_by_load
 from labpipe.run_ups.predictions import AtLoad
@@ -38,7 +39,21 @@ class CommonFactor:
     chi2: float
     n_datum: int
 
-    def coefficients(self, load: float, speed: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    @property
+    def chi2_p(self) -> float:
+        """Probability of a larger sum of squares if one factor were enough."""
+        return chi2_tail(self.chi2, self.n_datum - 1)
+
+    @property
+    def rejected(self) -> bool:
+        return self.chi2_p < REJECTED
+
+    @property
+    def about(self) -> tuple[float, float, float]:
+        """The factor less its standard error, the factor, and the factor with it."""
+        return self.factor - self.std_error, self.factor, self.factor + self.std_error
+
+    def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The eight coefficients and their standard errors (n_speed, 8) [N/m, N.s/m] at any load [N] and speed [rad/s]."""
         start = as_eight(*self.rig.start_coefficients(load, speed))
         return self.factor * start, self.std_error * np.abs(start)
@@ -57,13 +72,11 @@ def fit_common_factor(rig: RunUpRotor, runs: Sequence[RunUp]) -> CommonFactor:
     else:
         raise FitError("no common factor was found", hint="check unbalance, phases, standard errors and the rotor file")
     residual, slope = residual_and_slope(rig, groups, exponent)
-    factor, chi2 = float(np.exp(exponent)), float(residual @ residual)
-    # More than noise widens the error, as with labpipe's own joint fit.
-    widening = max(1.0, chi2 / (residual.size - 1)) ** 0.5
-    return CommonFactor(rig, factor, factor * widening / float(np.linalg.norm(slope)), chi2, residual.size)
+    factor = float(np.exp(exponent))
+    return CommonFactor(rig, factor, factor / float(np.linalg.norm(slope)), float(residual @ residual), residual.size)
 
 
-def residual_and_slope(rig: RunUpRotor, groups: Sequence[LoadRuns], exponent: float) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def residual_and_slope(rig: RunUpRotor, groups: Sequence[LoadRuns], exponent: float) -> tuple[FloatArray, FloatArray]:
     """Computed less measured over the standard errors (n_datum,), and its derivative by the exponent."""
     residuals, slopes = [], []
     for group in groups:
@@ -77,42 +90,51 @@ def residual_and_slope(rig: RunUpRotor, groups: Sequence[LoadRuns], exponent: fl
 def solve_common_factor(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001 (one signature)
     """The method as labpipe asks for it: its record, what predicts every run, and the fit that metamodels can ask."""
     fit = fit_common_factor(rig, trained)
-    p_value = chi2_tail(fit.chi2, fit.n_datum - 1)
-    interval = (fit.factor - TWO_SIDED * fit.std_error, fit.factor + TWO_SIDED * fit.std_error)
     method = RunUpMethod(
         NAME,
         "common factor",
-        "rejected" if p_value < REJECTED else "not rejected",
+        "rejected" if fit.rejected else "not rejected",
         (),
         unknowns=1,
         rank=1,
         condition=1.0,
         chi2_per_datum=fit.chi2 / (fit.n_datum - 1),
-        chi2_p=p_value,
+        chi2_p=fit.chi2_p,
         n_datum=fit.n_datum,
         n_effective=1.0,
-        parameters=(Parameter("factor", fit.factor, "1", fit.std_error, None, interval),),
+        parameters=(_parameter(fit),),
         remarks=("All eight coefficients of the rotor file's bearing times one factor.",),
     )
     return Solved(method, lambda rotor, run: _at(fit, rotor, run), anywhere=fit)
 
 
+def _parameter(fit: CommonFactor) -> Parameter:
+    """The factor; one that chi-square rejects has no standard error, since none would be honest."""
+    if fit.rejected:
+        return Parameter("factor", fit.factor, "1")
+    interval = (fit.factor - TWO_SIDED * fit.std_error, fit.factor + TWO_SIDED * fit.std_error)
+    return Parameter("factor", fit.factor, "1", fit.std_error, None, interval)
+
+
 def _at(fit: CommonFactor, rotor: RunUpRotor, run: RunUp) -> AtLoad:
     """The method at a run: critical speed and threshold with the standard errors that the factor's brings."""
 
-    def scaled(factor: float) -> Callable:
-        def at_speed(speed: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    def scaled(factor: float) -> CoefficientsAtSpeed:
+        def at_speed(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
             stiffness, damping = rotor.start_coefficients(run.load, speed)
             return factor * stiffness, factor * damping
 
         return at_speed
 
-    def uncertain(speed_of: Callable[[Callable], float | None]) -> Uncertain | None:
-        middle = speed_of(scaled(fit.factor))
-        ends = [speed_of(scaled(fit.factor + sign * fit.std_error)) for sign in (-1, 1)]
-        if middle is None or None in ends:
-            return None
-        return Uncertain(middle, abs(ends[1] - ends[0]) / 2)
+    def critical() -> Uncertain:
+        low, middle, high = (rotor.critical_speed(scaled(factor)) for factor in fit.about)
+        return Uncertain(middle, abs(high - low) / 2)
+
+    def threshold() -> Uncertain | None:
+        low, middle, high = (rotor.threshold(scaled(factor)) for factor in fit.about)
+        return None if low is None or middle is None or high is None else Uncertain(middle, abs(high - low) / 2)
 
     eight, error = fit.coefficients(run.load, run.speed)
-    return AtLoad(scaled(fit.factor), eight, error, lambda: uncertain(rotor.critical_speed), lambda: uncertain(rotor.threshold))
+    if fit.rejected:
+        return AtLoad(scaled(fit.factor), eight)
+    return AtLoad(scaled(fit.factor), eight, error, critical, threshold)

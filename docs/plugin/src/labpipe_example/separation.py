@@ -23,6 +23,8 @@ from labpipe.sections import PipelineSection
 from labpipe.stages.work import Work
 
 CRITICALLY_DAMPED = 2.5
+# Holds a number against a rule: (rule, number, its SI unit) -> what was found, and whether the rule holds.
+Compare = Callable[[Rule, float | None, str], tuple[float | None, bool]]
 LEAST, KEPT = "least", "kept"
 
 
@@ -112,7 +114,7 @@ def required(damping_ratio: float, above: bool) -> float:
     return min(0.26, below + 0.10) if above else min(0.16, below)
 
 
-def outcome(rule: Rule, record: Separation, compare: Callable) -> RuleOutcome:
+def outcome(rule: Rule, record: Separation, compare: Compare) -> RuleOutcome:
     """Rules: separation.kept, separation.least, separation.FIT.f_n.1x; of several tests all must hold, the least is shown."""
     if rule.item == KEPT:
         word = str(record.kept).lower()
