@@ -12,6 +12,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from labpipe.config.rules import Rule
 from labpipe.errors import ConfigError, DataError
 from labpipe.identify.fitting import identify
 from labpipe.identify.likelihood import maximum_likelihood
@@ -279,3 +280,55 @@ def test_every_mode_of_every_fit_is_held_against_every_order(part) -> None:
 def test_the_section_refuses_impossible_settings(part, entries: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match="above zero"):
         part("separation").SeparationSettings(**entries)
+
+
+def compare(rule: Rule, value: float | None, unit: str) -> tuple[float | None, bool]:
+    """Rules of this file are bounds from below, in parts of one."""
+    assert (rule.kind, unit) == (">=", "1")
+    return value, value is not None and value >= float(rule.bound)
+
+
+@pytest.fixture
+def two_tests(part):
+    """One mode of two tests at 40 to 50 Hz, once the speed: 60 Hz is 20 % away, 65 Hz is 30 %; zeta 0.1 asks for 22.1 %."""
+    module = part("separation")
+    fits = [fit_of("a", (60.0, 0.1), test="cold"), fit_of("a", (65.0, 0.1), test="warm")]
+    margins = [module.margin_of(fit, *mode, 1.0, (40.0, 50.0)) for fit in fits for mode in module.natural_frequencies(fit)]
+    return module, module.Separation((40.0, 50.0), tuple(margins))
+
+
+@pytest.mark.parametrize(
+    ("which", "item", "bound", "found", "passed"),
+    [
+        ("", "a.f_n.1x", "0.25", 0.2, False),
+        ("", "a.f_n.1x", "0.15", 0.2, True),
+        ("warm", "a.f_n.1x", "0.25", 0.3, True),
+        ("cold", "a.f_n.1x", "0.25", 0.2, False),
+        ("", "least", "0.25", 0.2, False),
+        ("warm", "least", "0.25", 0.3, True),
+    ],
+)
+def test_a_rule_holds_for_every_test_or_for_the_one_in_brackets(two_tests, which, item, bound, found, passed) -> None:
+    module, record = two_tests
+    outcome = module.outcome(Rule("expect", f"separation.{item}", "separation", which, item, ">=", bound, "p.yaml:1:1"), record, compare)
+    assert (outcome.value, outcome.passed) == (pytest.approx(found), passed)
+
+
+def test_a_missed_margin_is_a_warning_in_report_and_terminal(two_tests) -> None:
+    module, record = two_tests
+    assert [finding.message for _, finding in module.findings(record)] == ["a.f_n.1x: 20.0 % where 22.1 % are required."]
+    ((verdict, table),) = [section.blocks for section in module.report(record, None)]
+    assert (verdict.kind, verdict.text) == ("failed", "Separation margins are missed.")
+    # The error of 0.5 Hz over the 50 Hz of the nearer end.
+    assert [row[-3:] for row in table.rows] == [("20.0 ± 1", "22.1", "no"), ("30.0 ± 1", "22.1", "yes")]
+    assert [line.rpartition(": ")[2] for line in module.terminal(record)][1:] == ["MISSED", "kept"]
+
+
+def test_margins_are_listed_by_fit_and_test_with_their_errors(two_tests) -> None:
+    module, record = two_tests
+    listed = [(one.fit, one.test, one.parameter.name, one.parameter.value, one.parameter.std_error) for one in module.parameters(record)]
+    name = ("separation.a", "margin_1x")
+    assert listed == [
+        (name[0], "cold", name[1], pytest.approx(0.2), pytest.approx(0.01)),
+        (name[0], "warm", name[1], pytest.approx(0.3), pytest.approx(0.01)),
+    ]
