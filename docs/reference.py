@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +28,14 @@ KINDS = {
     "coefficients": "numbers by name",
     "groups": "lists of names",
     "series": "lists of numbers by name",
+    "file": "file",
+    "phasors": "`SIZE at ANGLE` by name",
     "section": "section, below",
+    "sections": "sections by name, below",
+    "entries": "list of sections, below",
 }
+# What stands between the name of a nested section and its table.
+BELOW = {"section": "", "sections": " one entry per name", "entries": " a list; each entry holds"}
 
 
 def reference_pages() -> dict[str, str]:
@@ -46,18 +52,20 @@ def reference_pages() -> dict[str, str]:
     }
 
 
-def table(owner: type, known: str = "") -> str:
-    """The settings of a dataclass as a table; sections follow below it, each under its dotted name."""
+def table(owner: type, known: str = "", without: Collection[str] = ()) -> str:
+    """The settings of a dataclass as a table; sections and lists of them follow below it, each under its dotted name."""
     from labpipe.records.settings import settings_of
 
     defaults = {field.name: field.default for field in dataclasses.fields(owner)}
     rows = ["| key | what it is | form | default |", "|---|---|---|---|"]
     below = []
     for name, (setting, needed) in settings_of(owner).items():
+        if name in without:
+            continue
         otherwise = "**needed**" if needed else default(defaults[name], setting.unit)
         rows.append(f"| `{name}` | {cell(setting.help)} | {form(setting)} | {otherwise} |")
         if setting.section is not None:
-            below.append(f"\n`{known}{name}:`\n\n" + table(setting.section, f"{known}{name}."))
+            below.append(f"\n`{known}{name}:`{BELOW[setting.kind]}\n\n" + table(setting.section, f"{known}{name}."))
     return "\n".join(rows) + "\n" + "\n".join(below)
 
 
@@ -106,36 +114,30 @@ def rig_page() -> str:
 
 
 def pipeline_page() -> str:
-    from labpipe.campaign.settings import CompareSettings
-    from labpipe.config.calibration import CalibrationSettings
-    from labpipe.config.pipeline import SECTIONS, ReportSettings
-    from labpipe.identify.settings import FitSettings
-    from labpipe.rigs.unbalance_runs import UnbalanceSettings, WearCase
-    from labpipe.run_ups.settings import RunSettings, RunUpSettings
+    from labpipe.config.pipeline import ReportSettings, section_names
+    from labpipe.sections import sections
     from labpipe.spectra.settings import FrfSettings
-    from labpipe.study.settings import StudySettings
 
-    sections = {
+    named = ", ".join(f"`{name}`" for name in section_names())
+    head = (DOCS / "pipeline-head.md").read_text(encoding="utf-8").strip()
+    words = {
         "frf": ("How recordings become frequency responses.", FrfSettings),
-        "identify": ("One entry per fit, under a name of your choice.", FitSettings),
-        "compare": ("One entry per question to tests that differ in a condition, under a name of your choice.", CompareSettings),
-        "calibrate": ("One entry per straight line to be fitted.", CalibrationSettings),
-        "study": ("The fits repeated on a virtual rig.", StudySettings),
-        "unbalance": ("The model's response to unbalance over speed.", UnbalanceSettings),
-        "run_ups": ("Coefficients from unbalance run-ups.", RunUpSettings),
+        **{name: (section.words, section.load("settings")) for name, section in sections()},
         "report": ("What `labpipe run` writes.", ReportSettings),
     }
-    below = {
-        UnbalanceSettings: ("`unbalance.cases:` one entry per state of wear", WearCase),
-        RunUpSettings: ("`run_ups.runs:` one entry per run", RunSettings),
-    }
-    named = ", ".join(f"`{name}`" for name in SECTIONS)
-    parts = ["# Pipeline files", f"What to do. Sections: {named}.", (DOCS / "pipeline-head.md").read_text(encoding="utf-8").strip()]
-    for name, (words, owner) in sections.items():
-        parts.append(f"## {name}\n\n{words}\n\n{table(owner, f'{name}.')}")
-        if owner in below:
-            parts.append(f"{below[owner][0]}\n\n{table(below[owner][1])}")
+    parts = ["# Pipeline files", f"What to do. Sections: {named}.", head]
+    for name, (what, owner) in words.items():
+        parts.append(f"## {name}\n\n{what}\n\n{table(owner, f'{name}.')}")
+        parts += model_parts() if name == "identify" else []
     return "\n\n".join(parts) + "\n"
+
+
+def model_parts() -> list[str]:
+    """The sections that some models have within a fit."""
+    from labpipe.identify.settings import MODELS, model_kind
+
+    own = ((name, kind) for name in MODELS if (kind := model_kind(name)).settings is not None)
+    return [f"`{kind.section}:` of a fit with `model: {name}`\n\n{table(kind.settings, f'{kind.section}.')}" for name, kind in own]
 
 
 def bearing_page() -> str:
@@ -150,21 +152,47 @@ def bearing_page() -> str:
 
 
 def rotor_page() -> str:
-    from labpipe.config.rotor import LISTS, DampingSettings, MaterialSettings, RotorSettings
+    from labpipe.config.rotor import LISTS
+    from labpipe.config.rotor_parts import DampingSettings, MaterialSettings, RotorSettings
+    from labpipe.config.run_up_rotor import PinnedSettings
 
-    words = "A shaft of beam elements in journal bearings. Nodes are numbered from 1, from left to right."
+    words = "A shaft of beam elements on bearings of any kind. Nodes are numbered from 1, from left to right."
     parts = ["# Rotor files", words, table(RotorSettings)]
     parts += [f"## {name}\n\nA list; each entry holds:\n\n{table(owner)}" for name, owner in LISTS.items()]
+    parts += rotor_bearing_parts()
     parts.append(f"## materials\n\nOne entry per material beside steel and aluminium.\n\n{table(MaterialSettings)}")
     parts.append(f"## damping\n\n{table(DampingSettings)}")
+    pinned = (
+        "A rotor for run-ups runs between `pins: [NODE, NODE]` on one bearing, and names where it is measured: `planes: {NAME: NODE}`. "
+        "It has no loads, and these entries in place of those above:"
+    )
+    parts.append(f"## pins\n\n{pinned}\n\n{table(PinnedSettings)}")
     return "\n\n".join(parts) + "\n"
 
 
+def rotor_bearing_parts() -> list[str]:
+    """What an entry of a rotor's bearings holds, kind by kind."""
+    from labpipe.bearings.kinds import BEARINGS
+
+    words = "A list; each entry holds `node`, `kind` and the entries of that kind. Load and speed follow from the rotor."
+    parts = [f"## bearings\n\n{words}"]
+    for name in BEARINGS:
+        kind = BEARINGS[name]
+        if kind.on_rotor is not None:
+            parts.append(f"### {name}\n\n{table(kind.on_rotor)}")
+        else:
+            left_out = "".join(f", without `{entry}`" for entry in kind.operating)
+            parts.append(f"### {name}\n\nAs in its [bearing file](bearing.md#{name}){left_out}.")
+    return parts
+
+
 def virtual_page() -> str:
-    from labpipe.config.virtual_rig import VIRTUAL_RIGS
+    from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS
 
     parts = ["# Virtual rigs", "What `labpipe simulate` and the section `study:` read. `kind` chooses the rig."]
-    parts += [f"## {name}\n\n{summary(VIRTUAL_RIGS[name])}\n\n{table(VIRTUAL_RIGS[name])}" for name in VIRTUAL_RIGS]
+    for name in VIRTUAL_RIGS:
+        owner = VIRTUAL_RIGS[name].settings
+        parts.append(f"## {name}\n\n{summary(owner)}\n\n{table(owner)}")
     return "\n\n".join(parts) + "\n"
 
 

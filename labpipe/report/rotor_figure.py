@@ -83,11 +83,17 @@ def rotor_sketch(rig: Mapping[str, Any]) -> RotorSketch:
     centres = tuple((place["name"], MM * stations[place["node"] - 1]) for place in rig["bearings"])
     bearings = []
     for place in rig["bearings"]:
-        bore, length = place["bearing"]["diameter"], place["bearing"]["length"]
+        bore, length = bearing_dimensions(place["bearing"], shaft_diameter(rotor, place["node"]))
         left = stations[place["node"] - 1] - length / 2
         bearings.append(_ring("bearing", left, length, bore, bore + BEARING_WALL * reach / MM))
     places = tuple((name, MM * stations[rig[name] - 1]) for name in ("force", "response"))
     return RotorSketch((*rings, *bearings), tuple(MM * station for station in stations), centres, places, reach)
+
+
+def bearing_dimensions(bearing: Mapping[str, Any], shaft: float) -> tuple[float, float]:
+    """(bore, length) [m] as the bearing's entries have them; of a kind without such entries the *shaft*'s diameter [m], and half of it."""
+    entries = bearing.get("settings", bearing)
+    return entries.get("diameter") or shaft, entries.get("length") or shaft / 2
 
 
 def _ring(part: str, left: float, length: float, inner: float, outer: float) -> Ring:

@@ -18,6 +18,7 @@ from labpipe.run_ups.amplitudes import AmplitudeFit, fit_amplitudes, perfect_but
 from labpipe.run_ups.joint import fit_jointly
 from labpipe.run_ups.joint_result import REJECTED, JointFit
 from labpipe.run_ups.measured import column
+from labpipe.run_ups.metamodels_grid import Fitted, Queried
 from labpipe.run_ups.points import PointFit, fit_points
 from labpipe.run_ups.predictions import RPM, AtLoad
 from labpipe.run_ups.process import fit_with_process
@@ -42,8 +43,8 @@ class Solved:
 
     method: RunUpMethod
     predictor: Predictor
-    fits: tuple[PointFit | AmplitudeFit, ...] = ()
-    anywhere: JointFit | ProcessFit | None = None
+    fits: tuple[Fitted, ...] = ()
+    anywhere: Queried | None = None
 
 
 def solve_start(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001 (one signature for the table)
@@ -198,7 +199,7 @@ def _convergence(fit: AmplitudeFit) -> Convergence:
     point = int(np.argmax(fit.evaluations))
     rows = fit.history.of(point)
     evaluations = np.diff(rows.evaluations[:, 0], prepend=0)
-    best = fit.coefficients[point] / fit.start[point]
+    best = fit.factors[int(np.argmin(fit.objectives[:, point])), point]
     where = f"{fit.load:.3g} N, {fit.speed[point] / RPM:.0f} rpm"
     objective, mesh, counts = (column(values) for values in (rows.objective[:, 0], rows.mesh[:, 0], evaluations))
     return Convergence(where, objective, mesh, counts, bool(fit.capped[point]), column(best))

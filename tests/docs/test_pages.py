@@ -71,10 +71,10 @@ def test_shell_commands_are_known(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_yaml_shown_has_the_keys_that_are_read(page: Path) -> None:
-    from labpipe.config.pipeline import SECTIONS
+    from labpipe.config.pipeline import section_names
 
     for block in blocks(page.read_text(encoding="utf-8"), "yaml"):
-        assert set(yaml.safe_load(block)) <= set(SECTIONS), block
+        assert set(yaml.safe_load(block)) <= set(section_names()), block
 
 
 def test_the_notebook_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
@@ -91,14 +91,48 @@ def test_every_code_of_a_finding_is_explained() -> None:
 
 
 def test_the_reference_names_every_key_and_command() -> None:
+    from labpipe.bearings.kinds import BEARINGS
     from labpipe.cli.main import COMMANDS
-    from labpipe.identify.settings import FitSettings
-    from labpipe.records.settings import settings_of
+    from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS
 
     pages = module("reference").reference_pages()
     assert all(f"## {name}\n" in pages["commands"] for name in COMMANDS)
-    assert all(f"| `{key}` |" in pages["pipeline"] for key in settings_of(FitSettings))
     assert "| `k` |" not in pages["rig"] and "| `sensitivity` |" in pages["rig"]
+    for page, kinds in {"bearing": BEARINGS, "virtual": VIRTUAL_RIGS}.items():
+        for name in kinds:
+            assert f"## {name}\n" in pages[page]
+            assert all(f"| `{key}` |" in pages[page] for key in keys(kinds[name].settings)), name
+    assert all(f"### {name}\n" in pages["rotor"] for name in BEARINGS)
+
+
+def test_the_reference_names_every_section_with_its_keys_and_those_of_models() -> None:
+    from labpipe.identify.settings import MODELS, model_kind
+    from labpipe.sections import sections
+
+    page = module("reference").reference_pages()["pipeline"]
+    for name, section in sections():
+        own = page.partition(f"\n## {name}\n")[2].partition("\n## ")[0]
+        assert section.words in own
+        assert all(f"| `{key}` |" in own for key in keys(section.load("settings"))), name
+    for kind in map(model_kind, MODELS):
+        assert kind.settings is None or f"`{kind.section}:` of a fit" in page
+
+
+def keys(owner: type) -> set[str]:
+    """The names of a dataclass's settings, those of nested sections too."""
+    from labpipe.records.settings import settings_of
+
+    nested = [keys(setting.section) for setting, _ in settings_of(owner).values() if setting.section is not None]
+    return set(settings_of(owner)).union(*nested)
+
+
+def test_the_reference_has_words_for_every_form_of_a_setting() -> None:
+    from labpipe.records.setting_values import CONVERTERS
+
+    reference = module("reference")
+    # A choice lists its choices.
+    assert set(reference.KINDS) == set(CONVERTERS) - {"choice"}
+    assert set(reference.BELOW) == {kind for kind, words in reference.KINDS.items() if words.endswith("below")}
 
 
 @pytest.fixture(scope="module")

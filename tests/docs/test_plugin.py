@@ -1,4 +1,4 @@
-"""The worked plug-in: its numbers against closed forms and against what it is compared with on its page."""
+"""The worked plug-in: its numbers against closed forms, calculations by hand, and truths that its examples were made with."""
 
 from __future__ import annotations
 
@@ -12,13 +12,25 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from labpipe.config.rules import Rule
 from labpipe.errors import ConfigError, DataError
+from labpipe.identify.fitting import identify
 from labpipe.identify.likelihood import maximum_likelihood
 from labpipe.identify.measured import measured_part
 from labpipe.identify.settings import MODELS, FitSettings
 from labpipe.identify.setup import Setup
+from labpipe.records.identification import Fit, Goodness
+from labpipe.records.parameter import Parameter
+from labpipe.records.recording import Recording
 from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.run_up import RunUp
+from labpipe.rigs.run_up_rotor import RunUpRotor
+from labpipe.run_ups.settings import RunUpSettings
+from labpipe.scripting.by_name import rotor
+from labpipe.spectra.measurement import measure
+from labpipe.spectra.settings import FrfSettings
 
+ROOT = Path(__file__).parents[2]
 SOURCE = Path(__file__).parents[2] / "docs/plugin/src"
 
 
@@ -90,3 +102,233 @@ def test_the_damper_is_that_of_the_closed_form(part) -> None:
     assert not centred.stiffness.any()
     with pytest.raises(ConfigError, match="eccentricity"):
         module.SqueezeFilm(**sizes, eccentricity=1.0)
+
+
+# The virtual rig.
+RIG = {"kind": "virtual-sdof-rig", "mass": 2.0, "stiffness": 80e3, "damping": 40.0}
+
+
+def recorded(rig_module: ModuleType, seed: int = 1, **changes: object) -> Recording:
+    (recording,) = rig_module.recordings(rig_module.VirtualSdofRig(**RIG, **changes), seed, ("multisine",))
+    return recording
+
+
+def test_the_virtual_rig_obeys_its_equation_of_motion(part) -> None:
+    """m y'' + c y' + k y = f in the time domain; derivatives by central differences of fourth order, 40 samples per shortest period."""
+    recording = recorded(part("sdof_rig"), band=(1.0, 25.0), force_noise=0.0, displacement_noise=0.0)
+    force, y = recording.samples.T
+    rate = recording.sample_rate
+    velocity = (8 * (np.roll(y, -1) - np.roll(y, 1)) - np.roll(y, -2) + np.roll(y, 2)) * rate / 12
+    acceleration = (16 * (np.roll(y, -1) + np.roll(y, 1)) - np.roll(y, -2) - np.roll(y, 2) - 30 * y) * rate**2 / 12
+    np.testing.assert_allclose(2.0 * acceleration + 40.0 * velocity + 80e3 * y, force, atol=1e-4 * np.max(np.abs(force)))
+
+
+def test_the_virtual_rig_gives_its_truth_by_hand(part) -> None:
+    """w = sqrt(80000 / 2) = 200 rad/s, zeta = 40 / (2 2 200) = 0.05."""
+    rig_module = part("sdof_rig")
+    truth = rig_module.parameters(rig_module.VirtualSdofRig(**RIG))
+    assert truth == pytest.approx({"k": 80e3, "c": 40.0, "m": 2.0, "f_n": 200 / (2 * np.pi), "zeta": 0.05})
+
+
+def test_the_virtual_rig_draws_its_noise_from_the_seed_and_at_its_level(part) -> None:
+    rig_module = part("sdof_rig")
+    quiet = recorded(rig_module, force_noise=0.0, displacement_noise=0.0).samples
+    noise = recorded(rig_module, force_noise=2e-3, displacement_noise=3e-7).samples - quiet
+    np.testing.assert_allclose(np.std(noise, axis=0), [2e-3, 3e-7], rtol=0.05)
+    assert np.array_equal(recorded(rig_module).samples, recorded(rig_module).samples)
+    assert not np.array_equal(recorded(rig_module).samples, recorded(rig_module, seed=2).samples)
+    louder = rig_module.at_level(rig_module.VirtualSdofRig(**RIG), 3.0)
+    assert (louder.force_noise, louder.displacement_noise) == pytest.approx((3e-3, 3e-7))
+
+
+def test_a_fit_of_the_virtual_rig_covers_its_truth(part) -> None:
+    response = measure([recorded(part("sdof_rig"))], FrfSettings("periodic", period=2.0))
+    (fit,) = identify(response, FitSettings("sdof", mass=2.0, band=(25.0, 40.0)))
+    for name, true in {"k": 80e3, "c": 40.0}.items():
+        parameter = fit.parameter(name)
+        assert abs(parameter.value - true) < 4 * parameter.std_error < 0.01 * true
+
+
+@pytest.mark.parametrize(("entry", "value"), [("mass", 0.0), ("periods", 1)])
+def test_the_virtual_rig_refuses_what_it_cannot_be(part, entry: str, value: float) -> None:
+    with pytest.raises(ConfigError, match=r"positive|periods"):
+        part("sdof_rig").VirtualSdofRig(**{**RIG, entry: value})
+
+
+# The run-up method.
+@pytest.fixture(scope="module")
+def film() -> RunUpRotor:
+    return replace(rotor(ROOT / "configs/rotors/falah.yaml"), speeds=(50.0, 300.0))
+
+
+def run_up(rig: RunUpRotor, load: float, factors: np.ndarray, rng: np.random.Generator | None = None) -> RunUp:
+    """The response with the start coefficients times *factors* (8,), with 1 % and 1 deg of noise where there is a generator."""
+    speed = np.linspace(60.0, 280.0, 30)
+    stiffness, damping = rig.start_coefficients(load, speed)
+    split = factors.reshape(2, 2, 2)
+    exact = rig.under_unbalance(speed, rig.known_unbalance).response(split[0] * stiffness, split[1] * damping).reshape(30, 2, 2)
+    turn = 0.0 if rng is None else rng.normal(0, np.radians(1), exact.shape)
+    size = 1.0 if rng is None else 1 + rng.normal(0, 0.01, exact.shape)
+    errors = (0.01 * np.abs(exact), np.full(exact.shape, np.radians(1)))
+    return RunUp(f"{load:g} N", load, speed, rig.plane_names, exact * size * np.exp(1j * turn), *errors, unbalance=rig.known_unbalance)
+
+
+@pytest.mark.parametrize("true", [0.6, 1.0, 1.7])
+def test_the_common_factor_is_recovered_to_rounding_without_noise(part, film: RunUpRotor, true: float) -> None:
+    fit = part("common_factor").fit_common_factor(film, [run_up(film, load, np.full(8, true)) for load in (4.0, 9.0)])
+    assert fit.factor == pytest.approx(true, rel=1e-8)
+    assert fit.chi2 < 1e-9 and fit.n_datum == 2 * 30 * 8
+
+
+def test_the_standard_error_is_that_of_the_sum_of_squares(part, film: RunUpRotor) -> None:
+    """One standard error from the minimum, chi-square has risen by one: by the sum of squares itself, no slope is used."""
+    module = part("common_factor")
+    runs = [run_up(film, 5.0, np.full(8, 1.2))]
+    fit = module.fit_common_factor(film, runs)
+    groups = module.runs_by_load(film, runs)
+    for sign in (-1, 1):
+        residual, _ = module.residual_and_slope(film, groups, float(np.log(fit.factor + sign * fit.std_error)))
+        assert residual @ residual == pytest.approx(1.0, rel=0.03)
+
+
+def test_the_common_factor_scatters_as_its_standard_error_says(part, film: RunUpRotor) -> None:
+    module = part("common_factor")
+    fits = [module.fit_common_factor(film, [run_up(film, 5.0, np.full(8, 1.2), np.random.default_rng(seed))]) for seed in range(60)]
+    deviations = np.array([(fit.factor - 1.2) / fit.std_error for fit in fits])
+    # 60 draws of a normal distribution: their mean within 4 / sqrt(60), their rms within 4 / sqrt(120) of one.
+    assert abs(np.mean(deviations)) < 0.52 and abs(np.sqrt(np.mean(deviations**2)) - 1) < 0.37
+
+
+def test_one_factor_that_is_not_enough_is_rejected_and_has_no_errors(part, film: RunUpRotor) -> None:
+    module = part("common_factor")
+    settings = RunUpSettings(rotor="r.yaml", runs=({"file": "a.csv"},), rig=film)
+    factors = {"not rejected": np.full(8, 1.2), "rejected": np.array([1.2, 1.2, 1.2, 0.7, 1.2, 1.2, 1.2, 0.8])}
+    rng = np.random.default_rng(5)
+    for verdict, eight in factors.items():
+        run = run_up(film, 5.0, eight, rng)
+        solved = module.solve_common_factor(film, [run], settings)
+        (factor,) = solved.method.parameters
+        at_load = solved.predictor(film, run)
+        assert solved.method.verdict == verdict and (solved.method.chi2_p < 1e-3) == (verdict == "rejected")
+        errors = (factor.std_error, factor.ci95, at_load.std_error, at_load.critical, at_load.threshold)
+        assert [error is None for error in errors] == [verdict == "rejected"] * 5
+
+
+def test_the_common_factor_predicts_any_run(part, film: RunUpRotor) -> None:
+    """Closed form: coefficients and their errors are the factor, and its error, times the rotor file's."""
+    settings = RunUpSettings(rotor="r.yaml", runs=({"file": "a.csv"},), rig=film)
+    solved = part("common_factor").solve_common_factor(film, [run_up(film, 5.0, np.full(8, 1.2))], settings)
+    other = run_up(film, 12.0, np.full(8, 1.2))
+    at_load = solved.predictor(film, other)
+    stiffness, damping = film.start_coefficients(12.0, other.speed)
+    start = np.concatenate([stiffness.reshape(-1, 4), damping.reshape(-1, 4)], axis=1)
+    np.testing.assert_allclose(at_load.coefficients, 1.2 * start, rtol=1e-7)
+    np.testing.assert_allclose(at_load.std_error, solved.anywhere.std_error * np.abs(start), rtol=1e-12)
+    critical, threshold = at_load.critical(), at_load.threshold()
+    true = lambda speed: tuple(1.2 * part for part in film.start_coefficients(12.0, speed))  # noqa: E731
+    assert critical.value == pytest.approx(film.critical_speed(true), rel=1e-6) and critical.std_error > 0
+    assert threshold.value == pytest.approx(film.threshold(true), rel=1e-6) and threshold.std_error > 0
+
+
+# The section.
+def fit_of(name: str, *modes: tuple[float, float], test: str = "") -> Fit:
+    """A fit with modes (natural frequency [Hz], damping ratio), the frequencies known to 0.5 Hz."""
+    many = len(modes) > 1
+    pairs = [(f"_{n}" if many else "", *mode) for n, mode in enumerate(modes, 1)]
+    parameters = [p for end, f, zeta in pairs for p in (Parameter(f"f_n{end}", f, "Hz", 0.5), Parameter(f"zeta{end}", zeta, "1", 0.001))]
+    return Fit(name, "sdof", "ml", (1.0, 2.0), 1, 1, 1, Goodness(1.0, 1.0), tuple(parameters), 1.0, np.eye(1), test=test)
+
+
+def margin(module: ModuleType, frequency: float, ratio: float, order: float):
+    fit = fit_of("a", (frequency, ratio))
+    ((f_n, zeta),) = module.natural_frequencies(fit)
+    return module.margin_of(fit, f_n, zeta, order, (40.0, 50.0))
+
+
+@pytest.mark.parametrize(
+    ("frequency", "ratio", "order", "expected", "error", "required"),
+    [
+        # zeta 0.01: AF = 50, 17 (1 - 1 / 48.5) = 16.6495 %: below the speeds at most 16 %, above 26.6495 %, at most 26 %.
+        (60.0, 0.01, 1.0, 0.2, 0.5 / 50, 0.26),
+        (30.0, 0.01, 1.0, 0.25, 0.5 / 40, 0.16),
+        (60.0, 0.01, 2.0, 0.25, 0.5 / 80, 0.16),
+        (45.0, 0.01, 1.0, 0.0, None, 0.16),
+        # zeta 0.1: AF = 5, 17 (1 - 1 / 3.5) = 12.142857 %.
+        (60.0, 0.1, 1.0, 0.2, 0.5 / 50, 0.22142857),
+        (30.0, 0.1, 1.0, 0.25, 0.5 / 40, 0.12142857),
+        # zeta 0.21: AF = 2.38, critically damped.
+        (45.0, 0.21, 1.0, 0.0, None, 0.0),
+    ],
+)
+def test_margins_by_hand(part, frequency: float, ratio: float, order: float, expected: float, error: float | None, required: float) -> None:
+    """At 40 to 50 Hz: distance to the nearer end of the order's band over that end."""
+    one = margin(part("separation"), frequency, ratio, order)
+    assert (one.margin, one.required) == (pytest.approx(expected), pytest.approx(required, rel=1e-6))
+    assert one.std_error == (None if error is None else pytest.approx(error))
+    assert one.kept == (expected >= required)
+
+
+def test_every_mode_of_every_fit_is_held_against_every_order(part) -> None:
+    module = part("separation")
+    assert [f.name for f, _ in module.natural_frequencies(fit_of("a", (10.0, 0.1), (20.0, 0.1)))] == ["f_n_1", "f_n_2"]
+    calibration = replace(fit_of("line", (1.0, 0.1)), parameters=(Parameter("slope", 1.0, "1"),))
+    assert not list(module.natural_frequencies(calibration))
+    assert [zeta.name for _, zeta in module.natural_frequencies(fit_of("a", (10.0, 0.1)))] == ["zeta"]
+
+
+@pytest.mark.parametrize("entries", [{"speeds": (0.0, 50.0)}, {"speeds": (40.0, 50.0), "orders": (1.0, -1.0)}])
+def test_the_section_refuses_impossible_settings(part, entries: dict[str, object]) -> None:
+    with pytest.raises(ConfigError, match="above zero"):
+        part("separation").SeparationSettings(**entries)
+
+
+def compare(rule: Rule, value: float | None, unit: str) -> tuple[float | None, bool]:
+    """Rules of this file are bounds from below, in parts of one."""
+    assert (rule.kind, unit) == (">=", "1")
+    return value, value is not None and value >= float(rule.bound)
+
+
+@pytest.fixture
+def two_tests(part):
+    """One mode of two tests at 40 to 50 Hz, once the speed: 60 Hz is 20 % away, 65 Hz is 30 %; zeta 0.1 asks for 22.1 %."""
+    module = part("separation")
+    fits = [fit_of("a", (60.0, 0.1), test="cold"), fit_of("a", (65.0, 0.1), test="warm")]
+    margins = [module.margin_of(fit, *mode, 1.0, (40.0, 50.0)) for fit in fits for mode in module.natural_frequencies(fit)]
+    return module, module.Separation((40.0, 50.0), tuple(margins))
+
+
+@pytest.mark.parametrize(
+    ("which", "item", "bound", "found", "passed"),
+    [
+        ("", "a.f_n.1x", "0.25", 0.2, False),
+        ("", "a.f_n.1x", "0.15", 0.2, True),
+        ("warm", "a.f_n.1x", "0.25", 0.3, True),
+        ("cold", "a.f_n.1x", "0.25", 0.2, False),
+        ("", "least", "0.25", 0.2, False),
+        ("warm", "least", "0.25", 0.3, True),
+    ],
+)
+def test_a_rule_holds_for_every_test_or_for_the_one_in_brackets(two_tests, which, item, bound, found, passed) -> None:
+    module, record = two_tests
+    outcome = module.outcome(Rule("expect", f"separation.{item}", "separation", which, item, ">=", bound, "p.yaml:1:1"), record, compare)
+    assert (outcome.value, outcome.passed) == (pytest.approx(found), passed)
+
+
+def test_a_missed_margin_is_a_warning_in_report_and_terminal(two_tests) -> None:
+    module, record = two_tests
+    assert [finding.message for _, finding in module.findings(record)] == ["a.f_n.1x: 20.0 % where 22.1 % are required."]
+    ((verdict, table),) = [section.blocks for section in module.report(record, None)]
+    assert (verdict.kind, verdict.text) == ("failed", "Separation margins are missed.")
+    # The error of 0.5 Hz over the 50 Hz of the nearer end.
+    assert [row[-3:] for row in table.rows] == [("20.0 ± 1", "22.1", "no"), ("30.0 ± 1", "22.1", "yes")]
+    assert [line.rpartition(": ")[2] for line in module.terminal(record)][1:] == ["MISSED", "kept"]
+
+
+def test_margins_are_listed_by_fit_and_test_with_their_errors(two_tests) -> None:
+    module, record = two_tests
+    listed = [(one.fit, one.test, one.parameter.name, one.parameter.value, one.parameter.std_error) for one in module.parameters(record)]
+    name = ("separation.a", "margin_1x")
+    assert listed == [
+        (name[0], "cold", name[1], pytest.approx(0.2), pytest.approx(0.01)),
+        (name[0], "warm", name[1], pytest.approx(0.3), pytest.approx(0.01)),
+    ]

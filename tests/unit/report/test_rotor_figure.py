@@ -14,7 +14,15 @@ from labpipe.document.saving import canvas_of
 from labpipe.records.identification import Identification
 from labpipe.report.build import build
 from labpipe.report.document import Figure
-from labpipe.report.rotor_figure import disc_dimensions, node_positions, rotor_figure, rotor_figures, rotor_sketch, shaft_diameter
+from labpipe.report.rotor_figure import (
+    bearing_dimensions,
+    disc_dimensions,
+    node_positions,
+    rotor_figure,
+    rotor_figures,
+    rotor_sketch,
+    shaft_diameter,
+)
 from labpipe.rotors.parts import ALUMINIUM, Disc
 
 ROTORS = Path(__file__).parents[3] / "configs" / "rotors"
@@ -50,6 +58,20 @@ def test_bearings_are_centred_on_their_nodes_with_their_length() -> None:
     assert [round(left + width / 2, 6) for left, _, width, _ in bearings[::2]] == [130.0, 550.0]
     assert all(width == pytest.approx(18.0) for _, _, width, _ in bearings)
     assert bearings[0][1] == pytest.approx(15.5)
+
+
+@pytest.mark.parametrize(
+    ("bearing", "size"),
+    [
+        ({"diameter": 0.031, "length": 0.018}, (0.031, 0.018)),
+        ({"settings": {"diameter": 0.05, "length": 0.006}}, (0.05, 0.006)),
+        ({"settings": {"elements": 9}}, (0.02, 0.01)),
+        ({"settings": {"diameter": None, "length": None}}, (0.02, 0.01)),
+    ],
+)
+def test_a_bearing_without_size_is_drawn_round_the_shaft(bearing: dict[str, Any], size: tuple[float, float]) -> None:
+    """On a shaft of 20 mm: its bore, and half of it along the shaft; the entries of kinds other than films stand under settings."""
+    assert bearing_dimensions(bearing, 0.02) == size
 
 
 def test_disc_of_the_laval_rotor_has_the_size_of_its_file() -> None:

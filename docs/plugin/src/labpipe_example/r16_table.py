@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,11 +30,12 @@ class R16Table:
         if (path.stat().st_size - self._start) % (2 * len(self.columns)):
             raise DataError("ends within a sample", where=str(path), hint="the file is cut off")
 
-    def _head(self, line: bytes) -> dict:
+    def _head(self, line: bytes) -> dict[str, Any]:
         try:
-            return json.loads(line)
+            head: dict[str, Any] = json.loads(line)
         except ValueError:
             raise DataError("does not begin with a line of JSON", where=str(self.path)) from None
+        return head
 
     def chunks(self, columns: Sequence[str]) -> Iterator[NDArray[np.float64]]:
         """Consecutive chunks (n, len(columns)) of the named columns, in the units stated."""
