@@ -1,4 +1,4 @@
-"""What a wear identification must say about itself, in words."""
+"""Findings of a wear identification: bounds, further minima, identifiability, healthy bearing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DISPLAY = {"m": (1e6, "um"), "rad": (180 / np.pi, "deg"), "Pa": (1e-5, "bar")}
 
 
 def bounds_reached(misfit: Misfit, best: Minimum) -> tuple[str, ...]:
-    """The parameters that lie at their bound."""
+    """Names of the parameters at a bound."""
     model = misfit.model
     margin = AT_BOUND * (model.high - model.low)
     at = (best.parameters <= model.low + margin) | (best.parameters >= model.high - margin)
@@ -28,68 +28,68 @@ def bounds_reached(misfit: Misfit, best: Minimum) -> tuple[str, ...]:
 
 
 def bound_findings(names: Sequence[str]) -> list[Finding]:
-    """Parameters at their bound: what that means for each."""
-    found = []
+    """One finding per parameter at its bound."""
+    findings = []
     for name in names:
         reason = {
-            DEPTH: "there is no wear to be seen, or more than is looked for (depth_limit)",
-            ANGLE: "the wear lies farther from the bottom than is looked for (angle_limit), or the angle is not identifiable",
-        }.get(name, "the response wants more of it than what is known beforehand allows; the model may lack something else")
-        found.append(Finding("at-bound", f"{name} lies at its bound: {reason}. No standard error is given for it"))
-    return found
+            DEPTH: "no wear is visible, or it is deeper than depth_limit",
+            ANGLE: "the wear is farther from the bottom than angle_limit, or the angle is not identifiable",
+        }.get(name, "the best fit lies outside the prior range; the model may lack another effect")
+        findings.append(Finding("at-bound", f"{name} lies at its bound: {reason}. No standard error is given for it"))
+    return findings
 
 
-def rival_findings(found: Sequence[Minimum], misfit: Misfit) -> list[Finding]:
-    """Other minima that the response does not rule out."""
-    best = found[0]
-    rivals = [one for one in found[1:] if one.converged and one.chi2 - best.chi2 < RIVAL]
+def rival_findings(minima: Sequence[Minimum], misfit: Misfit) -> list[Finding]:
+    """Further minima within RIVAL of the lowest chi-square."""
+    best = minima[0]
+    rivals = [minimum for minimum in minima[1:] if minimum.converged and minimum.chi2 - best.chi2 < RIVAL]
     if not rivals or DEPTH not in misfit.model.names:
         return []
-    places = "; ".join(f"{_place(misfit, one)} (chi-square {one.chi2 - best.chi2:+.2g})" for one in rivals)
+    places = "; ".join(f"{_place(misfit, minimum)} (chi-square {minimum.chi2 - best.chi2:+.2g})" for minimum in rivals)
     message = (
-        f"the misfit has further minima that the response does not rule out: {places}. Use more lines, all terms, or the complex "
-        "objective; what is known of the bearing may decide between them"
+        f"the misfit has further minima of nearly the same chi-square: {places}. Use more lines, all terms, or the complex "
+        "objective; prior knowledge of the bearing may select one"
     )
     return [Finding("multi-modal", message)]
 
 
-def _place(misfit: Misfit, one: Minimum) -> str:
-    values = misfit.model.values(one.parameters)
+def _place(misfit: Misfit, minimum: Minimum) -> str:
+    values = misfit.model.values(minimum.parameters)
     return f"{values[DEPTH] * 1e6:.3g} um at {np.degrees(values[ANGLE]):.3g} deg"
 
 
 def angle_findings(identifiable: bool) -> list[Finding]:
-    """Whether the angle means anything."""
+    """A finding where the angle is not identifiable."""
     if identifiable:
         return []
-    message = "angle not identifiable: every angle in the range explains the response as well, as it is with shallow wear"
+    message = "angle not identifiable: every angle in the range fits equally well, as is usual with shallow wear"
     return [Finding("not-identifiable", message)]
 
 
 def is_identifiable(interval: Interval) -> bool:
-    """Whether a profile interval leaves anything of the range out."""
+    """False if the profile interval covers the whole range."""
     return not (interval.open_low and interval.open_high)
 
 
 def healthy_findings(probability: float, mismatch: bool) -> list[Finding]:
-    """The verdict on wear or no wear where it is not plainly wear; *mismatch*: the residual exceeds the noise."""
+    """A finding where a healthy bearing is not ruled out; *mismatch*: the residual exceeds the noise."""
     if probability < PROBABLY_WORN:
         return []
-    odds = f"the probability of no wear is {probability:.3g} (even odds before, any wear of the range alike)"
+    odds = f"the probability of no wear is {probability:.3g} (prior: even odds, wear uniform over the range)"
     if mismatch:
-        message = f"the bearing may be healthy: {odds}, if only the model were right, which chi-square denies"
+        message = f"the bearing may be healthy: {odds}, given a right model, which chi-square rejects"
         return [Finding("perhaps-healthy", message)]
     if probability >= PROBABLY_HEALTHY:
         return [Finding("healthy", f"the bearing is probably healthy: {odds}")]
     return [Finding("perhaps-healthy", f"the bearing may be healthy: {odds}")]
 
 
-def search_note(found: Sequence[Minimum], settings: WearSettings) -> str:
-    """How the minimum was found."""
-    total = sum(one.starts for one in found)
-    best = found[0]
+def search_note(minima: Sequence[Minimum], settings: WearSettings) -> str:
+    """Starts, minima and meshes of the search, as a note."""
+    total = sum(minimum.starts for minimum in minima)
+    best = minima[0]
     cells = f"{2 * settings.cells_around} x {2 * settings.cells_across}"
     return (
-        f"{best.starts} of {total} starts lead to this minimum, {len(found)} minima in all; refined on oil films of {cells} cells "
+        f"{best.starts} of {total} starts lead to this minimum, {len(minima)} minima in all; refined on oil films of {cells} cells "
         f"around tables of {settings.cells_around} x {settings.cells_across}."
     )

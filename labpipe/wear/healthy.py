@@ -1,4 +1,4 @@
-"""Whether there is any wear at all: the probability of a healthy bearing beside one with some wear."""
+"""Probability of a healthy bearing against one with wear."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from labpipe.wear.misfit import Misfit
 from labpipe.wear.profile import profile_distance
 from labpipe.wear.search import Minimum, descend, refined
 
-# Beyond this increase of chi-square the sum below is that of a narrow peak, and the healthy bearing has lost.
+# Increase of chi-square beyond which the integral over wear is that of one narrow peak.
 NARROW = 20.0
 N_DEPTH, N_ANGLE = 13, 5
-# Ticks around the best wear in standard errors.
+# Mesh around the best wear, in standard errors.
 AROUND = np.linspace(-3.0, 3.0, 7)
-# Information on a parameter that is not felt, as the angle of no wear: a standard error of 10,000 scaled units instead of infinity.
-UNFELT = 1e-8
+# Least information on a parameter without sensitivity, as the angle at zero depth: a standard error of 10,000 scaled units.
+LEAST_INFORMATION = 1e-8
 
 
 def healthy_minimum(misfit: Misfit, best: Minimum) -> tuple[Misfit, Minimum]:
-    """The least misfit without wear, refined on the films; no start finds it, because depth has no slope there."""
+    """Minimum at zero depth, refined on the films; no start leads there, because the slope by depth is zero."""
     nuisances = range(2, len(misfit.model.names))
     healthy = descend(misfit, np.array([0.0, 0.0, *best.parameters[2:]]), nuisances)
-    own, healthy = refined(misfit, healthy, nuisances)
-    return own, replace(healthy, starts=0)
+    refined_misfit, healthy = refined(misfit, healthy, nuisances)
+    return refined_misfit, replace(healthy, starts=0)
 
 
 def healthy_probability(misfit: Misfit, best: Minimum, healthy_chi2: float) -> float:
@@ -49,12 +49,12 @@ def _peak_share(misfit: Misfit, best: Minimum) -> float:
 def _spread(misfit: Misfit, best: Minimum) -> FloatArray:
     """Covariance of depth and angle (2, 2), scaled."""
     jacobian = misfit.jacobian(best.parameters)
-    spread: FloatArray = np.linalg.inv(jacobian.T @ jacobian + UNFELT * np.eye(jacobian.shape[1]))[:2, :2]
+    spread: FloatArray = np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))[:2, :2]
     return spread
 
 
 def _mean_likelihood(misfit: Misfit, best: Minimum) -> float:
-    """The same mean on a mesh that is dense at small depths and around the best wear."""
+    """Mean over the range of exp(-(chi2 - chi2_min) / 2) on a mesh that is dense at small depths and around the best wear."""
     low, high = misfit.model.low[:2], misfit.model.high[:2]
     widths = np.minimum(np.sqrt(np.diag(_spread(misfit, best))), (high - low) / 8)
     places = [best.parameters[number] + widths[number] * AROUND for number in (0, 1)]
@@ -62,14 +62,14 @@ def _mean_likelihood(misfit: Misfit, best: Minimum) -> float:
     angles = _mesh(np.linspace(low[1], high[1], N_ANGLE), places[1], low[1], high[1])
     along_angle = np.zeros(depths.size)
     for row, depth in enumerate(depths):
-        far = [profile_distance(misfit, best, {0: float(depth), 1: float(angle)}) for angle in angles]
-        along_angle[row] = trapezoid(np.exp(-np.square(far) / 2), angles)
+        distances = [profile_distance(misfit, best, {0: float(depth), 1: float(angle)}) for angle in angles]
+        along_angle[row] = trapezoid(np.exp(-np.square(distances) / 2), angles)
         if depth > best.parameters[0] and along_angle[row] < 1e-6 * along_angle.max():
             break
     return float(trapezoid(along_angle, depths)) / float(np.prod(high - low))
 
 
 def _mesh(ticks: FloatArray, around: FloatArray, low: float, high: float) -> FloatArray:
-    """Rising ticks of both, within the range."""
+    """Union of both, rising, within the range."""
     both = np.concatenate([ticks, around])
     return np.unique(both[(both >= low) & (both <= high)])

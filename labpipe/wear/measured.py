@@ -1,4 +1,4 @@
-"""The part of a measured response that a wear identification uses: its frame, its lines and its terms."""
+"""Frame, lines and terms of a measured response that a wear identification uses."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NAMES = {"FRF": ("y", "z"), "dFRF": FORWARD_BACKWARD}
 
 
 @dataclass(frozen=True)
-class WornData:
+class WornReceptance:
     """The measured receptance on the fit's lines in its frame, *measured* (n_line, 2, 2), and the *places* of the terms used."""
 
     measured: Measured
@@ -37,7 +37,7 @@ class WornData:
         return self.measured.omega / (2 * np.pi)
 
     def terms(self, matrix: ComplexArray) -> ComplexArray:
-        """The terms used of matrices (..., n_line, 2, 2), as (..., n_line, n_term, 1)."""
+        """Terms used, (..., n_line, n_term, 1) [m/N], of matrices (..., n_line, 2, 2) [m/N]."""
         flat = matrix.reshape(*matrix.shape[:-2], 4)
         return flat[..., list(self.places)][..., None]
 
@@ -49,7 +49,7 @@ class WornData:
         return replace(measured, matrix=self.terms(measured.matrix), covariance=covariance)
 
 
-def worn_data(response: FrequencyResponse, settings: FitSettings, wear: WearSettings) -> WornData:
+def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: WearSettings) -> WornReceptance:
     """Lines, frame and terms of a fit; ConfigError where they do not fit the response, FitError where nothing is left."""
     left, right = _turn(response, wear.response)
     lines = _lines(response, settings.band, wear)
@@ -57,14 +57,14 @@ def worn_data(response: FrequencyResponse, settings: FitSettings, wear: WearSett
     turn = np.kron(left, right.T)
     covariance = None if measured.covariance is None else without_rounding(turn @ measured.covariance @ turn.conj().T)
     turned = replace(measured, matrix=left @ measured.matrix @ right, covariance=covariance)
-    return WornData(turned, PLACES[wear.terms], NAMES[wear.response])
+    return WornReceptance(turned, PLACES[wear.terms], NAMES[wear.response])
 
 
 def _turn(response: FrequencyResponse, frame: str) -> tuple[ComplexArray, ComplexArray]:
     """L and R of L H R, from the response's own frame to the fit's."""
     if len(response.outputs) != 2 or len(response.inputs) != 2:
-        found = f"responses {labels(response.outputs)}, forces {labels(response.inputs)}"
-        raise ConfigError(f"worn-bearing takes two responses and two forces, found {found}", hint="excite in y, then in z")
+        ports = f"responses {labels(response.outputs)}, forces {labels(response.inputs)}"
+        raise ConfigError(f"worn-bearing takes two responses and two forces, found {ports}", hint="excite in y, then in z")
     left = np.linalg.inv(_sensing(response.outputs))
     right = np.linalg.inv(_forcing(response.inputs))
     if frame == "dFRF":
@@ -88,19 +88,19 @@ def _is_directional(ports: tuple[Port, ...]) -> bool:
     return tuple(port.label for port in ports) == FORWARD_BACKWARD
 
 
-def _in_yz(ports: tuple[Port, ...], what: str) -> ComplexArray:
+def _in_yz(ports: tuple[Port, ...], role: str) -> ComplexArray:
     """Rows (part along y, part along z): of dofs named y and z, else by angle, from horizontal (x, 0 deg) to up (y, 90 deg)."""
     dofs = tuple(port.dof for port in ports)
     if set(dofs) == {"y", "z"}:
         return np.array([[dof == "y", dof == "z"] for dof in dofs], np.complex128)
     try:
-        return directions(ports, what).astype(np.complex128)
+        return directions(ports, role).astype(np.complex128)
     except DataError as error:
         raise ConfigError(error.what, hint="give dof: y (horizontal) and dof: z (up), or angles from horizontal") from None
 
 
 def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: WearSettings) -> BoolArray:
-    """Which lines of the response are used, (n_frequency,)."""
+    """Mask of the lines used, (n_frequency,)."""
     inside = lines_in(response.frequency, band)
     if wear.lines:
         return _explicit(response.frequency, wear.lines)
@@ -114,12 +114,12 @@ def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: 
 
 
 def _explicit(frequency: FloatArray, wanted: tuple[float, ...]) -> BoolArray:
-    """The measured lines next to the wanted ones; ConfigError where none is within half a line spacing."""
+    """Mask of the lines nearest to *wanted* [Hz]; ConfigError where none is within half a line spacing."""
     nearest = np.array([int(np.argmin(np.abs(frequency - line))) for line in wanted])
     spacing = float(np.median(np.diff(frequency))) if frequency.size > 1 else 0.0
-    for line, found in zip(wanted, frequency[nearest], strict=True):
-        if abs(line - found) > 0.51 * spacing:
-            raise ConfigError(f"there is no line near {line:g} Hz; the nearest is {found:g} Hz", hint="is it masked or out of the band?")
+    for line, line_hz in zip(wanted, frequency[nearest], strict=True):
+        if abs(line - line_hz) > 0.51 * spacing:
+            raise ConfigError(f"there is no line near {line:g} Hz; the nearest is {line_hz:g} Hz", hint="is it masked or out of the band?")
     chosen = np.zeros(frequency.shape, bool)
     chosen[nearest] = True
     return chosen

@@ -17,20 +17,20 @@ from labpipe.rotors.worn import VaryingSupport, forward_backward, response_with_
 from labpipe.wear.settings import ANGLE, DEPTH, Gaussian, WearSettings
 from labpipe.wear.tables import Ranges, TabledBearing, tabled
 
-# Nuisance parameters may move this many standard deviations of what is known of them.
+# Range of a nuisance parameter about its prior mean, in prior standard deviations.
 REACH = 4.0
 # Relative step of the difference by the shaft's damping, in which the response is smooth.
 BETA_STEP = 1e-3
-# Tables reach a little beyond the bounds, where rounding may ask.
+# Margin of the tables beyond the bounds, for rounding.
 TABLE_MARGIN = 1.001
 SCALES = {DEPTH: 1e-6, ANGLE: float(np.deg2rad(1.0))}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class WornModel:
     """A rig's response on *frequency* [Hz]; *names* in the order of the parameters, all scaled: value [SI] = scale * parameter.
 
-    low, high (n,): bounds of the scaled parameters; known: what is known of some of them beforehand, in SI units.
+    low, high (n,): bounds of the scaled parameters; prior: of the nuisance parameters among them, in SI units.
     """
 
     rig: RotorRig
@@ -41,11 +41,11 @@ class WornModel:
     scale: FloatArray
     low: FloatArray
     high: FloatArray
-    known: Gaussian
+    prior: Gaussian
     mesh: FilmMesh
 
     def refined(self, parameters: FloatArray, with_slopes: bool = True) -> WornModel:
-        """The model with the films' own coefficients and slopes at these parameters, on a mesh with cells of half the size.
+        """The model with the films' coefficients and slopes at scaled parameters (n,) [1], on a mesh with cells of half the size.
 
         A table cannot follow every bend of the coefficients: its error moves a deep wear by a micrometre.
         """
@@ -53,7 +53,7 @@ class WornModel:
         return replace(self, bearings=tuple(bearing.refined(values, fine, with_slopes) for bearing in self.bearings))
 
     def values(self, parameters: FloatArray) -> dict[str, float]:
-        """SI values by name."""
+        """Values by name [SI units] of scaled parameters (n,)."""
         return dict(zip(self.names, (self.scale * parameters).tolist(), strict=True))
 
     def response(self, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray]:
@@ -71,63 +71,77 @@ class WornModel:
 
     def _standing(self, beta: float, supports: list[VaryingSupport]) -> ComplexArray:
         """H of the rotor with another damping on the same bearings."""
-        standing = self._rotor(beta).on(one.support for one in supports)
+        standing = self._rotor(beta).on(support.support for support in supports)
         return standing.response(self.rig.response, self.rig.force)
 
     def _rotor(self, beta: float) -> ReducedRotor:
         nodes = tuple(sorted({*(bearing.place.node for bearing in self.bearings), self.rig.force, self.rig.response}))
         rotor = self.rig.rotor if beta == self.rig.rotor.beta else replace(self.rig.rotor, beta=beta)
-        return _kept_rotor(rotor, nodes, self.frequency, self.rig.omega)
+        return _reduced_rotor(rotor, nodes, self.frequency, self.rig.omega)
 
 
 @lru_cache(maxsize=8)
-def _kept_rotor(rotor: Rotor, nodes: tuple[int, ...], frequency: tuple[float, ...], speed: float) -> ReducedRotor:
-    """The free rotor between the nodes, solved once."""
+def _reduced_rotor(rotor: Rotor, nodes: tuple[int, ...], frequency: tuple[float, ...], speed: float) -> ReducedRotor:
+    """The free rotor reduced to *nodes*, cached."""
     return reduced_rotor(rotor, nodes, np.array(frequency), speed)
 
 
 def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
-    """The model of a fit on its lines; FitError without a rotor, ConfigError where settings and rotor do not fit together."""
+    """The model of a fit on its lines *frequency* (n_line,) [Hz].
+
+    FitError without a rotor, ConfigError where settings and rotor do not fit together.
+    """
     if settings.rig is None:
         raise FitError("no rotor was read for this fit", hint="name it with wear.rotor")
-    known = settings.known
-    centre = {**settings.given, **dict(zip(known.names, known.mean, strict=True))}
+    prior = settings.nuisance_prior
+    centre = {**settings.fixed_values, **dict(zip(prior.names, prior.mean, strict=True))}
     rig = _centred(settings.rig, centre)
     worn = "" if settings.healthy else rig.place(settings.bearing).name
-    ranges, box = _reach(settings, known, rig)
+    ranges, box = _reach(settings, prior, rig)
     loads, mesh = rig.static_loads(), FilmMesh(settings.cells_around, settings.cells_across)
     bearings = tuple(tabled(place, loads[place.name], rig.omega, place.name == worn, ranges, mesh) for place in rig.bearings)
-    names = (*(() if settings.healthy else (DEPTH, ANGLE)), *known.names)
-    scale = np.array([*(SCALES[name] for name in names if name in SCALES), *known.std])
+    names = (*(() if settings.healthy else (DEPTH, ANGLE)), *prior.names)
+    scale = np.array([*(SCALES[name] for name in names if name in SCALES), *prior.std])
     low, high = (np.array([box[name][end] for name in names]) / scale for end in (0, 1))
     lines = tuple(np.asarray(frequency, float).tolist())
-    return WornModel(rig, bearings, lines, settings.response == "dFRF", names, scale, low, high, known, mesh)
+    return WornModel(
+        rig=rig,
+        bearings=bearings,
+        frequency=lines,
+        directional=settings.response == "dFRF",
+        names=names,
+        scale=scale,
+        low=low,
+        high=high,
+        prior=prior,
+        mesh=mesh,
+    )
 
 
 def _centred(rig: RotorRig, centre: dict[str, float]) -> RotorRig:
-    """The rig with what is known of its bearings and its damping, around which the tables are made."""
-    own: dict[str, float] = {name: value for name, value in centre.items() if name != "beta"}
-    rig = rig.with_bearings((), **own) if own else rig
+    """The rig with bearings and shaft damping at the prior means, around which the tables are made."""
+    film_values: dict[str, float] = {name: value for name, value in centre.items() if name != "beta"}
+    rig = rig.with_bearings((), **film_values) if film_values else rig
     return replace(rig, rotor=replace(rig.rotor, beta=centre["beta"])) if "beta" in centre else rig
 
 
-def _reach(settings: WearSettings, known: Gaussian, rig: RotorRig) -> tuple[Ranges, dict[str, tuple[float, float]]]:
+def _reach(settings: WearSettings, prior: Gaussian, rig: RotorRig) -> tuple[Ranges, dict[str, tuple[float, float]]]:
     """The tables' ranges and the bounds of all parameters, SI units."""
     box = {DEPTH: (0.0, settings.depth_limit), ANGLE: (-settings.angle_limit, settings.angle_limit)}
-    for name, mean, std in zip(known.names, known.mean, known.std, strict=True):
+    for name, mean, std in zip(prior.names, prior.mean, prior.std, strict=True):
         box[name] = (mean - REACH * float(std), mean + REACH * float(std))
     if "cavitation_pressure" in box:
         box["cavitation_pressure"] = (box["cavitation_pressure"][0], min(box["cavitation_pressure"][1], 0.0))
-    viscosity, clearance = (_factor(known, box, name) for name in ("viscosity", "clearance"))
+    viscosity, clearance = (_factor(prior, box, name) for name in ("viscosity", "clearance"))
     # A pressure that is given, not estimated, needs its axis in the table as well.
     films = [place.film("wear") for place in rig.bearings if place.is_film]
     lowest = min(box.get("cavitation_pressure", (0.0,))[0], *(1.25 * film.cavitation_pressure for film in films))
     return Ranges(settings.depth_limit, settings.angle_limit, viscosity, clearance, lowest), box
 
 
-def _factor(known: Gaussian, box: dict[str, tuple[float, float]], name: str) -> float:
-    """How far up and down from its mean a parameter goes."""
+def _factor(prior: Gaussian, box: dict[str, tuple[float, float]], name: str) -> float:
+    """Largest ratio of a parameter to its prior mean within its bounds, either way."""
     if name not in box:
         return 1.0
-    mean = known.mean[known.names.index(name)]
+    mean = prior.mean[prior.names.index(name)]
     return TABLE_MARGIN * max(box[name][1] / mean, mean / box[name][0])

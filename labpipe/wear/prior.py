@@ -1,4 +1,4 @@
-"""What the tuning of a healthy rig leaves known for the wear fit: the joint posterior of its parameters."""
+"""Posterior of a healthy rig's tuning, the prior of the wear fit."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from labpipe.records.identification import Fit
 from labpipe.registry import nearest
 from labpipe.wear.settings import NUISANCES, Gaussian, WearSettings
 
-# A parameter that ended at its bound is known no better than this part of its value.
+# Standard error of a parameter at its bound, relative to its value.
 LEAST_SHARE = 1e-3
 
 
 def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    """The settings of a fit with what its `prior` found, an earlier fit; unchanged without one. ConfigError when there is none."""
+    """Settings with the posterior of the earlier fit that `prior` names; unchanged without `prior`. ConfigError if there is no such fit."""
     wear: WearSettings = settings.model_settings
     if not wear.prior:
         return settings
@@ -40,7 +40,7 @@ def posterior(fit: Fit) -> Gaussian:
         hint = "give it wear: {healthy: true, ...}"
         raise ConfigError(f"wear.prior: the fit '{fit.name}' tuned none of {', '.join(NUISANCES)}", hint=hint)
     chosen = [estimated[number] for number in numbers]
-    errors = [one.std_error_inflated or one.std_error or LEAST_SHARE * max(abs(one.value), 1e-12) for one in chosen]
+    errors = [parameter.std_error_inflated or parameter.std_error or LEAST_SHARE * max(abs(parameter.value), 1e-12) for parameter in chosen]
     covariance = fit.correlation[np.ix_(numbers, numbers)] * np.outer(errors, errors)
     rows = tuple(tuple(row) for row in covariance.tolist())
-    return Gaussian(tuple(one.name for one in chosen), tuple(one.value for one in chosen), rows)
+    return Gaussian(tuple(parameter.name for parameter in chosen), tuple(parameter.value for parameter in chosen), rows)

@@ -1,4 +1,4 @@
-"""How well depth and angle are known: intervals and the joint region from the profile of the misfit, not from its curvature."""
+"""Profile intervals and joint confidence region of depth and angle."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from labpipe.wear.misfit import Misfit
 from labpipe.wear.search import Minimum, descend
 
 PROFILE_STEPS = 10
-# The profile is followed until it is within this part of the limit, in standard deviations.
+# Tolerance of the profile's distance from the limit, in standard deviations.
 CLOSE = 0.02
 PROFILE_TOLERANCE = 1e-6
 
@@ -37,7 +37,7 @@ def profile_interval(misfit: Misfit, best: Minimum, number: int, std_error: floa
 
 
 def _end(misfit: Misfit, best: Minimum, number: int, side: int, std_error: float, limit: float) -> tuple[float, bool]:
-    """One end of the interval, and whether it is the bound."""
+    """One end of the interval, and True if it is the bound."""
     here = float(best.parameters[number])
     bound = float((misfit.model.low if side < 0 else misfit.model.high)[number])
     room = abs(bound - here)
@@ -46,16 +46,16 @@ def _end(misfit: Misfit, best: Minimum, number: int, side: int, std_error: float
     for _ in range(PROFILE_STEPS):
         if room <= 0:
             return bound, True
-        far = profile_distance(misfit, best, {number: here + side * step})
-        if abs(far - limit) < CLOSE:
+        distance = profile_distance(misfit, best, {number: here + side * step})
+        if abs(distance - limit) < CLOSE:
             break
-        if far < limit:
+        if distance < limit:
             if step >= room:
                 return bound, True
-            inside, near = step, far
+            inside, near = step, distance
         else:
             outside = step
-        guess = step * limit / max(far, 1e-3) if far > 0 else 2 * step
+        guess = step * limit / max(distance, 1e-3) if distance > 0 else 2 * step
         if outside is not None and not inside < guess < outside:
             guess = (inside + outside) / 2
         step = min(max(guess, inside * 1.01), room, 4 * step)
@@ -63,17 +63,17 @@ def _end(misfit: Misfit, best: Minimum, number: int, side: int, std_error: float
     return here + side * step, False
 
 
-def profile_distance(misfit: Misfit, best: Minimum, held: dict[int, float]) -> float:
-    """sqrt(chi2 - chi2_min) with some parameters held at scaled values and the others estimated again."""
+def profile_distance(misfit: Misfit, best: Minimum, fixed: dict[int, float]) -> float:
+    """sqrt(chi2 - chi2_min) with some parameters fixed at scaled values and the others estimated again."""
     start = best.parameters.copy()
-    for number, value in held.items():
+    for number, value in fixed.items():
         start[number] = value
-    free = [number for number in range(start.size) if number not in held]
+    free = [number for number in range(start.size) if number not in fixed]
     return float(np.sqrt(max(descend(misfit, start, free, PROFILE_TOLERANCE).chi2 - best.chi2, 0.0)))
 
 
 def joint_region(misfit: Misfit, best: Minimum, covariance: FloatArray, level: float = 0.95, directions: int = 24) -> FloatArray:
-    """The outline of the joint confidence region of the first two parameters, (directions, 2) scaled.
+    """Outline of the joint confidence region of the first two parameters, (n_direction, 2), scaled [1]; *covariance* (n, n), scaled.
 
     Along rays from the estimate, in units of the covariance's ellipse, to where the profile increases by the chi-square quantile of
     two parameters; cut at the bounds.
@@ -87,9 +87,9 @@ def joint_region(misfit: Misfit, best: Minimum, covariance: FloatArray, level: f
         length = limit
         for _ in range(4):
             point = np.clip(best.parameters[:2] + length * ray, low, high)
-            far = profile_distance(misfit, best, {0: float(point[0]), 1: float(point[1])})
-            if abs(far - limit) < CLOSE:
+            distance = profile_distance(misfit, best, {0: float(point[0]), 1: float(point[1])})
+            if abs(distance - limit) < CLOSE:
                 break
-            length *= float(np.clip(limit / max(far, 1e-3), 0.4, 2.5))
+            length *= float(np.clip(limit / max(distance, 1e-3), 0.4, 2.5))
         outline.append(np.clip(best.parameters[:2] + length * ray, low, high))
     return np.array(outline)

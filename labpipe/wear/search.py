@@ -1,4 +1,4 @@
-"""Where the misfit is least: bounded least squares from a mesh of starts, and the minima that are found."""
+"""Minima of the misfit: bounded least squares from a mesh of starts."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from labpipe.errors import FitError
 from labpipe.wear.misfit import Misfit
 from labpipe.wear.settings import ANGLE, DEPTH, WearSettings
 
-# At zero depth the response does not depend on depth (to first order) or angle: starts stand this deep at least [m].
+# Least depth of a start [m]: at zero depth the response does not depend on depth (to first order) or angle.
 SHALLOWEST_START = 1e-6
-# Minima this near (um, deg) are one; below this depth (um) whatever their angle.
+# Distance (um, deg) below which two minima are the same; below this depth (um) at any angle.
 SAME, SHALLOW = 0.1, 0.5
 TOLERANCE = 1e-10
 MOST_EVALUATIONS = 60
-# Change of a refined minimum, in standard errors, below which it has settled, and the corrections it may take.
+# Change of a refined minimum, in standard errors, that counts as converged, and the largest number of corrections.
 SETTLED, MOST_REFINEMENTS = 0.03, 12
-# Corrections that determine the films' slopes anew; they change little from there on.
+# Corrections that compute the films' slopes again; they change little afterwards.
 SLOPE_ROUNDS = 2
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """Scaled parameters at a minimum, the misfit there, and how many starts lead to it."""
+    """Scaled parameters (n,) [1] at a minimum, its chi-square, and the number of starts that lead to it."""
 
     parameters: FloatArray
     chi2: float
@@ -38,9 +38,9 @@ class Minimum:
 
 
 def start_mesh(settings: WearSettings, misfit: Misfit) -> list[FloatArray]:
-    """Every start (n,), scaled: depths by angles, what is known of the other parameters at its mean."""
+    """Every start (n,), scaled [1]: depths by angles, the other parameters at their prior mean."""
     model = misfit.model
-    mean = np.array(model.known.mean) / model.scale[len(model.names) - misfit.n_known :]
+    mean = np.array(model.prior.mean) / model.scale[len(model.names) - misfit.n_prior :]
     if DEPTH not in model.names:
         return [mean]
     depths = [max(depth, SHALLOWEST_START) for depth in settings.start_depths]
@@ -49,7 +49,7 @@ def start_mesh(settings: WearSettings, misfit: Misfit) -> list[FloatArray]:
 
 
 def descend(misfit: Misfit, start: FloatArray, free: Sequence[int] | None = None, tolerance: float = TOLERANCE) -> Minimum:
-    """The minimum that a start leads to, within the bounds; *free*: numbers of the parameters that move (default: all)."""
+    """Minimum within the bounds from a scaled *start* (n,) [1]; *free*: indices of the parameters that move (default: all)."""
     moving = list(range(start.size)) if free is None else list(free)
     model, whole = misfit.model, np.array(start, float)
     low, high = model.low[moving], model.high[moving]
@@ -69,7 +69,7 @@ def descend(misfit: Misfit, start: FloatArray, free: Sequence[int] | None = None
         return misfit.jacobian(full(moved))[:, moving]
 
     inward = 1e-6 * (high - low)
-    found = least_squares(
+    solution = least_squares(
         residual,
         np.clip(whole[moving], low + inward, high - inward),
         jacobian,
@@ -79,46 +79,46 @@ def descend(misfit: Misfit, start: FloatArray, free: Sequence[int] | None = None
         gtol=tolerance,
         max_nfev=MOST_EVALUATIONS,
     )
-    return Minimum(full(found.x), 2 * float(found.cost), 1, found.status > 0, int(found.nfev))
+    return Minimum(full(solution.x), 2 * float(solution.cost), 1, solution.status > 0, int(solution.nfev))
 
 
 def minima(misfit: Misfit, starts: Sequence[FloatArray]) -> list[Minimum]:
-    """The distinct minima of all starts, the lowest first; FitError when no start leads anywhere."""
-    found = sorted((descend(misfit, start) for start in starts), key=lambda one: (not one.converged, one.chi2))
-    if not np.isfinite(found[0].chi2):
+    """The distinct minima of all scaled starts (n,) [1], the lowest first; FitError when no start leads to a finite misfit."""
+    candidates = sorted((descend(misfit, start) for start in starts), key=lambda minimum: (not minimum.converged, minimum.chi2))
+    if not np.isfinite(candidates[0].chi2):
         raise FitError("no start leads to a finite misfit", hint="check the rotor file and the response")
-    return merged(found)
+    return merged(candidates)
 
 
-def merged(found: Sequence[Minimum]) -> list[Minimum]:
-    """The minima in their order, those at the same place as one."""
+def merged(candidates: Sequence[Minimum]) -> list[Minimum]:
+    """The minima in their order, those at the same place merged."""
     distinct: list[Minimum] = []
-    for one in found:
-        near = next((n for n, other in enumerate(distinct) if _is_same(one.parameters, other.parameters)), None)
+    for candidate in candidates:
+        near = next((n for n, other in enumerate(distinct) if _is_same(candidate.parameters, other.parameters)), None)
         if near is None:
-            distinct.append(one)
+            distinct.append(candidate)
         else:
             first = distinct[near]
-            distinct[near] = replace(first, starts=first.starts + one.starts, evaluations=first.evaluations + one.evaluations)
+            distinct[near] = replace(first, starts=first.starts + candidate.starts, evaluations=first.evaluations + candidate.evaluations)
     return distinct
 
 
-def _is_same(one: FloatArray, other: FloatArray) -> bool:
-    """Whether depth and angle agree; the angle of hardly any wear means nothing."""
-    apart = np.abs(one - other)[:2]
-    return bool(apart[0] < SAME and (np.max(apart) < SAME or max(one[0], other[0]) < SHALLOW))
+def _is_same(first: FloatArray, second: FloatArray) -> bool:
+    """True if depth and angle agree; below SHALLOW the angle is ignored."""
+    apart = np.abs(first - second)[:2]
+    return bool(apart[0] < SAME and (np.max(apart) < SAME or max(first[0], second[0]) < SHALLOW))
 
 
 def refined(misfit: Misfit, minimum: Minimum, free: Sequence[int] | None = None) -> tuple[Misfit, Minimum]:
-    """A minimum of the films themselves instead of the tables: correct the tables where it lies, descend, and again.
+    """Minimum on the films instead of the tables: correct the tables at the minimum and descend, repeatedly.
 
-    Where that does not settle, the minimum is marked as not converged.
+    The minimum is marked as not converged where this does not settle.
     """
     for number in range(MOST_REFINEMENTS):
         before = minimum.parameters
         misfit = replace(misfit, model=misfit.model.refined(before, number < SLOPE_ROUNDS), _last=None)
-        found = descend(misfit, before, free)
-        minimum = replace(found, starts=minimum.starts, evaluations=minimum.evaluations + found.evaluations)
+        correction = descend(misfit, before, free)
+        minimum = replace(correction, starts=minimum.starts, evaluations=minimum.evaluations + correction.evaluations)
         moved = misfit.jacobian(minimum.parameters) @ (minimum.parameters - before)
         if np.linalg.norm(moved) < SETTLED:
             return misfit, minimum

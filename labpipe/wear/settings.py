@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from labpipe.rigs.rotor_rig import RotorRig, worn_place
 RESPONSES = ("FRF", "dFRF")
 TERMS = ("full", "direct", "cross")
 OBJECTIVES = ("complex", "log")
-# What may be estimated along with the wear: the name of the setting, its unit.
+# Parameters that can be estimated together with the wear: name of the setting, unit.
 NUISANCES = {"viscosity": "Pa.s", "clearance": "m", "cavitation_pressure": "Pa", "beta": "s"}
 DEPTH, ANGLE = "wear_depth", "wear_angle"
 UNITS = {DEPTH: "m", ANGLE: "rad", **NUISANCES}
@@ -22,7 +22,7 @@ UNITS = {DEPTH: "m", ANGLE: "rad", **NUISANCES}
 
 @dataclass(frozen=True)
 class Gaussian:
-    """What is known beforehand of some parameters: names, mean (n,) and covariance (n, n) in SI units."""
+    """Joint normal distribution of parameters: names, mean (n,) and covariance (n, n) in SI units."""
 
     names: tuple[str, ...]
     mean: tuple[float, ...]
@@ -30,15 +30,16 @@ class Gaussian:
 
     @property
     def std(self) -> FloatArray:
-        """Standard deviations (n,)."""
+        """Standard deviations (n,) [SI units]."""
         return np.sqrt(np.diag(np.array(self.covariance)))
 
 
 @dataclass(frozen=True)
 class WearSettings(Settings):
-    """How wear is looked for; *rig* and *posterior* are what `rotor` and `prior` name."""
+    """Settings of a wear identification; *rig* and *posterior*: contents of `rotor` and of `prior`."""
 
     rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
+    _: KW_ONLY
     bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
     healthy: bool = setting("flag", "no wear: tune viscosity, clearance, ... to a healthy rig", default=False)
     response: str = setting("choice", "in y and z (FRF), or forward and backward (dFRF)", choices=RESPONSES, default="FRF")
@@ -50,8 +51,8 @@ class WearSettings(Settings):
     half_power: tuple[tuple[float, float], ...] = setting(
         "bands", "lines between the half-power points of the peak in each band", unit="Hz", default=()
     )
-    depth_limit: float = setting("value", "largest depth looked for", unit="m", default=50e-6)
-    angle_limit: float = setting("value", "largest angle to either side", unit="rad", default=np.pi / 9)
+    depth_limit: float = setting("value", "largest depth of the search", unit="m", default=50e-6)
+    angle_limit: float = setting("value", "largest angle of the search, either way", unit="rad", default=np.pi / 9)
     start_depths: tuple[float, ...] = setting("values", "depths of the mesh of starts", unit="m", default=(0.0, 15e-6, 30e-6, 45e-6))
     start_angles: tuple[float, ...] = setting(
         "values", "angles of the mesh of starts", unit="rad", default=tuple(np.deg2rad([-15.0, -7.5, 0.0, 7.5, 15.0]).tolist())
@@ -62,7 +63,7 @@ class WearSettings(Settings):
         "uncertain", "estimated along, e.g. -0.1 bar +- 0.1 bar; zero or negative", unit="Pa", default=None
     )
     beta: Uncertain | None = setting("uncertain", "damping of the shaft, estimated along, e.g. 1.6e-4 s +- 20 %", unit="s", default=None)
-    prior: str = setting("text", "an earlier fit of this pipeline (a tuning) whose result is what is known beforehand", default="")
+    prior: str = setting("text", "an earlier fit of this pipeline (a tuning) whose posterior is the prior", default="")
     cells_around: int = setting("integer", "cells of the oil film around the journal", default=120)
     cells_across: int = setting("integer", "cells of the oil film across the bearing", default=30)
     rig: RotorRig | None = None
@@ -80,7 +81,7 @@ class WearSettings(Settings):
         if not all(abs(angle) <= self.angle_limit for angle in self.start_angles):
             raise ConfigError("'start_angles' leave the range of angles", hint="from -angle_limit to angle_limit")
         if self.prior and self.nuisances:
-            raise ConfigError(f"'prior' already tells what is known of {', '.join(self.nuisances)}", hint="leave one of them out")
+            raise ConfigError(f"'prior' already covers {', '.join(self.nuisances)}", hint="leave one of them out")
         if self.healthy and not self.nuisances:
             raise ConfigError("nothing to tune", hint=f"give one or more of {', '.join(NUISANCES)} with its doubt")
         self._check_nuisances()
@@ -89,34 +90,34 @@ class WearSettings(Settings):
 
     def _check_nuisances(self) -> None:
         for name in NUISANCES:
-            given: Uncertain | None = getattr(self, name)
-            if given is None:
+            nuisance: Uncertain | None = getattr(self, name)
+            if nuisance is None:
                 continue
             if name == "cavitation_pressure":
-                if given.value > 0:
+                if nuisance.value > 0:
                     raise ConfigError("'cavitation_pressure' is above the ambient pressure", hint="give zero or less")
-            elif not given.value > 0:
+            elif not nuisance.value > 0:
                 raise ConfigError(f"'{name}' must be positive")
-            elif given.std_error > 0.25 * given.value:
-                raise ConfigError(f"'{name}' is known to worse than 25 %", hint="say better what is known of it")
+            elif nuisance.std_error > 0.25 * nuisance.value:
+                raise ConfigError(f"standard error of '{name}' above 25 %", hint="give a smaller uncertainty")
 
     @property
     def nuisances(self) -> tuple[str, ...]:
-        """The parameters that are estimated along by their own settings."""
+        """Nuisance parameters with a standard error, estimated together with the wear."""
         return tuple(name for name in NUISANCES if getattr(self, name) is not None and getattr(self, name).std_error > 0)
 
     @property
-    def known(self) -> Gaussian:
-        """What is known beforehand of the nuisance parameters: the posterior of a tuning, or what the settings say."""
+    def nuisance_prior(self) -> Gaussian:
+        """Prior of the nuisance parameters: the posterior of a tuning, or the settings' values."""
         if self.posterior is not None:
             return self.posterior
-        given: list[Uncertain] = [getattr(self, name) for name in self.nuisances]
-        covariance = np.diag([one.std_error**2 for one in given])
+        nuisances: list[Uncertain] = [getattr(self, name) for name in self.nuisances]
+        covariance = np.diag([nuisance.std_error**2 for nuisance in nuisances])
         rows = tuple(tuple(row) for row in covariance.tolist())
-        return Gaussian(self.nuisances, tuple(one.value for one in given), rows)
+        return Gaussian(self.nuisances, tuple(nuisance.value for nuisance in nuisances), rows)
 
     @property
-    def given(self) -> dict[str, float]:
-        """Parameters that the settings fix at a value, without doubt."""
+    def fixed_values(self) -> dict[str, float]:
+        """Nuisance parameters fixed at a value, by name."""
         fixed = {name: getattr(self, name) for name in NUISANCES if name not in self.nuisances}
-        return {name: one.value for name, one in fixed.items() if one is not None}
+        return {name: nuisance.value for name, nuisance in fixed.items() if nuisance is not None}

@@ -1,6 +1,6 @@
 """Coefficients of the bearings of a rotor as functions of wear, viscosity, clearance and cavitation pressure.
 
-Tables are made once per bearing, load, speed, range and mesh, and kept: the fits of a pipeline share them.
+Tables are cached per bearing, load, speed, range and mesh: the fits of a pipeline share them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from labpipe.rigs.rotor_rig import BearingPlace
 from labpipe.rotors.parts import Support
 from labpipe.rotors.worn import VaryingSupport
 
-# Nodes of depth and angle by the number of further axes. Tables lead the search; the films themselves settle what it finds.
+# Nodes of depth and angle by the number of further axes. The search uses tables; minima are refined on the films.
 WEAR_NODES = ((41, 9), (21, 7), (13, 5))
 # A table of a bearing without wear still has axes for it; only the row of zero depth is used.
 SHALLOW, FEWEST = 1e-6, 4
@@ -42,7 +42,7 @@ class Ranges:
 
     @property
     def wide(self) -> bool:
-        """Whether more than the wear varies."""
+        """True if viscosity, clearance or cavitation pressure varies."""
         return self.viscosity_factor > 1 or self.clearance_factor > 1 or self.cavitation_pressure < 0
 
     def of_table(self, worn: bool) -> TableRange:
@@ -64,8 +64,8 @@ class Ranges:
 
 def _of_table(table: JournalTable, bearing: JournalBearing, speed: float) -> tuple[FloatArray, FloatArray]:
     """Stiffness and damping (2, 2, 2) of a table, and their derivatives (2, 5, 2, 2) by PARAMETERS."""
-    found = table.coefficients(bearing, speed)
-    return np.stack([found.stiffness, found.damping]), np.stack([found.stiffness_slopes, found.damping_slopes])
+    interpolated = table.coefficients(bearing, speed)
+    return np.stack([interpolated.stiffness, interpolated.damping]), np.stack([interpolated.stiffness_slopes, interpolated.damping_slopes])
 
 
 def _point(bearing: JournalBearing) -> FloatArray:
@@ -88,16 +88,16 @@ def _film_slope(film: JournalEquilibrium, name: str) -> FloatArray:
 
 
 @lru_cache(maxsize=32)
-def kept_table(bearing: JournalBearing, load: tuple[float, float], speed: float, ranges: TableRange, mesh: FilmMesh) -> JournalTable:
+def cached_table(bearing: JournalBearing, load: tuple[float, float], speed: float, ranges: TableRange, mesh: FilmMesh) -> JournalTable:
     """The table of a bearing under its load [N] at *speed* [rad/s]; made at the first call."""
     return journal_table(bearing, load, speed, ranges, mesh)
 
 
 @dataclass(frozen=True)
 class Correction:
-    """What the film has more than the table near one point: *offset* (2, 2, 2), stiffness and damping, and its *slopes*.
+    """Film minus table near one point: *offset* (2, 2, 2) of stiffness [N/m] and damping [N s/m], and its *slopes*.
 
-    point (5,): PARAMETERS of the bearing there; slopes (2, 5, 2, 2): of stiffness and damping, by each of them.
+    point (5,): PARAMETERS of the bearing there [SI units]; slopes (2, 5, 2, 2): of stiffness and damping, by each of them.
     """
 
     point: FloatArray
@@ -105,7 +105,7 @@ class Correction:
     slopes: FloatArray
 
     def at(self, point: FloatArray) -> FloatArray:
-        """The correction of stiffness and damping (2, 2, 2) at another point nearby."""
+        """Correction of stiffness [N/m] and damping [N s/m], (2, 2, 2), at a nearby *point* (5,) of PARAMETERS."""
         moved: FloatArray = self.offset + np.einsum("kpij,p->kij", self.slopes, point - self.point)
         return moved
 
@@ -159,12 +159,12 @@ class TabledBearing:
         return replace(self, correction=Correction(_point(bearing), np.stack([film.stiffness, film.damping]) - matrices, slopes))
 
     def _bearing(self, values: Mapping[str, float]) -> JournalBearing:
-        own = {name: values[name] for name in PARAMETERS if name in values and (self.worn or name not in WEAR)}
-        return replace(self.place.film("wear"), **own)
+        varied = {name: values[name] for name in PARAMETERS if name in values and (self.worn or name not in WEAR)}
+        return replace(self.place.film("wear"), **varied)
 
 
 def tabled(place: BearingPlace, load: tuple[float, float], speed: float, worn: bool, ranges: Ranges, mesh: FilmMesh) -> TabledBearing:
-    """A bearing of the rig ready to be asked; ConfigError when one with a wear of its own must follow other parameters."""
+    """A bearing of the rig with its table; ConfigError where a bearing with fixed wear would follow other parameters."""
     if not place.is_film and not worn:
         coefficients = place.bearing.at(OperatingPoint(load, speed, speed))
         return TabledBearing(place, load, speed, worn, None, Support(place.node, coefficients.stiffness, coefficients.damping))
@@ -174,8 +174,8 @@ def tabled(place: BearingPlace, load: tuple[float, float], speed: float, worn: b
         return TabledBearing(place, load, speed, worn, None, Support(place.node, film.stiffness, film.damping))
     if bearing.wear_depth > 0 and not worn:
         raise ConfigError(
-            f"'{place.name}' has a wear of its own, which does not go with viscosity, clearance or cavitation estimated along",
+            f"'{place.name}' has a fixed wear, which cannot be combined with estimated viscosity, clearance or cavitation pressure",
             hint="leave them out, or its wear",
         )
-    table = kept_table(bearing, load, speed, ranges.of_table(worn), mesh)
+    table = cached_table(bearing, load, speed, ranges.of_table(worn), mesh)
     return TabledBearing(place, load, speed, worn, table)

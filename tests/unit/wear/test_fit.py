@@ -149,7 +149,7 @@ def test_verdicts_by_probability() -> None:
     codes = [[finding.code for finding in healthy_findings(probability, False)] for probability in (0.9, 0.3, 0.01)]
     assert codes == [["healthy"], ["perhaps-healthy"], []]
     (finding,) = healthy_findings(0.9, True)
-    assert finding.code == "perhaps-healthy" and "chi-square denies" in finding.message
+    assert finding.code == "perhaps-healthy" and "chi-square rejects" in finding.message
 
 
 def test_tuning_finds_the_healthy_rig_s_oil_clearance_and_damping() -> None:

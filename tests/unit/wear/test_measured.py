@@ -10,7 +10,7 @@ import pytest
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.spectra.directional import directional
-from labpipe.wear.measured import WornData, worn_data
+from labpipe.wear.measured import WornReceptance, worn_receptance
 from tests.unit.wear.worn_cases import PORTS, Y, Z, fit_settings, turned, wear_settings
 
 A = np.array([[1, 1], [-1j, 1j]])
@@ -26,8 +26,8 @@ def response(rng: np.random.Generator) -> FrequencyResponse:
     return FrequencyResponse(LINES, matrix, PORTS, PORTS, covariance=uncorrelated(variance))
 
 
-def data_of(measured: FrequencyResponse, band: tuple[float, float] | None = None, **changes: object) -> WornData:
-    return worn_data(measured, replace(fit_settings(), band=band), wear_settings(**changes))
+def data_of(measured: FrequencyResponse, band: tuple[float, float] | None = None, **changes: object) -> WornReceptance:
+    return worn_receptance(measured, replace(fit_settings(), band=band), wear_settings(**changes))
 
 
 def test_y_and_z_in_any_order(response: FrequencyResponse) -> None:

@@ -28,7 +28,7 @@ def model() -> WornModel:
 
 def point(model: WornModel, depth: float = 22.0, angle: float = 8.0) -> np.ndarray:
     """Scaled parameters, the known ones half a standard deviation above their mean."""
-    return np.array([depth, angle, *(np.array(model.known.mean) / model.scale[2:] + 0.5)])
+    return np.array([depth, angle, *(np.array(model.prior.mean) / model.scale[2:] + 0.5)])
 
 
 def test_names_scales_and_bounds(model: WornModel) -> None:
@@ -73,7 +73,7 @@ def receptance_with_beta(beta: float, rig: RotorRig) -> np.ndarray:
 
 def test_what_refining_is_for(model: WornModel) -> None:
     """A coarse table errs by percents, which a fit would take for micrometres of wear; the refined model does not."""
-    here = np.array([22.0, 8.0, *(np.array(model.known.mean) / model.scale[2:])])
+    here = np.array([22.0, 8.0, *(np.array(model.prior.mean) / model.scale[2:])])
     truth = receptance(worn_rig(22.0, 8.0), LINES, FINE)
     errors = [np.abs(one.response(here)[0] - truth).max() / np.abs(truth).max() for one in (model, model.refined(here))]
     assert errors[0] < 0.1 and errors[1] < 1e-4 * errors[0]
@@ -82,7 +82,7 @@ def test_what_refining_is_for(model: WornModel) -> None:
 def test_healthy_model_has_no_wear(model: WornModel) -> None:
     healthy = worn_model(wear_settings(**NUISANCES, healthy=True), LINES)
     assert healthy.names == ("viscosity", "clearance")
-    mean = np.array(healthy.known.mean) / healthy.scale
+    mean = np.array(healthy.prior.mean) / healthy.scale
     np.testing.assert_allclose(healthy.refined(mean).response(mean)[0], receptance(worn_rig(), LINES, FINE), rtol=1e-6)
 
 
@@ -108,7 +108,7 @@ def test_the_other_bearing_may_be_the_worn_one() -> None:
 
 def test_a_second_wear_does_not_go_with_nuisances() -> None:
     both = RIG.with_bearings(["bearing 1"], wear_depth=10e-6)
-    with pytest.raises(ConfigError, match="'bearing 1' has a wear of its own"):
+    with pytest.raises(ConfigError, match="'bearing 1' has a fixed wear"):
         worn_model(wear_settings(rig=both, **NUISANCES), LINES)
     assert worn_model(wear_settings(rig=both), LINES).bearings[0].fixed is not None
 

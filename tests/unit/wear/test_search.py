@@ -43,7 +43,7 @@ def test_complex_misfit_is_the_weighted_square_of_the_residual() -> None:
     by_hand = 2 * np.sum(np.abs(modelled - response.matrix) ** 2 / response.variance)
     prior = (35.0 - 0.1044 / 0.003) ** 2 + (49.0 - 50.0) ** 2
     assert misfit.chi2(here) == pytest.approx(by_hand + prior)
-    assert misfit.n_known == 2 and misfit.residual(here).size == 2 * response.matrix.size + 2
+    assert misfit.n_prior == 2 and misfit.residual(here).size == 2 * response.matrix.size + 2
 
 
 def test_log_misfit_is_the_source_s() -> None:

@@ -24,11 +24,11 @@ from tests.unit.wear.worn_cases import NUISANCES, wear_settings
         ({"start_depths": ()}, "one value or more"),
         ({"start_depths": (60e-6,)}, "leave the range of depths"),
         ({"start_angles": (0.5,)}, "leave the range of angles"),
-        ({"prior": "tuning", **NUISANCES}, "already tells what is known of viscosity, clearance"),
+        ({"prior": "tuning", **NUISANCES}, "already covers viscosity, clearance"),
         ({"healthy": True}, "nothing to tune"),
         ({"cavitation_pressure": Uncertain(1e4, 1e3)}, "above the ambient"),
         ({"viscosity": Uncertain(0.0, 0.1)}, "'viscosity' must be positive"),
-        ({"clearance": Uncertain(90e-6, 40e-6)}, "worse than 25 %"),
+        ({"clearance": Uncertain(90e-6, 40e-6)}, "above 25 %"),
     ],
 )
 def test_what_does_not_go_together_is_refused(changes: dict, message: str) -> None:
@@ -38,14 +38,14 @@ def test_what_does_not_go_together_is_refused(changes: dict, message: str) -> No
 
 def test_doubt_is_estimated_and_certainty_is_given() -> None:
     wear = wear_settings(viscosity=Uncertain(0.1, 0.002), clearance=Uncertain(88e-6), beta=Uncertain(1.6e-4, 1e-5))
-    assert wear.nuisances == ("viscosity", "beta") and wear.given == {"clearance": 88e-6}
-    assert wear.known.names == ("viscosity", "beta") and wear.known.mean == (0.1, 1.6e-4)
-    np.testing.assert_allclose(wear.known.std, [0.002, 1e-5])
+    assert wear.nuisances == ("viscosity", "beta") and wear.fixed_values == {"clearance": 88e-6}
+    assert wear.nuisance_prior.names == ("viscosity", "beta") and wear.nuisance_prior.mean == (0.1, 1.6e-4)
+    np.testing.assert_allclose(wear.nuisance_prior.std, [0.002, 1e-5])
 
 
 def test_a_posterior_takes_the_place_of_the_prior() -> None:
     known = Gaussian(("viscosity", "clearance"), (0.1, 9e-5), ((1e-6, 5e-10), (5e-10, 1e-12)))
-    assert wear_settings(prior="tuning", posterior=known).known == known
+    assert wear_settings(prior="tuning", posterior=known).nuisance_prior == known
     np.testing.assert_allclose(known.std, [1e-3, 1e-6])
 
 
@@ -91,7 +91,7 @@ def test_section_as_people_write_it(pipeline: Path) -> None:
     assert (wear.response, wear.terms, wear.objective, wear.bearing) == ("dFRF", "cross", "log", "bearing 1")
     assert wear.lines == (15.9, 81.3) and wear.depth_limit == pytest.approx(40e-6)
     assert np.rad2deg(wear.start_angles) == pytest.approx([-5, 5])
-    assert wear.known.mean == pytest.approx((90e-6, -2e4)) and wear.known.std == pytest.approx([1.8e-6, 5e3])
+    assert wear.nuisance_prior.mean == pytest.approx((90e-6, -2e4)) and wear.nuisance_prior.std == pytest.approx([1.8e-6, 5e3])
 
 
 @pytest.mark.parametrize(

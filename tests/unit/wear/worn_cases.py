@@ -14,7 +14,7 @@ from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.settings import Uncertain
 from labpipe.rigs.rotor_rig import RotorRig
 from labpipe.simulate.journal_rig import receptance
-from labpipe.wear.measured import WornData, worn_data
+from labpipe.wear.measured import WornReceptance, worn_receptance
 from labpipe.wear.misfit import MISFITS, Misfit
 from labpipe.wear.model import worn_model
 from labpipe.wear.settings import WearSettings
@@ -62,7 +62,7 @@ def misfit_of(found: FrequencyResponse, **changes: object) -> Misfit:
     """The misfit of a response under some settings."""
     settings = fit_settings(**changes)
     assert settings.model_settings is not None
-    data: WornData = worn_data(found, settings, settings.model_settings)
+    data: WornReceptance = worn_receptance(found, settings, settings.model_settings)
     return MISFITS[settings.model_settings.objective](worn_model(settings.model_settings, data.frequency), data)
 
 
