@@ -5,7 +5,7 @@ Per point the factors f on the coefficients of the rotor file's bearing, 1 - bou
     F = sum over planes (a_measured - a_computed)^2,   a: largest displacement of the orbit,
 
 (their equation 12) by a pattern search. Two amplitudes see two combinations of the eight: the fit looks perfect wherever it starts, and
-the coefficients that it returns are those next to its start. `StartSpread` says so in words.
+the coefficients that it returns are those next to its start. `StartSpread` states it.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ SEED = 20260101
 AT_BOUND = 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class AmplitudeFit:
     """The coefficients of one *load* [N] at every *speed* (n_speed,) [rad/s].
 
     coefficients, start (n_speed, 8) [N/m, N s/m]; at_bound (n_speed, 8); rank, condition (n_speed,): of the amplitudes alone; objective
     (n_speed,) [m^2]; measured (n_speed,): sum of the squared amplitudes [m^2]; chi2, n_datum: over the amplitudes' own errors. Of the
     search: evaluations, mesh, capped (n_speed,), its history; every start's factors (n_start, n_speed, 8) and objectives
-    (n_start, n_speed), the rotor file's coefficients first. No standard errors: what the data do not see has none.
+    (n_start, n_speed), the rotor file's coefficients first. No standard errors: the amplitudes do not determine the coefficients.
     """
 
     load: float
@@ -60,19 +60,19 @@ class AmplitudeFit:
 
     @property
     def std_error(self) -> FloatArray:
-        """(n_speed, 8), NaN: this way states no doubt."""
+        """(n_speed, 8) [N/m, N s/m], NaN: the method gives no standard errors."""
         return np.full(self.coefficients.shape, np.nan)
 
     @property
     def n_effective(self) -> float:
-        """Combinations that the data determine."""
+        """Number of combinations that the amplitudes determine."""
         return float(np.sum(self.rank))
 
     @property
     def chi2_per_datum(self) -> float:
-        """NaN when the amplitudes are as many as the combinations they determine: then nothing is left to test the fit with."""
-        left = self.n_datum - self.n_effective
-        return self.chi2 / left if left > 0 else float("nan")
+        """chi-square over redundant data; NaN where no datum is redundant."""
+        n_redundant = self.n_datum - self.n_effective
+        return self.chi2 / n_redundant if n_redundant > 0 else float("nan")
 
     @property
     def share_at_bound(self) -> float:
@@ -84,7 +84,7 @@ class AmplitudeFit:
         return np.sqrt(self.objective / self.measured)
 
     def at_speed(self) -> CoefficientsAtSpeed:
-        """K and C as a function of speed, straight between the points; beyond, K and Omega C are held."""
+        """K and C as a function of speed, linear between the points; beyond them K and Omega C stay constant."""
 
         def between(speed: FloatArray) -> FloatArray:
             return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
@@ -92,13 +92,13 @@ class AmplitudeFit:
         return carried_beyond(between, float(self.speed[0]), float(self.speed[-1]))
 
     def spread(self, point: int) -> StartSpread:
-        """What the starts reach at one of the speeds."""
+        """Spread of the starts at one speed, by its index."""
         speed, measured = float(self.speed[point]), float(self.measured[point])
         return StartSpread(self.load, speed, self.factors[:, point], self.objectives[:, point], measured)
 
     @property
     def statement(self) -> str:
-        """What all points together say of the spread of their starts; empty with one start."""
+        """Statement on the spread of the starts over all points; empty with one start."""
         if self.objectives.shape[0] < 2:
             return ""
         worst = float(np.sqrt(np.max(self.objectives / self.measured)))
@@ -118,23 +118,25 @@ class StartSpread:
 
     @property
     def low(self) -> FloatArray:
-        """Lowest factor of every coefficient (8,)."""
+        """Lowest factor [-] of every coefficient (8,)."""
         return np.asarray(self.factors.min(axis=0))
 
     @property
     def high(self) -> FloatArray:
+        """Highest factor [-] of every coefficient (8,)."""
         return np.asarray(self.factors.max(axis=0))
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
+        """Statement on this spread, with the range of every factor."""
         ranges = ", ".join(f"{name} {low:.2f} to {high:.2f}" for name, low, high in zip(COEFFICIENTS, self.low, self.high, strict=True))
         worst = float(np.sqrt(self.objective.max() / self.measured))
-        where = f"under {self.load:.3g} N at {self.speed * 30 / np.pi:.0f} rpm "
-        return f"{_statement(self.objective.size, worst, float(np.median(self.high - self.low)), where)}: {ranges}"
+        place = f"under {self.load:.3g} N at {self.speed * 30 / np.pi:.0f} rpm "
+        return f"{_statement(self.objective.size, worst, float(np.median(self.high - self.low)), place)}: {ranges}"
 
 
-def _statement(n_start: int, worst: float, spread: float, where: str) -> str:
-    reached = f"{where}{n_start} starts reach the measured amplitudes within {100 * worst:.2g} %"
+def _statement(n_start: int, worst: float, spread: float, place: str) -> str:
+    reached = f"{place}{n_start} starts reach the measured amplitudes within {100 * worst:.2g} %"
     if spread < 0.02:
         return f"{reached} with factors that agree within {spread:.2f}"
     return f"the coefficients are not determined: {reached} with factors spread over {spread:.2f} (median)"
@@ -170,36 +172,36 @@ def _fit_load(
     first = drawn.reshape(-1, 8)
     low, high = np.full_like(first, 1 - bound), np.full_like(first, 1 + bound)
     amplitudes = Amplitudes.of(group)
-    found = search_named(method)(amplitudes.objective(start), first, low, high, limits)
-    objectives = found.objective.reshape(starts, n)
+    search = search_named(method)(amplitudes.objective(start), first, low, high, limits)
+    objectives = search.objective.reshape(starts, n)
     best = np.argmin(objectives, axis=0) * n + np.arange(n)
-    eight = start * found.values[best]
+    eight = start * search.values[best]
     rank, condition = rank_of(amplitudes.slopes(eight) * scales(start)[:, None, :])
-    history = SearchHistory(*(getattr(found.history, name)[:, best] for name in ("evaluations", "objective", "mesh")))
+    history = SearchHistory(*(getattr(search.history, name)[:, best] for name in ("evaluations", "objective", "mesh")))
     return AmplitudeFit(
-        group.load,
-        group.speed,
-        start,
-        eight,
-        np.abs(found.values[best] - 1) >= bound * (1 - AT_BOUND),
-        rank,
-        condition,
-        found.objective[best],
-        np.sum(amplitudes.measured**2, axis=-1),
-        float(np.sum(((amplitudes.computed(eight, np.arange(n)) - amplitudes.measured) / amplitudes.error) ** 2)),
-        amplitudes.measured.size,
-        found.evaluations[best],
-        found.mesh[best],
-        found.capped[best],
-        history,
-        found.values.reshape(starts, n, 8),
-        objectives,
+        load=group.load,
+        speed=group.speed,
+        start=start,
+        coefficients=eight,
+        at_bound=np.abs(search.values[best] - 1) >= bound * (1 - AT_BOUND),
+        rank=rank,
+        condition=condition,
+        objective=search.objective[best],
+        measured=np.sum(amplitudes.measured**2, axis=-1),
+        chi2=float(np.sum(((amplitudes.computed(eight, np.arange(n)) - amplitudes.measured) / amplitudes.error) ** 2)),
+        n_datum=amplitudes.measured.size,
+        evaluations=search.evaluations[best],
+        mesh=search.mesh[best],
+        capped=search.capped[best],
+        history=history,
+        factors=search.values.reshape(starts, n, 8),
+        objectives=objectives,
     )
 
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """Largest displacements of all *runs* of a load: measured, with their standard errors, (n_speed, n_plane of all runs) [m]."""
+    """Largest displacements of all *runs* of a load: measured, with their standard errors, (n_speed, n_plane) [m], planes of all runs."""
 
     runs: tuple[ExcitedRun, ...]
     measured: FloatArray
@@ -211,7 +213,7 @@ class Amplitudes:
         return cls(group.runs, np.concatenate(measured, axis=1), np.concatenate([_error(run.run) for run in group.runs], axis=1))
 
     def computed(self, eight: FloatArray, chosen: IntArray) -> FloatArray:
-        """(..., n_chosen, n_plane of all runs) of coefficients (..., n_chosen, 8) at the *chosen* speeds."""
+        """Largest displacements (..., n_chosen, n_plane) [m] from coefficients (..., n_chosen, 8) [N/m, N s/m] at the *chosen* speeds."""
         return np.concatenate([self._of_run(run, eight, chosen) for run in self.runs], axis=-1)
 
     @staticmethod
@@ -229,23 +231,24 @@ class Amplitudes:
         return squares
 
     def slopes(self, eight: FloatArray) -> FloatArray:
-        """Over the standard errors, (n_speed, n_plane of all runs, 8)."""
+        """Derivatives (n_speed, n_plane, 8) by the coefficients (n_speed, 8) [N/m, N s/m], over the standard errors."""
         matrices = as_matrices(eight)
         parts = [displacement_slopes(*run.condensed.response_and_slopes(*matrices)) for run in self.runs]
         return np.concatenate(parts, axis=1) / self.error[..., None]
 
 
 def displacement_slopes(response: ComplexArray, slopes: ComplexArray) -> FloatArray:
-    """Of the largest displacement of every plane, (..., n_plane, 8), from outputs (..., n_output) and their slopes (..., n_output, 8).
+    """Derivatives (..., n_plane, 8) of the planes' largest displacements, from outputs (..., n_output) [m] and their slopes.
 
-    d |f| = Re(f* df) / |f| for both circles f = X +- jY of the orbit.
+    slopes (..., n_output, 8): of the outputs, by the coefficients [N/m, N s/m]. d |f| = Re(f* df) / |f| for both circles f = X +- jY of
+    the orbit.
     """
     planes, by = response.reshape(*response.shape[:-1], -1, 2), slopes.reshape(*response.shape[:-1], -1, 2, slopes.shape[-1])
-    found = np.zeros((*planes.shape[:-1], slopes.shape[-1]))
+    derivatives = np.zeros((*planes.shape[:-1], slopes.shape[-1]))
     for turn in (1j, -1j):
         circle = planes[..., 0] + turn * planes[..., 1]
-        found += ((circle / np.abs(circle)).conj()[..., None] * (by[..., 0, :] + turn * by[..., 1, :])).real / 2
-    return found
+        derivatives += ((circle / np.abs(circle)).conj()[..., None] * (by[..., 0, :] + turn * by[..., 1, :])).real / 2
+    return derivatives
 
 
 def _error(run: RunUp) -> FloatArray:
@@ -258,12 +261,13 @@ def _error(run: RunUp) -> FloatArray:
 
 
 def perfect_but_wrong(fits: Sequence[AmplitudeFit]) -> str:
-    """One sentence on all loads: how well the amplitudes are met, how many factors sit on a bound, and what that means."""
+    """One sentence on all loads: misfit of the amplitudes, share of factors at a bound, rank."""
     misfit = float(np.sqrt(np.mean(np.concatenate([fit.misfit for fit in fits]) ** 2)))
     share = float(np.mean(np.concatenate([fit.at_bound.ravel() for fit in fits])))
     ranks = sorted({int(rank) for fit in fits for rank in fit.rank})
-    seen = " or ".join(str(rank) for rank in ranks)
+    rank_text = " or ".join(str(rank) for rank in ranks)
     return (
-        f"the amplitudes are met within {100 * misfit:.2g} % (rms), yet they see only {seen} combinations of the eight coefficients; "
-        f"{100 * share:.0f} % of the factors lie on a bound, and the others are as arbitrary as the search's start"
+        f"the amplitudes are met within {100 * misfit:.2g} % (rms), yet they determine only {rank_text} combinations of the eight "
+        f"coefficients; "
+        f"{100 * share:.0f} % of the factors are at a bound, the others depend on the search's start"
     )

@@ -1,6 +1,6 @@
 """One fit of the film's twelve physical parameters to all complex responses at all loads and speeds, and to the measured thresholds.
 
-By Levenberg-Marquardt with analytic slopes (see `problem`); the priors hold what no run-up can tell (see `film_family`).
+By Levenberg-Marquardt with analytic slopes (see `problem`); priors determine the combinations that run-ups do not (see `film_family`).
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from labpipe.records.run_up import RunUp
 from labpipe.rigs.film_family import BOUND, PARAMETERS, PRIOR, FilmFamily
 from labpipe.rigs.run_up_rotor import RunUpRotor, searched_over
 from labpipe.run_ups.joint_result import JointFit
-from labpipe.run_ups.misfit import LoadRuns, in_words, rank_of, runs_by_load
+from labpipe.run_ups.misfit import LoadRuns, combination_text, rank_of, runs_by_load
 from labpipe.run_ups.problem import RunUpProblem, measured_thresholds
 
 MOST_REFITS = 12
-# Distance to a minimum, in standard errors, that does where the steps get small too slowly: a bearing far outside the family.
+# Tolerance of the second attempt, in standard errors: a bearing far outside the family converges slowly.
 NEAR = 0.05
 
 
@@ -57,35 +57,35 @@ def fit_jointly(rig: RunUpRotor, runs: Iterable[RunUp], use_thresholds: bool = T
 
 
 def _result(problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: int) -> JointFit:
-    slopes, prior = problem.data_slopes(parameters), PRIOR[problem.free]
+    slopes, prior = problem.measured_slopes(parameters), PRIOR[problem.free]
     covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
-    own = np.linalg.inv(slopes.T @ slopes + np.diag(prior**-2.0))
-    covariance[np.ix_(problem.free, problem.free)] = own
+    free_covariance = np.linalg.inv(slopes.T @ slopes + np.diag(prior**-2.0))
+    covariance[np.ix_(problem.free, problem.free)] = free_covariance
     residual = problem.residual(parameters)[: slopes.shape[0]]
     rank, condition = rank_of(slopes * prior)
     n_threshold = len(problem.thresholds)
     return JointFit(
-        problem.rig,
-        problem.family,
-        tuple(group.load for group in problem.groups),
-        problem.values(parameters),
-        covariance,
-        ~problem.free,
-        float(residual @ residual),
-        slopes.shape[0],
-        float(np.trace(own @ slopes.T @ slopes)),
-        float(np.sum(residual[residual.size - n_threshold :] ** 2)),
-        n_threshold,
-        int(rank),
-        float(condition),
-        _held_by_priors(slopes * prior, problem.free),
-        steps,
+        rig=problem.rig,
+        family=problem.family,
+        loads=tuple(group.load for group in problem.groups),
+        values=problem.values(parameters),
+        covariance=covariance,
+        at_bound=~problem.free,
+        chi2=float(residual @ residual),
+        n_datum=slopes.shape[0],
+        n_effective=float(np.trace(free_covariance @ slopes.T @ slopes)),
+        threshold_chi2=float(np.sum(residual[residual.size - n_threshold :] ** 2)),
+        n_threshold=n_threshold,
+        rank=int(rank),
+        condition=float(condition),
+        prior_dominated=_prior_dominated(slopes * prior, problem.free),
+        steps=steps,
     )
 
 
-def _held_by_priors(scaled: FloatArray, free: BoolArray) -> tuple[str, ...]:
-    """Combinations (logarithms, in units of the priors) that the data say less about than the priors do, the worst first."""
-    names = [name for name, kept in zip(PARAMETERS, free, strict=True) if kept]
+def _prior_dominated(scaled: FloatArray, free: BoolArray) -> tuple[str, ...]:
+    """Combinations (logarithms, in units of the priors) that the priors determine better than the data do, the worst first."""
+    names = [name for name, is_free in zip(PARAMETERS, free, strict=True) if is_free]
     _, singular, rows = np.linalg.svd(scaled, full_matrices=False)
     weight = PRIOR[free]
-    return tuple(in_words(names, row * weight, 0.1) for row, size in list(zip(rows, singular, strict=True))[::-1] if size < 1)
+    return tuple(combination_text(names, row * weight, 0.1) for row, size in list(zip(rows, singular, strict=True))[::-1] if size < 1)

@@ -1,4 +1,4 @@
-"""What the joint fit found, and what it predicts at any load: coefficients, critical speed and threshold with their intervals."""
+"""Result of the joint fit and its predictions at any load: coefficients, critical speed and threshold with their intervals."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from labpipe.rigs.film_family import PARAMETERS, FilmFamily
 from labpipe.rigs.run_up_rotor import RunUpRotor
 from labpipe.rotors.threshold import CoefficientsAtSpeed
 
-# Below this probability chi-square rejects the family.
+# Chi-square probability below which the family is rejected.
 REJECTED = 1e-3
-# Part of a load by which a prediction may lie outside those of the fit.
+# Tolerance of the range of fitted loads, relative.
 LOAD_SLACK = 0.01
 # Step of a difference, in standard errors along each axis of the covariance.
 STEP = 0.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class JointFit:
     """Logarithms *values* (12,) of PARAMETERS about the rotor file's bearing, *covariance* (12, 12), at_bound (12,).
 
     loads [N]: those of the fit; chi2, n_datum: of responses and thresholds together; n_effective: parameters that the data determine
     against the priors; threshold_chi2, n_threshold: of the thresholds alone; rank, condition: of the data, in units of the priors;
-    held_by_priors: combinations that the priors decide, in words.
+    prior_dominated: combinations that the priors determine, as text.
     """
 
     rig: RunUpRotor
@@ -45,22 +45,22 @@ class JointFit:
     n_threshold: int
     rank: int
     condition: float
-    held_by_priors: tuple[str, ...]
+    prior_dominated: tuple[str, ...]
     steps: int
 
     @property
     def chi2_per_datum(self) -> float:
-        """chi-square over data less the parameters they determine; near one when the family holds the truth."""
+        """chi-square over degrees of freedom; near one where the bearing belongs to the family."""
         return self.chi2 / (self.n_datum - self.n_effective)
 
     @property
     def chi2_p(self) -> float:
-        """Probability of a larger chi-square if the family held the truth."""
+        """Probability of a larger chi-square for a bearing of the family."""
         return chi2_tail(self.chi2, self.n_datum - self.n_effective)
 
     @property
     def rejected(self) -> bool:
-        """Whether chi-square says that the truth lies outside the family."""
+        """True if chi-square rejects the family."""
         return self.chi2_p < REJECTED
 
     @property
@@ -74,7 +74,7 @@ class JointFit:
 
     @property
     def std_error(self) -> FloatArray:
-        """Posterior standard deviations of the logarithms (12,), widened; NaN at a bound."""
+        """Posterior standard deviations of the logarithms (12,) [-], widened; NaN at a bound."""
         return np.where(self.at_bound, np.nan, np.sqrt(np.diag(self.covariance))) * self.widening
 
     def parameter(self, name: str) -> Uncertain:
@@ -103,27 +103,27 @@ class JointFit:
         """Onset speed of instability [rad/s]; None when there is none up to twice the highest speed of the search."""
         if self.rig.threshold(self.at_load(load)) is None:
             return None
-        return self._predicted(lambda values: self._known_threshold(values, load))
+        return self._predicted(lambda values: self._threshold_or_error(values, load))
 
-    def _known_threshold(self, values: FloatArray, load: float) -> float:
-        found = self.rig.threshold(self.family.at_load(values, load))
-        if found is None:
+    def _threshold_or_error(self, values: FloatArray, load: float) -> float:
+        speed = self.rig.threshold(self.family.at_load(values, load))
+        if speed is None:
             hint = f"it is above {self.rig.search.highest * 30 / np.pi:.0f} rpm"
             raise FitError("the threshold speed leaves the range of the search within its own uncertainty", hint=hint)
-        return found
+        return speed
 
     def caution(self, load: float) -> str:
-        """What a reader of a prediction at a *load* [N] must know beside its interval; empty where the interval says it all."""
+        """Warning on a prediction at a *load* [N]: family rejected, load extrapolated; empty otherwise."""
         parts = []
         if self.rejected:
             parts.append(
-                f"chi-square per datum is {self.chi2_per_datum:.1f}: the bearing is not of the fitted family, and no interval would hold"
+                f"chi-square per datum is {self.chi2_per_datum:.1f}: the bearing is not of the fitted family, and no interval is given"
             )
         low, high = min(self.loads), max(self.loads)
         if not low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
             parts.append(
                 f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): the interval holds for bearings of the "
-                "fitted family only, and chi-square cannot tell beyond the measured loads"
+                "fitted family only; chi-square tests the measured loads only"
             )
         return "; ".join(parts)
 

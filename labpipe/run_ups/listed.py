@@ -1,4 +1,4 @@
-"""Parameters, critical and threshold speeds of run-ups as lists of results show them."""
+"""Parameters, critical and threshold speeds of run-ups for lists of results."""
 
 from __future__ import annotations
 
@@ -29,5 +29,5 @@ def _speeds(fit: str, run: str, owner: MeasuredRun | RunPrediction, codes: tuple
     for name in ("critical_speed", "threshold"):
         speed: Amount | None = getattr(owner, name)
         if speed is not None:
-            parameter = Parameter(name, speed.value, "rad/s", speed.std_error, None, speed.ci95, derived=True)
+            parameter = Parameter(name, speed.value, "rad/s", std_error=speed.std_error, t_ratio=None, ci95=speed.ci95, derived=True)
             yield ListedParameter(fit=fit, parameter=parameter, test=run, model="run_ups", warnings=codes)

@@ -1,4 +1,4 @@
-"""Run-ups as they were measured: records of their motion, critical and threshold speeds."""
+"""Records of measured run-ups: motion, critical and threshold speeds."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GRAM_MM = 1e6
 
 @dataclass(frozen=True)
 class ReadRun:
-    """A run with what the pipeline says of it; *cascades* where it is a recording."""
+    """A run with its settings; *cascades* of a recording."""
 
     settings: RunSettings
     run: RunUp
@@ -27,34 +27,34 @@ class ReadRun:
 
 
 def measured_run(read: ReadRun, plane: str) -> tuple[MeasuredRun, str]:
-    """The run as a record, and why it has no critical speed where it has none."""
+    """The run as a record, and the reason of a missing critical speed."""
     run, settings = read.run, read.settings
     critical, reason = None, ""
     if run.shaker is None:
         try:
-            found = measured_critical_speed(run, plane)
-            critical = Amount(found.value, found.std_error)
+            peak = measured_critical_speed(run, plane)
+            critical = Amount(peak.value, peak.std_error)
         except DataError as error:
             reason = str(error)
     record = MeasuredRun(
         run.name,
         run.load,
         settings.role,
-        excitation_words(run),
-        column(run.speed),
-        motions(run.planes, run.response, run.amplitude_error, run.phase_error),
-        critical,
-        None if run.threshold is None else Amount(run.threshold.value, run.threshold.std_error),
-        "" if settings.subtracted is None else settings.subtracted.name,
-        settings.printed_critical_speed,
-        settings.printed_threshold,
-        read.cascades,
+        excitation=excitation_text(run),
+        speed=column(run.speed),
+        motions=motions(run.planes, run.response, run.amplitude_error, run.phase_error),
+        critical_speed=critical,
+        threshold=None if run.threshold is None else Amount(run.threshold.value, run.threshold.std_error),
+        subtracted="" if settings.subtracted is None else settings.subtracted.name,
+        printed_critical_speed=settings.printed_critical_speed,
+        printed_threshold=settings.printed_threshold,
+        cascades=read.cascades,
     )
     return record, reason
 
 
-def excitation_words(run: RunUp) -> str:
-    """What excited a run, as people read it."""
+def excitation_text(run: RunUp) -> str:
+    """Excitation of a run as text: shaker force or unbalances."""
     if run.shaker is not None:
         force = f"{run.shaker.x:g} N in x, {run.shaker.y:g} N in y at {run.shaker.plane}"
         return f"shaker: {force}, {run.shaker.frequency_ratio:g} of the speed"
@@ -71,7 +71,7 @@ def motions(
     amplitude_error: FloatArray | None = None,
     phase_error: FloatArray | None = None,
 ) -> tuple[Motion, ...]:
-    """Every plane and direction of phasors (n_speed, n_plane, 2) as a record."""
+    """Phasors (n_speed, n_plane, 2) [m] and their errors [m, rad] as one record per plane and direction."""
     return tuple(
         Motion(
             plane,
@@ -87,5 +87,5 @@ def motions(
 
 
 def column(values: FloatArray) -> tuple[float, ...]:
-    """Numbers for a file that people read as well: eight digits."""
+    """Values (n,) [any unit], rounded to eight digits for a file."""
     return tuple(float(f"{value:.8g}") for value in np.asarray(values, np.float64).tolist())

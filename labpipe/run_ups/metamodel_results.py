@@ -1,4 +1,4 @@
-"""Metamodels of the journal coefficients over load and speed, and what they say of every run."""
+"""Metamodels of the journal coefficients over load and speed, and their predictions for every run."""
 
 from __future__ import annotations
 
@@ -45,32 +45,32 @@ SURFACE_LOADS, SURFACE_SPEEDS = 11, 15
 def metamodels(
     settings: RunUpSettings, rig: RunUpRotor, trained: Sequence[RunUp], runs: Sequence[RunUp], solved: Sequence[Solved]
 ) -> tuple[MetamodelResult, ...]:
-    """Those that the section wants, in its order; LabpipeError names the one that cannot be fitted."""
+    """Metamodels of the section in its order; LabpipeError names the metamodel that cannot be fitted."""
     if not settings.metamodels:
         return ()
-    known = {one.method.name: one for one in solved}
-    grid = _grid(known[settings.metamodels_of], trained)
-    joint = known["joint"].anywhere if "joint" in known else None
+    by_name = {method.method.name: method for method in solved}
+    grid = _grid(by_name[settings.metamodels_of], trained)
+    joint = by_name["joint"].anywhere if "joint" in by_name else None
     refitted = physical_without(rig, trained) if "physical" in settings.metamodels else None
     kinds = [KINDS[name] for name in settings.metamodels if name != "physical"]
     left_out = leave_one_load_out(grid, kinds, refitted, settings.seed)
-    found = []
+    results = []
     for name in settings.metamodels:
         model = _fitted(name, grid, joint, settings.seed)
-        rows = tuple(_left_out(one) for one in left_out if one.kind == KINDS[name])
+        rows = tuple(_left_out_row(method) for method in left_out if method.kind == KINDS[name])
         predictions = tuple(_prediction(model, rig, run, settings.plane) for run in runs)
-        found.append(
+        results.append(
             MetamodelResult(name, TITLES[name], _surface(model, runs), rows, predictions, (f"{model.statement}.",), model.to_entries())
         )
-    return tuple(found)
+    return tuple(results)
 
 
-def _grid(one: Solved, trained: Sequence[RunUp]) -> Grid:
+def _grid(method: Solved, trained: Sequence[RunUp]) -> Grid:
     """The coefficients of a method: at its points, or at the loads and speeds of the trained runs."""
-    if one.anywhere is None:
-        return Grid.of(one.fits)
+    if method.anywhere is None:
+        return Grid.of(method.fits)
     longest = max(trained, key=lambda run: run.n_speed)
-    return Grid.sampled(one.anywhere, dict.fromkeys(run.load for run in trained), longest.speed)
+    return Grid.sampled(method.anywhere, dict.fromkeys(run.load for run in trained), longest.speed)
 
 
 def _fitted(name: str, grid: Grid, joint: object, seed: int) -> Metamodel:
@@ -84,26 +84,26 @@ def _fitted(name: str, grid: Grid, joint: object, seed: int) -> Metamodel:
         raise
 
 
-def _left_out(one: LeftOutOf) -> LeftOut:
-    return LeftOut(one.load, column(one.errors), one.beyond, one.failed)
+def _left_out_row(validation: LeftOutOf) -> LeftOut:
+    return LeftOut(validation.load, column(validation.errors), validation.beyond, validation.failed)
 
 
 def _at_speed(model: Metamodel, load: float) -> CoefficientsAtSpeed:
-    """Beyond the measured speeds K and Omega C are held, but for the physical fit, which knows what a film does there."""
+    """Beyond the measured speeds K and Omega C stay constant, except for the physical fit, which computes the film there."""
     return carried_beyond(partial(model.predict, load), *model.speeds)
 
 
 def _prediction(model: Metamodel, rig: RunUpRotor, run: RunUp, plane: str) -> RunPrediction:
-    own = with_unbalance_of(rig, run)
-    told = caution(model, run.load)
-    notes = (*((told,) if told else ()), *(() if isinstance(model, PhysicalFit) else (BEYOND,)))
+    run_rig = with_unbalance_of(rig, run)
+    remark = caution(model, run.load)
+    notes = (*((remark,) if remark else ()), *(() if isinstance(model, PhysicalFit) else (BEYOND,)))
     eight, error = model.predict(run.load, run.speed), model.std_error(run.load, run.speed)
-    return predict(own, run, AtLoad(_at_speed(model, run.load), eight, error, notes=notes), plane, curves=False)
+    return predict(run_rig, run, AtLoad(_at_speed(model, run.load), eight, error, notes=notes), plane, curves=False)
 
 
 def _surface(model: Metamodel, runs: Sequence[RunUp]) -> Surface:
-    """Over all loads, held-out ones too, and the speeds of the fit."""
+    """Coefficients over all loads, held-out loads included, and the speeds of the fit."""
     loads = [run.load for run in runs]
     load, speed = np.linspace(min(loads), max(loads), SURFACE_LOADS), np.linspace(*model.extent.speeds, SURFACE_SPEEDS)
-    values = np.stack([model.predict(one, speed) for one in load])
+    values = np.stack([model.predict(one_load, speed) for one_load in load])
     return Surface(column(load), column(speed), tuple(tuple(column(row) for row in values[:, :, n]) for n in range(8)))

@@ -1,7 +1,7 @@
-"""Metamodels of the eight journal coefficients over load and speed: what takes their place where no run-up was measured.
+"""Metamodels of the journal coefficients: surrogates of k_xx ... c_yy over load and speed.
 
-METAMODELS are fitted to coefficients on a grid (see `Grid`); the physical fit is the joint fit itself. All of them are asked in one way,
-are written as plain entries and read back, and are held against each other by leaving one load out after the other.
+METAMODELS are fitted to coefficients on a grid (see `Grid`); the physical fit is the joint fit itself. All have one interface,
+are written as plain entries and read back, and are compared by leave-one-load-out validation.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ __all__ = [
     "physical_without",
 ]
 
-# What is fitted to a grid, by name; every one takes the grid and a seed.
+# Fit functions by name, each of a grid and a seed.
 METAMODELS: dict[str, Callable[[Grid, int], Metamodel]] = {"surface": fit_surface, "process": fit_process, "network": fit_network}
 READERS: dict[str, Callable[[Mapping[str, Any]], Metamodel]] = {
-    one.kind: one.from_entries for one in (ResponseSurface, GaussianProcess, Network, PhysicalFit)
+    model_class.kind: model_class.from_entries for model_class in (ResponseSurface, GaussianProcess, Network, PhysicalFit)
 }
 
 
@@ -59,13 +59,19 @@ class Metamodel(Protocol):
     def speeds(self) -> tuple[float, float]: ...
     @property
     def statement(self) -> str: ...
-    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray: ...
-    def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray: ...
+    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
+        ...
+
+    def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """Their standard errors (n_point, 8) [N/m, N s/m]."""
+        ...
+
     def to_entries(self) -> dict[str, Any]: ...
 
 
 def fit_metamodel(kind: str, grid: Grid, seed: int = 0) -> Metamodel:
-    """One of METAMODELS on a grid; ConfigError with the nearest known name on a miss, or where what it needs is not installed."""
+    """One of METAMODELS on a grid; ConfigError with the nearest name on a miss, or where a package is not installed."""
     if kind not in METAMODELS:
         raise ConfigError(f"no metamodel '{kind}'", hint=nearest(kind, METAMODELS))
     return METAMODELS[kind](grid, seed)
@@ -77,29 +83,33 @@ def from_entries(entries: Mapping[str, Any]) -> Metamodel:
     if kind not in READERS:
         raise DataError(f"these are not the entries of a metamodel: kind '{kind}'", hint=nearest(str(kind), READERS))
     try:
-        found = READERS[kind](entries)
-        shape = found.predict(found.extent.loads[0], np.array([found.extent.speeds[0]])).shape
+        model = READERS[kind](entries)
+        shape = model.predict(model.extent.loads[0], np.array([model.extent.speeds[0]])).shape
     except (KeyError, TypeError, ValueError, IndexError, np.linalg.LinAlgError) as error:
         raise DataError(f"the entries of this {kind} metamodel are damaged: {error}", hint="write it again from its run-ups") from error
     if shape != (1, 8):
         raise DataError(f"this {kind} metamodel does not give eight coefficients")
-    return found
+    return model
 
 
 def caution(model: Metamodel, load: float) -> str:
-    """What must be said beside a prediction at a *load* [N]; empty within the loads of the fit."""
+    """Warning on a prediction at an extrapolated *load* [N]; empty within the loads of the fit."""
     low, high = model.extent.loads
     if low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
         return ""
-    told = "its error holds for its own assumptions only" if model.kind in ("physical", "process") else "its error does not cover that"
-    return f"{load:.3g} N lies outside the loads of this metamodel ({low:.3g} to {high:.3g} N), which is carried on beyond them: {told}"
+    scope = (
+        "its error is valid under its assumptions only"
+        if model.kind in ("physical", "process")
+        else "its error does not cover extrapolation"
+    )
+    return f"{load:.3g} N lies outside the loads of this metamodel ({low:.3g} to {high:.3g} N), an extrapolation: {scope}"
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """One metamodel fitted without one *load* [N], against the coefficients there: errors (8,) [-], rms over the rms coefficient.
+    """A metamodel fitted without one *load* [N], compared with the coefficients there: errors (8,) [-], rms over the rms coefficient.
 
-    *failed*: why it could not be fitted, then errors are NaN; *beyond*: the load is the lowest or the highest, so it was extrapolated.
+    *failed*: reason of a failed fit, then errors are NaN; *beyond*: the load is the lowest or the highest, an extrapolation.
     """
 
     kind: str
@@ -117,24 +127,24 @@ class LeftOut:
 def leave_one_load_out(
     grid: Grid, kinds: Iterable[str] = tuple(METAMODELS), physical: Callable[[float], Metamodel] | None = None, seed: int = 0
 ) -> list[LeftOut]:
-    """Every kind without every load, against the grid's coefficients there.
+    """Leave-one-load-out validation of every kind, against the grid's coefficients at that load.
 
-    *physical*: the physical fit without a load, see `physical_without`. Where a kind cannot be fitted without a load, the row says why.
+    *physical*: the physical fit without a load, see `physical_without`. Where a fit fails, the row states the reason.
     """
     rows = []
     for load in grid.loads:
-        kept = grid.without(load) if len(grid.loads) > 1 else grid
+        training = grid.without(load) if len(grid.loads) > 1 else grid
         for kind in kinds:
-            rows.append(_left_out(kind, grid, load, partial(fit_metamodel, kind, kept, seed)))
+            rows.append(_validated(kind, grid, load, partial(fit_metamodel, kind, training, seed)))
         if physical is not None:
-            rows.append(_left_out(PhysicalFit.kind, grid, load, partial(physical, load)))
+            rows.append(_validated(PhysicalFit.kind, grid, load, partial(physical, load)))
     return rows
 
 
-def _left_out(kind: str, grid: Grid, load: float, fitted: Callable[[], Metamodel]) -> LeftOut:
-    beyond, there = load in (grid.loads[0], grid.loads[-1]), grid.only(load)
+def _validated(kind: str, grid: Grid, load: float, fitted: Callable[[], Metamodel]) -> LeftOut:
+    beyond, points = load in (grid.loads[0], grid.loads[-1]), grid.only(load)
     try:
-        errors = coefficient_errors(fitted().predict(there.load, there.speed), there.eight)
+        errors = coefficient_errors(fitted().predict(points.load, points.speed), points.eight)
     except FitError as error:
         return LeftOut(kind, load, np.full(8, np.nan), beyond, error.what)
     return LeftOut(kind, load, errors, beyond)

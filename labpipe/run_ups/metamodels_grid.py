@@ -1,4 +1,4 @@
-"""Coefficients on a grid of loads and speeds: what metamodels are fitted to, and the coordinates that they are fitted in."""
+"""Coefficients on a grid of loads and speeds, to which metamodels are fitted, and the coded coordinates of the fit."""
 
 from __future__ import annotations
 
@@ -11,30 +11,37 @@ import numpy as np
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError
 
-# Loads that agree to this part of themselves are one.
+# Relative difference below which two loads are the same.
 SAME_LOAD = 1e-6
 
 
 class Fitted(Protocol):
-    """Coefficients (n_speed, 8) of one load at some speeds."""
+    """Coefficients (n_speed, 8) [N/m, N s/m] of one load [N] at speeds (n_speed,) [rad/s]."""
 
     @property
     def load(self) -> float: ...
     @property
-    def speed(self) -> FloatArray: ...
+    def speed(self) -> FloatArray:
+        """Speeds (n_speed,) [rad/s]."""
+        ...
+
     @property
-    def coefficients(self) -> FloatArray: ...
+    def coefficients(self) -> FloatArray:
+        """Coefficients (n_speed, 8) [N/m, N s/m]."""
+        ...
 
 
 class Queried(Protocol):
-    """A fit that is asked for coefficients (n_speed, 8) and their errors at any load and speed."""
+    """A fit with coefficients (n_speed, 8) and their errors at any load and speed."""
 
-    def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]: ...
+    def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Coefficients and standard errors (n_speed, 8) [N/m, N s/m] at a *load* [N] and speeds (n_speed,) [rad/s]."""
+        ...
 
 
 @dataclass(frozen=True)
 class Grid:
-    """load [N] and speed [rad/s] (n_point,), eight (n_point, 8) [N/m, N s/m]; DataError where they do not fit together."""
+    """load [N] and speed [rad/s] (n_point,), eight (n_point, 8) [N/m, N s/m]; DataError for other shapes or impossible values."""
 
     load: FloatArray
     speed: FloatArray
@@ -50,26 +57,26 @@ class Grid:
     @classmethod
     def of(cls, fits: Iterable[Fitted]) -> Grid:
         """From one fit per load, such as a PointFit or an AmplitudeFit."""
-        found = list(fits)
-        if not found:
+        all_fits = list(fits)
+        if not all_fits:
             raise DataError("there is no fit to make a metamodel of")
-        load = np.concatenate([np.full(fit.speed.size, fit.load) for fit in found])
-        return cls(load, np.concatenate([fit.speed for fit in found]), np.concatenate([fit.coefficients for fit in found]))
+        load = np.concatenate([np.full(fit.speed.size, fit.load) for fit in all_fits])
+        return cls(load, np.concatenate([fit.speed for fit in all_fits]), np.concatenate([fit.coefficients for fit in all_fits]))
 
     @classmethod
     def sampled(cls, fit: Queried, loads: Iterable[float], speed: FloatArray) -> Grid:
-        """From a fit that knows any load, such as a JointFit or a ProcessFit, at *loads* [N] and *speed* (n_speed,) [rad/s]."""
+        """From a fit at any load, such as a JointFit or a ProcessFit, at *loads* [N] and *speed* (n_speed,) [rad/s]."""
         parts = [(np.full(np.size(speed), load), np.asarray(speed), fit.coefficients(load, speed)[0]) for load in loads]
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     @property
     def loads(self) -> tuple[float, ...]:
         """Its different loads [N], rising."""
-        found: list[float] = []
+        distinct: list[float] = []
         for load in np.sort(self.load).tolist():
-            if not found or load > found[-1] * (1 + SAME_LOAD):
-                found.append(load)
-        return tuple(found)
+            if not distinct or load > distinct[-1] * (1 + SAME_LOAD):
+                distinct.append(load)
+        return tuple(distinct)
 
     def _at(self, load: float) -> BoolArray:
         return np.abs(self.load / load - 1) <= SAME_LOAD
@@ -94,11 +101,11 @@ class Extent:
 
     @classmethod
     def of(cls, grid: Grid) -> Extent:
-        ends = [(float(np.min(one)), float(np.max(one))) for one in (grid.load, grid.speed)]
+        ends = [(float(np.min(axis)), float(np.max(axis))) for axis in (grid.load, grid.speed)]
         return cls(ends[0], ends[1])
 
     def coded(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """(n_point, 2)."""
+        """Coded coordinates (n_point, 2) [-] of loads [N] and speeds [rad/s]."""
         columns = []
         for places, (low, high) in ((load, self.loads), (speed, self.speeds)):
             half = (high - low) / 2 or 1.0

@@ -1,8 +1,8 @@
-"""Feed-forward network of the eight coefficients: two inputs, one hidden layer, eight outputs, several repeats with seeds of their own.
+"""Feed-forward network of the eight coefficients: two inputs, one hidden layer, eight outputs, several repeats with different seeds.
 
-Inputs are coded to -1 to 1, outputs less their means over their standard deviations, hidden units are tanh; trained by scikit-learn
-(L-BFGS with weight decay). Predictions are the mean over the repeats and their standard error is the spread of the repeats: what the
-choice of start weights leaves open, and no more than that. Reading a network back needs no scikit-learn.
+Inputs are coded to -1 to 1, outputs standardised (zero mean, unit deviation), hidden units are tanh; trained by scikit-learn
+(L-BFGS with weight decay). Predictions are the mean over the repeats and their standard error is the spread of the repeats, the effect
+of the start weights only. Reading a network back needs no scikit-learn.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Layers = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 @dataclass(frozen=True)
 class Network:
-    """*repeats*: layers of each; middle, deviation (8,) [N/m, N s/m] of the outputs; n_converged: repeats that ended by themselves."""
+    """*repeats*: layers of each; middle, deviation (8,) [N/m, N s/m] of the outputs; n_converged: repeats whose training converged."""
 
     extent: Extent
     repeats: tuple[Layers, ...]
@@ -48,28 +48,28 @@ class Network:
 
     @property
     def statement(self) -> str:
-        """How it was made, in words."""
+        """Statement on layers, repeats and convergence."""
         hidden = self.repeats[0][1].size
         ended = "all of them" if self.n_converged == len(self.repeats) else f"{self.n_converged} of them"
         return (
             f"{len(self.repeats)} repeats of 2 inputs, {hidden} hidden units and 8 outputs, seeds from {self.seed} on; the training of "
-            f"{ended} ended by itself; errors are the spread of the repeats"
+            f"{ended} converged; errors are the spread of the repeats"
         )
 
-    def each(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """What every repeat predicts, (n_repeat, n_point, 8)."""
+    def repeat_predictions(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """Coefficients of every repeat, (n_repeat, n_point, 8) [N/m, N s/m], at loads [N] and speeds [rad/s] (n_point,)."""
         coded = self.extent.coded(load, speed)
         scaled = [np.tanh(coded @ first + offset) @ second + last for first, offset, second, last in self.repeats]
         return np.asarray(self.middle + self.deviation * np.array(scaled))
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]: the mean of the repeats."""
-        return np.asarray(self.each(load, speed).mean(axis=0))
+        return np.asarray(self.repeat_predictions(load, speed).mean(axis=0))
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Spread of the repeats (n_point, 8); NaN of a single one."""
-        each = self.each(load, speed)
-        return np.full(each.shape[1:], np.nan) if len(self.repeats) < 2 else np.asarray(each.std(axis=0, ddof=1))
+        """Standard deviation of the repeats (n_point, 8) [N/m, N s/m]; NaN of a single repeat."""
+        repeats = self.repeat_predictions(load, speed)
+        return np.full(repeats.shape[1:], np.nan) if len(self.repeats) < 2 else np.asarray(repeats.std(axis=0, ddof=1))
 
     def to_entries(self) -> dict[str, Any]:
         return {

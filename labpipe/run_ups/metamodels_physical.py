@@ -21,7 +21,7 @@ from labpipe.run_ups.metamodels_grid import SAME_LOAD, Extent
 
 @dataclass(frozen=True)
 class PhysicalFit:
-    """*values* (12,) and *covariance* (12, 12), widened, of the parameters of a *family*; *extent*: loads and speeds of the fit."""
+    """Logarithms *values* (12,) and *covariance* (12, 12), widened, [-] of a *family*; *extent*: loads and speeds of the fit."""
 
     extent: Extent
     family: FilmFamily
@@ -42,7 +42,7 @@ class PhysicalFit:
 
     @property
     def statement(self) -> str:
-        """What it is, in words."""
+        """Statement on the fit and its validation."""
         return "the film's own coefficients with the parameters of the joint fit, refitted without each load in turn for the validation"
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
@@ -50,9 +50,9 @@ class PhysicalFit:
         return self.family.coefficients(self.values, load, speed)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """(n_point, 8)."""
+        """Standard errors (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
         places = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
-        _, slopes = self.family.coefficients_and_slopes(self.values, *(np.ravel(one) for one in places))
+        _, slopes = self.family.coefficients_and_slopes(self.values, *(np.ravel(place) for place in places))
         return np.asarray(np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.covariance, slopes)))
 
     def to_entries(self) -> dict[str, Any]:
@@ -75,11 +75,11 @@ class PhysicalFit:
 
 def physical_without(rig: RunUpRotor, runs: Iterable[RunUp]) -> Callable[[float], PhysicalFit]:
     """For a validation: the joint fit of all *runs* but those of one load [N], again for every load."""
-    known = list(runs)
+    all_runs = list(runs)
 
     def refitted(load: float) -> PhysicalFit:
-        kept = [run for run in known if abs(run.load / load - 1) > SAME_LOAD]
-        speeds = (min(float(run.speed[0]) for run in kept), max(float(run.speed[-1]) for run in kept))
-        return PhysicalFit.of(fit_jointly(rig, kept), speeds)
+        training = [run for run in all_runs if abs(run.load / load - 1) > SAME_LOAD]
+        speeds = (min(float(run.speed[0]) for run in training), max(float(run.speed[-1]) for run in training))
+        return PhysicalFit.of(fit_jointly(rig, training), speeds)
 
     return refitted

@@ -1,8 +1,8 @@
-"""Gaussian process of every coefficient over load and speed: a plane with a smooth field about it.
+"""Gaussian process of every coefficient over load and speed: a plane plus a smooth field.
 
-y (less its mean, over its standard deviation) has the covariance p^2 (1 + w w' + s s') + a^2 exp(-((w - w') / l_w)^2 / 2 - ((s - s') /
+y (standardised: zero mean, unit deviation) has the covariance p^2 (1 + w w' + s s') + a^2 exp(-((w - w') / l_w)^2 / 2 - ((s - s') /
 l_s)^2 / 2), w and s coded to -1 to 1, and noise n^2 (Rasmussen and Williams 2006, sections 2.2, 2.7 and 5.4.1). a, l_w, l_s and n of each
-coefficient maximise the marginal likelihood times log-normal priors of theirs (HYPER); p is PLANE.
+coefficient maximise the marginal likelihood times their log-normal priors (HYPER); p is PLANE.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ JITTER = 1e-9
 
 @dataclass(frozen=True)
 class GaussianProcess:
-    """grid: what it was fitted to; hyper (8, 4): a, l_w, l_s, n of every coefficient; factors, weights: of their covariances."""
+    """grid: fitted coefficients; hyper (8, 4) [-]: a, l_w, l_s, n of every coefficient; factors, weights: of their covariances."""
 
     grid: Grid
     extent: Extent
@@ -44,37 +44,38 @@ class GaussianProcess:
 
     @classmethod
     def of(cls, grid: Grid, hyper: FloatArray) -> GaussianProcess:
+        """The process of a grid with given *hyper* (8, 4) [-]: a, l_w, l_s, n of every coefficient."""
         extent = Extent.of(grid)
         coded, scaled = extent.coded(grid.load, grid.speed), _scaled(grid)
-        factors = tuple(_factor(coded, one) for one in hyper)
+        factors = tuple(_factor(coded, row) for row in hyper)
         weights = [linalg.cho_solve((factor, True), column) for factor, column in zip(factors, scaled.T, strict=True)]
         return cls(grid, extent, hyper, factors, np.array(weights))
 
     @property
     def statement(self) -> str:
-        """Lengths and noise that the marginal likelihood chose, in words; medians over the eight coefficients."""
+        """Statement on lengths and noise of maximum marginal likelihood; medians over the eight coefficients."""
         (first, last), (low, high) = self.extent.loads, self.extent.speeds
         load, speed, noise = np.median(self.hyper[:, 1:], axis=0) * [(last - first) / 2, (high - low) / 2, 1.0]
         return (
-            f"a plane and a smooth field, alike over {load:.2g} N and {speed * 30 / np.pi:.0f} rpm, with a noise of {100 * noise:.2g} % of "
-            "the standard deviation (medians over the eight coefficients)"
+            f"a plane and a smooth field, correlated over {load:.2g} N and {speed * 30 / np.pi:.0f} rpm, with a noise of "
+            f"{100 * noise:.2g} % of the standard deviation (medians over the eight coefficients)"
         )
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
-        places, known = self.extent.coded(load, speed), self.extent.coded(self.grid.load, self.grid.speed)
-        scaled = [_covariance(places, known, one) @ weights for one, weights in zip(self.hyper, self.weights, strict=True)]
+        places, training = self.extent.coded(load, speed), self.extent.coded(self.grid.load, self.grid.speed)
+        scaled = [_covariance(places, training, hyper) @ weights for hyper, weights in zip(self.hyper, self.weights, strict=True)]
         middle, deviation = _scale(self.grid)
         return middle + deviation * np.stack(scaled, axis=-1)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Of a new point (n_point, 8), its noise with it."""
-        places, known = self.extent.coded(load, speed), self.extent.coded(self.grid.load, self.grid.speed)
+        """Standard errors of a new point (n_point, 8) [N/m, N s/m], noise included, at loads [N] and speeds [rad/s]."""
+        places, training = self.extent.coded(load, speed), self.extent.coded(self.grid.load, self.grid.speed)
         columns = []
-        for one, factor in zip(self.hyper, self.factors, strict=True):
-            explained = linalg.solve_triangular(factor, _covariance(known, places, one), lower=True)
-            own = PLANE**2 * (1 + np.sum(places**2, axis=-1)) + one[0] ** 2 + one[3] ** 2
-            columns.append(np.sqrt(np.maximum(own - np.sum(explained**2, axis=0), one[3] ** 2)))
+        for hyper, factor in zip(self.hyper, self.factors, strict=True):
+            explained = linalg.solve_triangular(factor, _covariance(training, places, hyper), lower=True)
+            prior_variance = PLANE**2 * (1 + np.sum(places**2, axis=-1)) + hyper[0] ** 2 + hyper[3] ** 2
+            columns.append(np.sqrt(np.maximum(prior_variance - np.sum(explained**2, axis=0), hyper[3] ** 2)))
         return np.asarray(_scale(self.grid)[1] * np.stack(columns, axis=-1))
 
     def to_entries(self) -> dict[str, Any]:
@@ -102,8 +103,8 @@ def _likeliest(coded: FloatArray, scaled: FloatArray) -> FloatArray:
         return float((whitened @ whitened + parts @ parts) / 2 + np.sum(np.log(np.diag(factor))))
 
     options: Any = {"initial_simplex": np.concatenate([np.zeros((1, 4)), np.eye(4)]), **SEARCH}
-    found = optimize.minimize(cost, np.zeros(4), method="Nelder-Mead", options=options)
-    return np.asarray(median * np.exp(deviation * found.x))
+    search = optimize.minimize(cost, np.zeros(4), method="Nelder-Mead", options=options)
+    return np.asarray(median * np.exp(deviation * search.x))
 
 
 def _covariance(first: FloatArray, second: FloatArray, hyper: FloatArray) -> FloatArray:

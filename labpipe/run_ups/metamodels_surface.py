@@ -22,7 +22,7 @@ from labpipe.run_ups.metamodels_grid import Extent, Grid
 TERMS = ("1", "load", "speed", "load x speed", "load^2", "speed^2")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ResponseSurface:
     """beta (6, 8) [N/m, N s/m] of TERMS by coefficient; inverse (6, 6): (X^T X)^-1; spread (8,): residual standard deviation.
 
@@ -47,42 +47,42 @@ class ResponseSurface:
 
     @property
     def std_errors(self) -> FloatArray:
-        """Of beta (6, 8)."""
+        """Standard errors of beta (6, 8) [N/m, N s/m]."""
         return np.sqrt(np.diag(self.inverse))[:, None] * self.spread
 
     @property
     def t(self) -> FloatArray:
-        """beta over its standard error (6, 8)."""
+        """t ratio of beta (6, 8) [-]."""
         return self.beta / self.std_errors
 
     @property
     def p(self) -> FloatArray:
-        """Probability of a larger |t| if the term were zero (6, 8)."""
+        """Probability of a larger |t| (6, 8) [-] if the term were zero."""
         return np.asarray(2 * special.stdtr(self.n_point - len(TERMS), -np.abs(self.t)))
 
     @property
     def r2_adjusted(self) -> FloatArray:
-        """R^2 with the number of terms taken into account (8,)."""
+        """R^2 adjusted for the number of terms (8,) [-]."""
         return 1 - (1 - self.r2) * (self.n_point - 1) / (self.n_point - len(TERMS))
 
     @property
     def r2_predicted(self) -> FloatArray:
-        """1 - PRESS / total (8,)."""
+        """1 - PRESS / total (8,) [-]."""
         return 1 - self.press / self.total
 
     @property
     def statement(self) -> str:
-        """Its statistics in words: the range over the eight coefficients."""
+        """Statement on R^2, adjusted and predicted: ranges over the eight coefficients."""
         kinds = {"R²": self.r2, "adjusted R²": self.r2_adjusted, "predicted R² (PRESS)": self.r2_predicted}
-        told = "; ".join(f"{name} {values.min():.3f} to {values.max():.3f}" for name, values in kinds.items())
-        return f"{self.n_point} points, over the eight coefficients {told}"
+        ranges = "; ".join(f"{name} {values.min():.3f} to {values.max():.3f}" for name, values in kinds.items())
+        return f"{self.n_point} points, over the eight coefficients {ranges}"
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
         return np.asarray(_terms(self.extent.coded(load, speed)) @ self.beta)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Of a new point about the surface (n_point, 8): of the surface itself, and of points about it."""
+        """Standard errors of a new point (n_point, 8) [N/m, N s/m]: of the surface and of points about it."""
         terms = _terms(self.extent.coded(load, speed))
         leverage = np.einsum("ni,ij,nj->n", terms, self.inverse, terms)
         return np.asarray(np.sqrt(1 + leverage)[:, None] * self.spread)
@@ -98,7 +98,7 @@ class ResponseSurface:
 
 
 def fit_surface(grid: Grid, seed: int = 0) -> ResponseSurface:  # noqa: ARG001 one signature for all kinds
-    """FitError when the grid has fewer than three loads or three speeds: then a square is not determined."""
+    """Least-squares fit of the surface; FitError when the grid has fewer than three loads or three speeds."""
     extent = Extent.of(grid)
     terms = _terms(extent.coded(grid.load, grid.speed))
     n, m = terms.shape
@@ -111,7 +111,16 @@ def fit_surface(grid: Grid, seed: int = 0) -> ResponseSurface:  # noqa: ARG001 o
     total = np.sum((grid.eight - grid.eight.mean(axis=0)) ** 2, axis=0)
     squares = np.sum(residual**2, axis=0)
     press = np.sum((residual / (1 - leverage)[:, None]) ** 2, axis=0)
-    return ResponseSurface(extent, beta, inverse, np.sqrt(squares / (n - m)), 1 - squares / total, press, total, n)
+    return ResponseSurface(
+        extent=extent,
+        beta=beta,
+        inverse=inverse,
+        spread=np.sqrt(squares / (n - m)),
+        r2=1 - squares / total,
+        press=press,
+        total=total,
+        n_point=n,
+    )
 
 
 def _terms(coded: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The ways to journal coefficients side by side: each with its doubt, and with what it predicts for every run."""
+"""Identification methods of journal coefficients, each with its uncertainty and its prediction for every run."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from labpipe.run_ups.settings import RunUpSettings
 
 # Loads are the same when they agree to a millionth.
 SAME_LOAD = 1e-6
-BEYOND = "above the last measured speed its K and Omega C are held, so that its threshold is extrapolated"
-ELSEWHERE = "its coefficients exist at the fitted loads only; a metamodel carries them to this one"
+BEYOND = "above the last measured speed K and Omega C stay constant: its threshold is extrapolated"
+ELSEWHERE = "its coefficients exist at the fitted loads only; a metamodel extends them to this load"
 
-# The method at a run, on a rotor with that run's unbalance; None with a reason where it has nothing to say.
+# Prediction of a method for a run, on a rotor with the run's unbalance; the reason, as text, where there is none.
 Predictor = Callable[[RunUpRotor, RunUp], AtLoad | str]
 
 
 @dataclass(frozen=True)
 class Solved:
-    """A method that has been fitted: its record without predictions, what makes them, and what metamodels can be made of.
+    """A fitted method: its record without predictions, its predictor, and the fits for metamodels.
 
-    fits: one per load, at measured speeds only; anywhere: a fit that knows any load.
+    fits: one per load, at measured speeds only; anywhere: a fit at any load.
     """
 
     method: RunUpMethod
@@ -48,12 +48,12 @@ class Solved:
 
 
 def solve_start(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001 (one signature for the table)
-    """The rotor file's own bearing: what the source calls the original model."""
+    """Coefficients of the rotor file's bearing: the original model of the source."""
 
-    def at(own: RunUpRotor, run: RunUp) -> AtLoad:
-        return AtLoad(own.start(run.load), as_eight(*own.start_coefficients(run.load, run.speed)))
+    def at(run_rig: RunUpRotor, run: RunUp) -> AtLoad:
+        return AtLoad(run_rig.start(run.load), as_eight(*run_rig.start_coefficients(run.load, run.speed)))
 
-    return Solved(RunUpMethod(START, "original (start)", "not fitted", (), unknowns=0), at)
+    return Solved(RunUpMethod(START, "original (start)", "not fitted", predictions=(), unknowns=0), at)
 
 
 def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
@@ -64,7 +64,7 @@ def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpS
         "amplitudes",
         f"(a) amplitudes, {'pattern search' if settings.search == 'pattern' else 'COBYQA'}",
         _determined(fits),
-        (),
+        predictions=(),
         **_of_points(fits),
         convergence=(_convergence(fits[len(fits) // 2]),),
         spreads=_spreads(rig, unbalanced, settings),
@@ -76,14 +76,14 @@ def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpS
 def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
     """(b): complex amplitudes, point by point."""
     fits = fit_points(rig, trained, settings.bound, settings.ridge)
-    held = f"a ridge of {100 * settings.ridge:g} % about the start values holds what the data do not see"
-    remark = f"{held}; its standard deviations include that doubt."
-    method = RunUpMethod("points", "(b) complex, point by point", _determined(fits), (), **_of_points(fits), remarks=(remark,))
+    ridge_text = f"a ridge of {100 * settings.ridge:g} % about the start values determines what the data do not"
+    remark = f"{ridge_text}; its standard deviations include this."
+    method = RunUpMethod("points", "(b) complex, point by point", _determined(fits), predictions=(), **_of_points(fits), remarks=(remark,))
     return Solved(method, _points_at(fits), tuple(fits))
 
 
 def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001
-    """(c): one fit of the physical family to everything."""
+    """(c): one fit of the physical family to all responses and thresholds."""
     fit = fit_jointly(rig, trained)
     return Solved(joint_method("joint", "(c) joint physical fit", fit), _joint_at(fit, fit.rejected), anywhere=fit)
 
@@ -92,13 +92,13 @@ def solve_process(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSett
     """(d): the joint fit times smooth factors."""
     joint = fit_jointly(rig, trained)
     fit = fit_with_process(rig, trained, joint)
-    left = fit.n_datum - fit.n_effective
-    p_value = float(chdtrc(left, fit.chi2))
+    n_redundant = fit.n_datum - fit.n_effective
+    p_value = float(chdtrc(n_redundant, fit.chi2))
     method = RunUpMethod(
         "process",
         "(d) joint fit with factors",
         "rejected" if p_value < REJECTED else "not rejected",
-        (),
+        predictions=(),
         unknowns=int(fit.values.size),
         rank=fit.n_determined,
         condition=fit.condition,
@@ -117,7 +117,7 @@ def joint_method(name: str, title: str, fit: JointFit) -> RunUpMethod:
         name,
         title,
         "rejected" if fit.rejected else "not rejected",
-        (),
+        predictions=(),
         unknowns=len(PARAMETERS),
         rank=fit.rank,
         condition=fit.condition,
@@ -126,59 +126,61 @@ def joint_method(name: str, title: str, fit: JointFit) -> RunUpMethod:
         chi2_p=fit.chi2_p,
         n_datum=fit.n_datum,
         n_effective=fit.n_effective,
-        free=fit.held_by_priors,
+        free=fit.prior_dominated,
         parameters=tuple(_parameter(fit, parameter) for parameter in PARAMETERS),
     )
 
 
 def _parameter(fit: JointFit, name: str) -> Parameter:
-    found, bound = fit.parameter(name), bool(fit.at_bound[PARAMETERS.index(name)])
+    factor, bound = fit.parameter(name), bool(fit.at_bound[PARAMETERS.index(name)])
     if bound:
-        return Parameter(name, found.value, "1", at_bound=True)
+        return Parameter(name, factor.value, "1", at_bound=True)
     if fit.rejected:
-        return Parameter(name, found.value, "1")
-    return Parameter(name, found.value, "1", found.std_error, None, Amount(found.value, found.std_error).ci95)
+        return Parameter(name, factor.value, "1")
+    return Parameter(name, factor.value, "1", std_error=factor.std_error, ci95=Amount(factor.value, factor.std_error).ci95)
 
 
 def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:
-    """Predictions at any load; those of a fit that chi-square rejects have no errors, since none would be honest."""
+    """Predictions at any load; without errors for a fit that chi-square rejects, whose errors would be wrong."""
 
-    def at(own: RunUpRotor, run: RunUp) -> AtLoad:
-        there = replace(fit, rig=own)
+    def at(run_rig: RunUpRotor, run: RunUp) -> AtLoad:
+        run_fit = replace(fit, rig=run_rig)
         eight, error = fit.coefficients(run.load, run.speed)
         caution = fit.caution(run.load)
         notes = (caution,) if caution else ()
         if rejected:
             return AtLoad(fit.at_load(run.load), eight, notes=notes)
-        return AtLoad(fit.at_load(run.load), eight, error, lambda: there.critical_speed(run.load), lambda: there.threshold(run.load), notes)
+        return AtLoad(
+            fit.at_load(run.load), eight, error, lambda: run_fit.critical_speed(run.load), lambda: run_fit.threshold(run.load), notes
+        )
 
     return at
 
 
 def _points_at(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> Predictor:
-    def at(_own: RunUpRotor, run: RunUp) -> AtLoad | str:
-        found = next((fit for fit in fits if abs(fit.load / run.load - 1) < SAME_LOAD), None)
-        if found is None:
+    def at(_rig: RunUpRotor, run: RunUp) -> AtLoad | str:
+        load_fit = next((fit for fit in fits if abs(fit.load / run.load - 1) < SAME_LOAD), None)
+        if load_fit is None:
             return ELSEWHERE
-        at_speed = found.at_speed()
-        same = found.speed.shape == run.speed.shape and np.allclose(found.speed, run.speed)
-        error = found.std_error if same and isinstance(found, PointFit) else None
+        at_speed = load_fit.at_speed()
+        same = load_fit.speed.shape == run.speed.shape and np.allclose(load_fit.speed, run.speed)
+        error = load_fit.std_error if same and isinstance(load_fit, PointFit) else None
         return AtLoad(at_speed, as_eight(*at_speed(run.speed)), error, notes=(BEYOND,))
 
     return at
 
 
 def _of_points(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> dict[str, Any]:
-    """What all points together say of their doubt; the worst rank and condition."""
+    """Fields of RunUpMethod on the uncertainty of all points: lowest rank, largest condition number, chi-square."""
     chi2, datum, effective = sum(f.chi2 for f in fits), sum(f.n_datum for f in fits), sum(f.n_effective for f in fits)
-    left = datum - effective
+    n_redundant = datum - effective
     shares = np.concatenate([np.asarray(fit.at_bound).ravel() for fit in fits])
     return {
         "rank": int(min(fit.rank.min() for fit in fits)),
         "condition": float(max(fit.condition.max() for fit in fits)),
         "share_at_bound": float(np.mean(shares)),
-        "chi2_per_datum": chi2 / left if left > 0.5 else None,
-        "chi2_p": float(chdtrc(left, chi2)) if left > 0.5 else None,
+        "chi2_per_datum": chi2 / n_redundant if n_redundant > 0.5 else None,
+        "chi2_p": float(chdtrc(n_redundant, chi2)) if n_redundant > 0.5 else None,
         "n_datum": datum,
         "n_effective": float(effective),
     }
@@ -191,22 +193,22 @@ def _determined(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> str:
 def _capped(fits: Sequence[AmplitudeFit]) -> list[str]:
     capped, most = sum(int(fit.capped.sum()) for fit in fits), max(int(fit.evaluations.max()) for fit in fits)
     every = sum(fit.speed.size for fit in fits)
-    return [f"{capped} of {every} searches ended at the cap of {most} evaluations, not by their mesh."] if capped else []
+    return [f"{capped} of {every} searches ended at the limit of {most} evaluations, not at the smallest mesh."] if capped else []
 
 
 def _convergence(fit: AmplitudeFit) -> Convergence:
-    """Of the point whose search took longest."""
+    """Convergence of the longest search."""
     point = int(np.argmax(fit.evaluations))
     rows = fit.history.of(point)
     evaluations = np.diff(rows.evaluations[:, 0], prepend=0)
     best = fit.factors[int(np.argmin(fit.objectives[:, point])), point]
-    where = f"{fit.load:.3g} N, {fit.speed[point] / RPM:.0f} rpm"
+    place = f"{fit.load:.3g} N, {fit.speed[point] / RPM:.0f} rpm"
     objective, mesh, counts = (column(values) for values in (rows.objective[:, 0], rows.mesh[:, 0], evaluations))
-    return Convergence(where, objective, mesh, counts, bool(fit.capped[point]), column(best))
+    return Convergence(place, objective, mesh, counts, bool(fit.capped[point]), column(best))
 
 
 def _spreads(rig: RunUpRotor, runs: Sequence[RunUp], settings: RunUpSettings) -> tuple[StartSpread, ...]:
-    """Where the starts end at the load in the middle: at the speed of the largest response and at the highest."""
+    """Spread of the starts at the middle load: at the speed of the largest response and at the highest speed."""
     if settings.starts < 2:
         return ()
     loads = sorted({run.load for run in runs})
@@ -215,11 +217,11 @@ def _spreads(rig: RunUpRotor, runs: Sequence[RunUp], settings: RunUpSettings) ->
         rig, [run for run in runs if run.load == middle], settings.bound, settings.search, settings.starts, settings.seed
     )
     points = dict.fromkeys([int(np.argmax(fit.measured)), fit.speed.size - 1])
-    found = []
+    spreads = []
     for point in points:
         spread = fit.spread(point)
-        where = f"{fit.load:.3g} N, {spread.speed / RPM:.0f} rpm"
-        # The relative misfit of the amplitudes says more than the sum of their squares.
+        place = f"{fit.load:.3g} N, {spread.speed / RPM:.0f} rpm"
+        # The relative misfit of the amplitudes, because the sum of squares has no scale.
         misfit = np.sqrt(spread.objective / spread.measured)
-        found.append(StartSpread(where, tuple(column(row) for row in spread.factors), column(misfit)))
-    return tuple(found)
+        spreads.append(StartSpread(place, tuple(column(row) for row in spread.factors), column(misfit)))
+    return tuple(spreads)

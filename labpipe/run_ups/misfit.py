@@ -1,9 +1,9 @@
-"""Run-ups against coefficients: weighted residuals with analytic slopes, and what a set of run-ups can and cannot tell."""
+"""Weighted residuals of run-ups with analytic slopes, and the rank of a set of run-ups."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,13 +14,13 @@ from labpipe.rigs.film_family import COEFFICIENTS, as_matrices
 from labpipe.rigs.run_up_rotor import RunUpRotor
 from labpipe.rotors.pinned import CondensedRotor
 
-# Singular values below this part of the largest count as zero: far above rounding, far below anything measured.
+# Relative singular value that counts as zero: far above rounding, far below measured sensitivities.
 RANK_TOLERANCE = 1e-7
 
 
 @dataclass(frozen=True)
 class ExcitedRun:
-    """A run and the rotor condensed under its excitation; made once, asked at every step of a fit."""
+    """A run and the rotor condensed under its excitation, computed once per fit."""
 
     run: RunUp
     condensed: CondensedRotor
@@ -35,11 +35,11 @@ class ExcitedRun:
         return 4 * len(self.run.planes)
 
     def residual(self, coefficients: FloatArray) -> FloatArray:
-        """Computed less measured over the standard errors, (n_speed, n_equation); *coefficients* (n_speed, 8) [N/m, N s/m]."""
+        """(computed - measured) / standard error, (n_speed, n_equation); *coefficients* (n_speed, 8) [N/m, N s/m]."""
         return self._weighted(self.condensed.response(*as_matrices(coefficients)) - self._measured)
 
     def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """`residual` and its derivatives by the eight coefficients, (n_speed, n_equation, 8)."""
+        """`residual` [-] and its derivatives (n_speed, n_equation, 8) by *coefficients* (n_speed, 8) [N/m, N s/m]."""
         response, slopes = self.condensed.response_and_slopes(*as_matrices(coefficients))
         return self._weighted(response - self._measured), np.moveaxis(self._weighted(np.moveaxis(slopes, -1, 0)), 0, -1)
 
@@ -59,14 +59,14 @@ class ExcitedRun:
 
 @dataclass(frozen=True)
 class LoadRuns:
-    """All runs of one load, at the speeds that they share: what determines the coefficients of these points."""
+    """All runs of one load [N] at their shared speeds (n_speed,) [rad/s]."""
 
     load: float
     speed: FloatArray
     runs: tuple[ExcitedRun, ...]
 
     def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of all runs, (n_speed, n_equation) and (n_speed, n_equation, 8)."""
+        """Residual (n_speed, n_equation) [-] of all runs, derivatives (n_speed, n_equation, 8) by *coefficients* [N/m, N s/m]."""
         parts = [run.residual_and_slopes(coefficients) for run in self.runs]
         return np.concatenate([part[0] for part in parts], axis=1), np.concatenate([part[1] for part in parts], axis=1)
 
@@ -93,49 +93,44 @@ def _grouped(rig: RunUpRotor, load: float, group: Sequence[RunUp]) -> LoadRuns:
 
 
 def _at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
-    chosen = np.array([int(np.argmin(np.abs(run.speed - one))) for one in speed])
-    return RunUp(
-        run.name,
-        run.load,
-        run.speed[chosen],
-        run.planes,
-        run.response[chosen],
-        run.amplitude_error[chosen],
-        run.phase_error[chosen],
-        run.unbalance,
-        run.shaker,
-        run.threshold,
+    chosen = np.array([int(np.argmin(np.abs(run.speed - target))) for target in speed])
+    return replace(
+        run,
+        speed=run.speed[chosen],
+        response=run.response[chosen],
+        amplitude_error=run.amplitude_error[chosen],
+        phase_error=run.phase_error[chosen],
     )
 
 
 def rank_of(slopes: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Rank (...) and condition number (...) within that rank of Jacobians (..., n_equation, n_parameter)."""
+    """Rank (...) and condition number (...) [-] within that rank of Jacobians (..., n_equation, n_parameter)."""
     singular = np.linalg.svd(slopes, compute_uv=False)
-    kept = singular > RANK_TOLERANCE * singular[..., :1]
-    rank = kept.sum(axis=-1)
+    significant = singular > RANK_TOLERANCE * singular[..., :1]
+    rank = significant.sum(axis=-1)
     smallest = np.take_along_axis(singular, rank[..., None] - 1, axis=-1)[..., 0]
     return rank, singular[..., 0] / smallest
 
 
 def scales(start: FloatArray) -> FloatArray:
-    """What a change of each coefficient is measured against, (..., 8), of start values (..., 8).
+    """Unit of change of every coefficient, (..., 8) [N/m, N s/m], of start values (..., 8).
 
-    Its own start value, but at least a fifth of the mean direct one: K_yx crosses zero, and a share of nothing is nothing.
+    Absolute start value, at least a fifth of the mean direct coefficient, because K_yx crosses zero.
     """
     direct = np.sqrt(np.abs(start[..., [0, 4]] * start[..., [3, 7]]))
     return np.maximum(np.abs(start), 0.2 * np.repeat(direct, 4, axis=-1))
 
 
-def in_words(names: Sequence[str], direction: FloatArray, least: float = 0.2) -> str:
-    """A combination of parameters: "clearance +1.00, viscosity +2.00" where these move together; parts below *least* are left out."""
+def combination_text(names: Sequence[str], direction: FloatArray, least: float = 0.2) -> str:
+    """A *direction* (n_parameter,) [-] as text: "clearance +1.00, viscosity +2.00" where both change; without parts below *least*."""
     direction = direction / direction[np.argmax(np.abs(direction))]
     parts = [f"{names[n]} {direction[n]:+.2f}" for n in np.argsort(-np.abs(direction), kind="stable") if abs(direction[n]) >= least]
     return ", ".join(parts)
 
 
 def unseen_combinations(slopes: FloatArray, names: Sequence[str] = COEFFICIENTS) -> tuple[str, ...]:
-    """The directions (n_parameter,) that a Jacobian (n_equation, n_parameter) does not see, in words."""
+    """Null space of a Jacobian (n_equation, n_parameter) [-] as text, one entry per direction."""
     _, singular, rows = np.linalg.svd(slopes, full_matrices=True)
     whole = np.zeros(rows.shape[0])
     whole[: singular.size] = singular
-    return tuple(in_words(names, row) for row, size in zip(rows, whole, strict=True) if size <= RANK_TOLERANCE * whole[0])
+    return tuple(combination_text(names, row) for row, size in zip(rows, whole, strict=True) if size <= RANK_TOLERANCE * whole[0])

@@ -1,6 +1,6 @@
-"""The measured critical speed: where the response of a run-up is largest, between the speeds that were measured.
+"""The measured critical speed: the peak of a run-up's response, interpolated between the measured speeds.
 
-Near their critical speeds all outputs ring in the same two modes, so one denominator serves them all,
+Near a critical speed all outputs are dominated by the same two modes and have one common denominator,
 
     X_o(x) = (a_o + b_o x) / (1 + c x + d x^2),   x: speed, scaled to the points about the peak,
 
@@ -25,7 +25,7 @@ FEWEST_POINTS = 7
 REWEIGHTED = 4
 REFITS = 64
 SEED = 20260101
-# The peak is looked for between these parts of the fitted range, on this many speeds.
+# Range of the peak search relative to the fitted range, and number of its speeds.
 INNER = 0.95
 FINE = 1601
 
@@ -56,7 +56,7 @@ def _top(run: RunUp, number: int) -> int:
 
 
 def _about(run: RunUp, top: int, size: int) -> slice:
-    """That many points about the peak, or fewer where the run is shorter."""
+    """*size* points about the peak, or fewer where the run is shorter."""
     size = min(size, run.n_speed)
     first = max(0, min(top - size // 2, run.n_speed - size))
     return slice(first, first + size)
@@ -92,8 +92,8 @@ def _rational(x: FloatArray, outputs: ComplexArray, errors: FloatArray, place: F
             rows[number, :, 2 * number + 1] = weight[:, number] * x
             rows[number, :, -2] = -weight[:, number] * outputs[:, number] * x
             rows[number, :, -1] = -weight[:, number] * outputs[:, number] * x**2
-        found = np.linalg.lstsq(rows.reshape(m * n, -1), (weight * outputs).T.ravel(), rcond=None)[0]
-        denominator = 1 + found[-2] * x + found[-1] * x**2
-    top = found[0:-2:2] + found[1:-2:2] * place[:, None]
-    fitted: ComplexArray = top / (1 + found[-2] * place + found[-1] * place**2)[:, None]
+        solution = np.linalg.lstsq(rows.reshape(m * n, -1), (weight * outputs).T.ravel(), rcond=None)[0]
+        denominator = 1 + solution[-2] * x + solution[-1] * x**2
+    top = solution[0:-2:2] + solution[1:-2:2] * place[:, None]
+    fitted: ComplexArray = top / (1 + solution[-2] * place + solution[-1] * place**2)[:, None]
     return fitted

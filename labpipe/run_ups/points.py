@@ -1,7 +1,7 @@
 """Eight coefficients per load and speed from complex amplitudes in both directions: bounded least squares with a ridge.
 
 Per point, in parts t of the coefficients' sizes from the start values, |t| <= bound:  min |r(t)|^2 + |t|^2 / ridge^2, r the residual over
-its standard errors. The data determine four combinations of the eight; the ridge keeps the others at the start values, and says so in the
+its standard errors. The data determine four combinations of the eight; the ridge keeps the others at the start values, included in the
 standard deviations. All points are solved at once by a projected Gauss-Newton iteration.
 """
 
@@ -27,7 +27,7 @@ TOLERANCE = 1e-6
 LEAST_DAMPING = 1e-9
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PointFit:
     """The coefficients of one *load* [N] at every *speed* (n_speed,) [rad/s].
 
@@ -49,7 +49,7 @@ class PointFit:
 
     @property
     def chi2_per_datum(self) -> float:
-        """chi-square over data less the parameters they determine; near one when model and noise are right."""
+        """chi-square over degrees of freedom, at least one; near one when model and noise are right."""
         return self.chi2 / max(self.n_datum - self.n_effective, 1.0)
 
     @property
@@ -57,7 +57,7 @@ class PointFit:
         return float(np.mean(self.at_bound))
 
     def at_speed(self) -> CoefficientsAtSpeed:
-        """K and C as a function of speed, straight between the points; beyond, K and Omega C are held."""
+        """K and C as a function of speed, linear between the points; beyond them K and Omega C stay constant."""
 
         def between(speed: FloatArray) -> FloatArray:
             return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
@@ -84,17 +84,17 @@ def _fit_load(rig: RunUpRotor, group: LoadRuns, bound: float, ridge: float) -> P
     deviation = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * unit
     rank, condition = rank_of(slopes)
     return PointFit(
-        group.load,
-        group.speed,
-        start,
-        start + unit * parts,
-        np.where(at_bound, np.nan, deviation),
-        at_bound,
-        rank,
-        condition,
-        float(np.sum(residual**2)),
-        residual.size,
-        float(np.einsum("nij,nji->", covariance, _normal(free))),
+        load=group.load,
+        speed=group.speed,
+        start=start,
+        coefficients=start + unit * parts,
+        std_error=np.where(at_bound, np.nan, deviation),
+        at_bound=at_bound,
+        rank=rank,
+        condition=condition,
+        chi2=float(np.sum(residual**2)),
+        n_datum=residual.size,
+        n_effective=float(np.einsum("nij,nji->", covariance, _normal(free))),
     )
 
 
@@ -129,24 +129,24 @@ def _cost(residual: FloatArray, parts: FloatArray, ridge: float) -> FloatArray:
 
 
 def _step(residual: FloatArray, slopes: FloatArray, parts: FloatArray, damping: FloatArray, bound: float, ridge: float) -> FloatArray:
-    """A Gauss-Newton step within the box: what the step would carry beyond a bound is set on it, and the others are solved again.
+    """A Gauss-Newton step within the box: coefficients beyond a bound are set to it, and the others are solved again.
 
     Values on a bound that the gradient pushes outwards stay there from the outset.
     """
     gradient = (slopes.swapaxes(1, 2) @ residual[..., None])[..., 0] + parts / ridge**2
-    held = ((parts >= bound) & (gradient < 0)) | ((parts <= -bound) & (gradient > 0))
+    fixed_mask = ((parts >= bound) & (gradient < 0)) | ((parts <= -bound) & (gradient > 0))
     normal = _normal(slopes) + np.eye(8) / ridge**2
     normal = normal + damping[:, None, None] * np.eye(8) * np.diagonal(normal, axis1=1, axis2=2)[:, None, :]
     step = np.zeros_like(parts)
     for _ in range(8):
-        free = ~held
-        fixed = step * held
-        reduced = normal * (free[:, :, None] & free[:, None, :]) + np.eye(8) * held[:, None, :]
+        free = ~fixed_mask
+        fixed = step * fixed_mask
+        reduced = normal * (free[:, :, None] & free[:, None, :]) + np.eye(8) * fixed_mask[:, None, :]
         side = (gradient + (normal @ fixed[..., None])[..., 0]) * free
         step = fixed - np.linalg.solve(reduced, side[..., None])[..., 0]
         beyond = np.abs(parts + step) > bound * (1 + 1e-12)
         if not np.any(beyond):
             break
         step = np.clip(parts + step, -bound, bound) - parts
-        held = held | beyond
+        fixed_mask = fixed_mask | beyond
     return np.clip(parts + step, -bound, bound)

@@ -1,4 +1,4 @@
-"""What a method says of one run: its critical speed and threshold, its curve, its coefficients, and what cannot be given, in words."""
+"""Prediction of a method for one run: critical speed, threshold, response, coefficients, and notes on missing values."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PEAK_STEP, PEAK_POINTS = 8 * RPM, 16
 
 @dataclass(frozen=True)
 class AtLoad:
-    """What a method says at one load: K and C over speed, coefficients and their errors (n_speed, 8) at the run's speeds.
+    """Prediction of a method at one load: K and C over speed, coefficients and their errors (n_speed, 8) [N/m, N s/m] at the run's speeds.
 
     critical, threshold: with their errors, where the method has them; else they are computed from *at_speed*.
     """
@@ -40,10 +40,11 @@ class AtLoad:
 
 
 def with_unbalance_of(rig: RunUpRotor, run: RunUp) -> RunUpRotor:
-    """The rotor under a run's unbalance, itself where that is the file's own."""
-    known = rig.known_unbalance
+    """The rotor with a run's unbalance; unchanged where it is the rotor file's."""
+    file_unbalance = rig.unbalance_by_plane
     same = run.shaker is not None or (
-        run.unbalance.keys() == known.keys() and all(abs(size - known[plane]) <= 1e-9 * abs(size) for plane, size in run.unbalance.items())
+        run.unbalance.keys() == file_unbalance.keys()
+        and all(abs(size - file_unbalance[plane]) <= 1e-9 * abs(size) for plane, size in run.unbalance.items())
     )
     if same:
         return rig
@@ -57,56 +58,56 @@ def excited_as(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
     return rig if rig.unbalances or not stated else with_unbalance_of(rig, stated[0])
 
 
-def predict(own: RunUpRotor, run: RunUp, found: AtLoad | str, plane: str, curves: bool = True) -> RunPrediction:
-    """A method's record for one run: what cannot be given is said in its notes. *own*: the rotor under the run's unbalance."""
-    if isinstance(found, str):
-        return RunPrediction(run.name, None, None, notes=(found,))
-    notes = list(found.notes)
-    critical = _tried(lambda: _critical(own, found, plane), "no critical speed", notes) if run.shaker is None else None
+def predict(rig: RunUpRotor, run: RunUp, solution: AtLoad | str, plane: str, curves: bool = True) -> RunPrediction:
+    """Prediction of a method for one run, reasons of missing values in its notes. *rig*: the rotor with the run's unbalance."""
+    if isinstance(solution, str):
+        return RunPrediction(run.name, None, None, notes=(solution,))
+    notes = list(solution.notes)
+    critical = _tried(lambda: _critical(rig, solution, plane), "no critical speed", notes) if run.shaker is None else None
     before = len(notes)
-    threshold = _tried(lambda: _threshold(own, found), "no threshold", notes)
-    stable = f"no threshold below {own.search.highest / RPM:.0f} rpm"
+    threshold = _tried(lambda: _threshold(rig, solution), "no threshold", notes)
+    stable = f"no threshold below {rig.search.highest / RPM:.0f} rpm"
     notes += [stable] if threshold is None and len(notes) == before else []
     speed = _drawn_speeds(run, threshold, critical)
-    motion = motions(run.planes, _curve(own, run, found, speed)) if curves else ()
+    motion = motions(run.planes, _curve(rig, run, solution, speed)) if curves else ()
     return RunPrediction(
         run.name,
         critical,
         threshold,
-        column(speed) if curves else (),
-        motion,
-        column(run.speed),
-        tuple(column(row) for row in found.coefficients),
-        () if found.std_error is None else tuple(column(row) for row in found.std_error),
-        tuple(notes),
+        speed=column(speed) if curves else (),
+        motions=motion,
+        coefficient_speed=column(run.speed),
+        coefficients=tuple(column(row) for row in solution.coefficients),
+        std_errors=() if solution.std_error is None else tuple(column(row) for row in solution.std_error),
+        notes=tuple(notes),
     )
 
 
-def _tried(give: Callable[[], Amount | None], what: str, notes: list[str]) -> Amount | None:
+def _tried(give: Callable[[], Amount | None], title: str, notes: list[str]) -> Amount | None:
     try:
         return give()
     except FitError as error:
-        notes.append(f"{what}: {error.what}")
+        notes.append(f"{title}: {error.what}")
         return None
 
 
-def _critical(own: RunUpRotor, found: AtLoad, plane: str) -> Amount:
-    if found.critical is not None and plane in ("", own.plane_names[-1]):
-        known = found.critical()
-        return Amount(known.value, known.std_error)
-    return Amount(own.critical_speed(found.at_speed, plane))
+def _critical(rig: RunUpRotor, solution: AtLoad, plane: str) -> Amount:
+    if solution.critical is not None and plane in ("", rig.plane_names[-1]):
+        speed = solution.critical()
+        return Amount(speed.value, speed.std_error)
+    return Amount(rig.critical_speed(solution.at_speed, plane))
 
 
-def _threshold(own: RunUpRotor, found: AtLoad) -> Amount | None:
-    if found.threshold is not None:
-        known = found.threshold()
-        return None if known is None else Amount(known.value, known.std_error)
-    value = own.threshold(found.at_speed)
+def _threshold(rig: RunUpRotor, solution: AtLoad) -> Amount | None:
+    if solution.threshold is not None:
+        speed = solution.threshold()
+        return None if speed is None else Amount(speed.value, speed.std_error)
+    value = rig.threshold(solution.at_speed)
     return None if value is None else Amount(value)
 
 
 def _drawn_speeds(run: RunUp, threshold: Amount | None, critical: Amount | None) -> FloatArray:
-    """Over the run's speeds, closer about the peak, up to the predicted threshold: beyond there is no steady motion."""
+    """Speeds of the run, denser about the peak, up to the predicted threshold, beyond which there is no steady motion."""
     last = float(run.speed[-1]) if threshold is None else min(float(run.speed[-1]), threshold.value)
     speed = np.linspace(run.speed[0], max(last, run.speed[0]), max(2, round((last - run.speed[0]) / CURVE_STEP) + 1))
     if critical is None:
@@ -115,7 +116,7 @@ def _drawn_speeds(run: RunUp, threshold: Amount | None, critical: Amount | None)
     return np.union1d(speed, about[(about > speed[0]) & (about < speed[-1])])
 
 
-def _curve(own: RunUpRotor, run: RunUp, found: AtLoad, speed: FloatArray) -> ComplexArray:
+def _curve(rig: RunUpRotor, run: RunUp, solution: AtLoad, speed: FloatArray) -> ComplexArray:
     shape = (speed.size, len(run.planes), 2)
     bare = replace(run, speed=speed, response=np.ones(shape) + 0j, amplitude_error=np.ones(shape), phase_error=np.ones(shape))
-    return np.asarray(own.excited(bare).response(*found.at_speed(speed)).reshape(shape))
+    return np.asarray(rig.excited(bare).response(*solution.at_speed(speed)).reshape(shape))

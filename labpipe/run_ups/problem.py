@@ -1,7 +1,7 @@
 """The least-squares problem of run-ups: a family of coefficients against complex responses, thresholds and priors.
 
 |r|^2 + sum ((Omega_th - Omega_meas) / s)^2 + sum (p / spread)^2 over the family's parameters p; r is the residual of the responses over
-their standard errors. Thresholds are followed by Newton's method from the measured ones, their slopes by the modes' left and right
+their standard errors. Thresholds are computed by Newton's method from the measured speeds, their slopes by the modes' left and right
 eigenvectors.
 """
 
@@ -26,7 +26,7 @@ MOST_SEARCHES = 25
 SEARCH_TOLERANCE = 1e-9
 # Half-width of the difference that gives the slope of the growth rate by speed, as a part of the speed.
 SPEED_STEP = 1e-3
-# Least slope [1/s per rad/s]: a growth rate that hardly changes says little about the speed.
+# Least slope [1/s per rad/s] of the growth rate that defines a threshold speed.
 LEAST_SLOPE = 1e-4
 
 
@@ -38,7 +38,7 @@ class CoefficientFamily(Protocol):
         ...
 
     def at_load(self, values: FloatArray, load: float) -> CoefficientsAtSpeed:
-        """K and C as functions of speed."""
+        """K [N/m] and C [N s/m] as functions of speed, of parameters (n_parameter,)."""
         ...
 
 
@@ -48,9 +48,9 @@ Thresholds = tuple[tuple[float, Uncertain], ...]
 
 @dataclass(frozen=True)
 class RunUpProblem(Generic[Family]):
-    """Residual and slopes of all that was measured, and of the priors.
+    """Residual and slopes of responses, thresholds and priors.
 
-    *thresholds*: (load [N], speed [rad/s]); *spread* (n_parameter,): standard deviations of the parameters before any run-up is seen;
+    *thresholds*: (load [N], speed [rad/s]); *spread* (n_parameter,): prior standard deviations of the parameters;
     *free* (n_parameter,): parameters that are fitted, the others stay at *fixed* (n_parameter,).
     """
 
@@ -66,39 +66,39 @@ class RunUpProblem(Generic[Family]):
     def of(
         cls, rig: RunUpRotor, family: Family, groups: tuple[LoadRuns, ...], thresholds: Thresholds, spread: FloatArray
     ) -> RunUpProblem[Family]:
-        """The problem with all parameters free."""
+        """The problem with all parameters free; *spread* (n_parameter,) [-]: their prior standard deviations."""
         return cls(rig, family, groups, thresholds, spread, np.ones(spread.size, bool), np.zeros(spread.size))
 
     @property
     def size(self) -> float:
-        """Signal over noise of all responses."""
+        """Signal-to-noise ratio of all responses together."""
         parts = (run.run.response / run.run.amplitude_error for group in self.groups for run in group.runs)
         return float(np.sqrt(sum(float(np.sum(np.abs(part) ** 2)) for part in parts)))
 
     def values(self, parameters: FloatArray) -> FloatArray:
-        """All parameters (n_parameter,) from the free ones."""
+        """All parameters (n_parameter,) [-] from the free parameters (n_free,)."""
         values = self.fixed.copy()
         values[self.free] = parameters
         return values
 
     def residual(self, parameters: FloatArray) -> FloatArray:
-        """Responses, thresholds and priors (n_equation,), of the free parameters."""
+        """Residual (n_equation,) [-] of responses, thresholds and priors, of the free parameters (n_free,)."""
         values = self.values(parameters)
         measured = [self._response(group, values)[0] for group in self.groups]
         return np.concatenate([*measured, self._thresholds(values)[0], values / self.spread])
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
-        """Slopes of the residual (n_equation, n_free)."""
-        return np.concatenate([self.data_slopes(parameters), np.diag(1 / self.spread)[:, self.free]])
+        """Derivatives of the residual by the free parameters, (n_equation, n_free) [-]."""
+        return np.concatenate([self.measured_slopes(parameters), np.diag(1 / self.spread)[:, self.free]])
 
-    def data_slopes(self, parameters: FloatArray) -> FloatArray:
-        """Slopes of responses and thresholds (n_datum, n_free), without the priors."""
+    def measured_slopes(self, parameters: FloatArray) -> FloatArray:
+        """Derivatives of the residual of responses and thresholds (n_datum, n_free) [-], without the priors."""
         values = self.values(parameters)
         measured = [self._response(group, values)[1] for group in self.groups]
         return np.concatenate([*measured, self._thresholds(values)[1]])[:, self.free]
 
     def chi2(self, parameters: FloatArray) -> float:
-        """The squared length of the residual; infinite where there is none."""
+        """Sum of squares [-] of the residual at the free parameters (n_free,); infinite where the residual cannot be computed."""
         return sum_of_squares(self.residual, parameters)
 
     def _response(self, group: LoadRuns, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -112,16 +112,16 @@ class RunUpProblem(Generic[Family]):
 
 
 def measured_thresholds(groups: tuple[LoadRuns, ...]) -> Thresholds:
-    """The thresholds that were measured, each with its load [N]."""
+    """Measured thresholds [rad/s] with their loads [N]."""
     return tuple((group.load, run.run.threshold) for group in groups for run in group.runs if run.run.threshold is not None)
 
 
 def threshold_row(
     rig: RunUpRotor, family: CoefficientFamily, values: FloatArray, load: float, measured: Uncertain
 ) -> tuple[float, FloatArray]:
-    """(Omega_th - Omega_meas) / s and its slopes (n_parameter,): d Omega_th = -d growth / (d growth / d Omega) at the threshold itself.
+    """(Omega_th - Omega_meas) / s [-] and its derivatives by the parameters (n_parameter,).
 
-    FitError where the search from the measured speed finds none.
+    d Omega_th = -d growth / (d growth / d Omega) at the threshold. FitError where the search from the measured speed finds none.
     """
     speed, by_speed = nearby_threshold(rig, family.at_load(values, load), measured.value)
     eight, by_parameter = family.coefficients_and_slopes(values, np.array([load]), np.array([speed]))

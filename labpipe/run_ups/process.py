@@ -1,8 +1,8 @@
-"""The joint fit times a smooth factor: where chi-square rejects the film's family, a Gaussian process takes up what the family cannot say.
+"""The joint fit times smooth factors: a Gaussian process of the deviation from the film's family, for a rejected joint fit.
 
 Minimises |r|^2 + sum ((Omega_th - Omega_meas) / s)^2 + sum (p / prior)^2 + sum z^2 over the family's twelve parameters p and the fields'
-z (see `process_field`) from the joint fit on. Size and lengths of the fields maximise the marginal likelihood of the responses,
-made linear about the last minimum (Rasmussen and Williams 2006, section 5.4.1), times log-normal priors of these three (HYPER).
+z (see `process_field`), started at the joint fit. Size and lengths of the fields maximise the marginal likelihood of the responses,
+linearised about the last minimum (Rasmussen and Williams 2006, section 5.4.1), times log-normal priors of these three (HYPER).
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from labpipe.run_ups.process_result import ProcessFit
 # Medians and standard deviations of the logarithms of size, and of the lengths as parts of the ranges of load and speed.
 HYPER = ((0.15, 0.5), (0.8, 0.4), (0.4, 0.4))
 ROUNDS = 2
-# Distance to a minimum, in standard errors, that does not matter: curved valleys are crept along.
+# Tolerance of a minimum, in standard errors: curved valleys converge slowly.
 NEAR = 0.1
-# Lengths are shortened by this: four combinations of eight are seen, and theirs are not all. On virtual rigs with arbitrary smooth factors
-# the coefficients come out nearer to the truth by a tenth to a third, and their intervals hold it; without it they are too narrow.
+# Factor on the lengths, because only four of eight combinations are measured. On virtual rigs with arbitrary smooth factors
+# the coefficients come nearer to the truth by a tenth to a third, and their intervals cover it; without it they are too narrow.
 CAUTION = 0.7
 SEARCH = {"xatol": 0.02, "fatol": 0.05, "maxfev": 120}
 
@@ -60,20 +60,20 @@ def fit_with_process(rig: RunUpRotor, runs: Iterable[RunUp], joint: JointFit | N
     first = np.zeros(len(PARAMETERS)) if joint is None else joint.values
     values, steps = _minimum(problem, np.concatenate([first, np.zeros(8 * problem.family.field.n_mode)]))
     for _ in range(ROUNDS):
-        data = LinearData.at(problem, values, places)
-        problem = problem_of(_likeliest(data, places, ranges))
-        values, more = _minimum(problem, _carried(values, data.field, problem.family.field))
+        linear = LinearData.at(problem, values, places)
+        problem = problem_of(_likeliest(linear, places, ranges))
+        values, more = _minimum(problem, _carried(values, linear.field, problem.family.field))
         steps += more
     return _result(problem, values, steps)
 
 
 def _places(groups: tuple[LoadRuns, ...], thresholds: Thresholds) -> FloatArray:
-    own = [places_of(group.load, group.speed) for group in groups]
-    return np.concatenate([*own, *(places_of(load, np.array([speed.value])) for load, speed in thresholds)])
+    measured = [places_of(group.load, group.speed) for group in groups]
+    return np.concatenate([*measured, *(places_of(load, np.array([speed.value])) for load, speed in thresholds)])
 
 
 def _ranges(places: FloatArray) -> FloatArray:
-    """Of load and speed; of a single load its own size."""
+    """Ranges of load and speed; of a single load the load itself."""
     extent = np.ptp(places, axis=0)
     return np.where(extent > 0, extent, places[0])
 
@@ -84,10 +84,10 @@ def _kernel(logarithms: FloatArray, ranges: FloatArray) -> SquaredExponential:
 
 
 def _minimum(problem: RunUpProblem[ProcessFamily], start: FloatArray) -> tuple[FloatArray, int]:
-    found = minimise(problem, start, NEAR)
-    if not found.converged:
+    minimum = minimise(problem, start, NEAR)
+    if not minimum.converged:
         raise FitError("no minimum of the fit with smooth factors was found", hint="check unbalance, phases, standard errors, rotor file")
-    return found.values, found.steps
+    return minimum.values, minimum.steps
 
 
 def _carried(values: FloatArray, old: SmoothField, new: SmoothField) -> FloatArray:
@@ -101,7 +101,7 @@ def _carried(values: FloatArray, old: SmoothField, new: SmoothField) -> FloatArr
 
 @dataclass(frozen=True)
 class LinearData:
-    """Everything measured, linear in the logarithms q (n_place, 8) of the coefficients about a minimum: r = A q - y.
+    """Responses and thresholds, linear in the logarithms q (n_place, 8) [-] of the coefficients about a minimum: r = A q - y.
 
     normal (n_place, 8, 8) and side (n_place, 8): A^T A and A^T y; by_family (n_place, 8, 12): q by the family's parameters.
     """
@@ -113,6 +113,7 @@ class LinearData:
 
     @classmethod
     def at(cls, problem: RunUpProblem[ProcessFamily], values: FloatArray, places: FloatArray) -> LinearData:
+        """Linearisation about parameters *values* (n_parameter,) [-], at the *places* (n_place, 2) [N, rad/s] of the data."""
         n = len(PARAMETERS)
         eight, slopes = problem.family.coefficients_and_slopes(values, places[:, 0], places[:, 1])
         by_family = slopes[..., :n] / eight[..., None]
@@ -123,15 +124,15 @@ class LinearData:
         return cls(problem.family.field, normal, side, by_family)
 
     def log_likelihood(self, field: SmoothField) -> float:
-        """Of everything measured under another field, up to a constant: b^T M^-1 b / 2 - ln det M / 2, M = 1 + B^T A^T A B."""
+        """Log likelihood of the data under another field, up to a constant: b^T M^-1 b / 2 - ln det M / 2, M = 1 + B^T A^T A B."""
         basis = field.basis(field.places)
-        own = self.by_family * PRIOR
-        corner = np.einsum("pia,pij,pjb->ab", own, self.normal, own)
-        beside = np.einsum("pia,pij,pm->ajm", own, self.normal, basis).reshape(len(PARAMETERS), -1)
+        scaled = self.by_family * PRIOR
+        corner = np.einsum("pia,pij,pjb->ab", scaled, self.normal, scaled)
+        beside = np.einsum("pia,pij,pm->ajm", scaled, self.normal, basis).reshape(len(PARAMETERS), -1)
         weighted = np.einsum("pij,pm->ijpm", self.normal, basis).reshape(64, basis.shape[0], -1)
         block = (weighted.swapaxes(1, 2) @ basis).reshape(8, 8, field.n_mode, field.n_mode).transpose(0, 2, 1, 3)
         matrix = np.block([[corner, beside], [beside.T, block.reshape(beside.shape[1], -1)]]) + np.eye(corner.shape[0] + beside.shape[1])
-        side = np.concatenate([np.einsum("pia,pi->a", own, self.side), (self.side.T @ basis).ravel()])
+        side = np.concatenate([np.einsum("pia,pi->a", scaled, self.side), (self.side.T @ basis).ravel()])
         factor = np.linalg.cholesky(matrix)
         reduced = linalg.solve_triangular(factor, side, lower=True)
         return float(reduced @ reduced / 2 - np.sum(np.log(np.diag(factor))))
@@ -141,9 +142,9 @@ def _rows_by_place(problem: RunUpProblem[ProcessFamily], values: FloatArray, eig
     """Residual (n_equation,) and its slopes by ln coefficients (n_equation, 8) at every place of the data."""
     rows, first = [], 0
     for group in problem.groups:
-        own = eight[first : first + group.speed.size]
-        residual, slopes = group.residual_and_slopes(own)
-        rows += [(one, slope * here) for one, slope, here in zip(residual, slopes, own, strict=True)]
+        group_eight = eight[first : first + group.speed.size]
+        residual, slopes = group.residual_and_slopes(group_eight)
+        rows += [(equations, slope * here) for equations, slope, here in zip(residual, slopes, group_eight, strict=True)]
         first += group.speed.size
     field = problem.family.field
     for number, (load, measured) in enumerate(problem.thresholds):
@@ -155,36 +156,36 @@ def _rows_by_place(problem: RunUpProblem[ProcessFamily], values: FloatArray, eig
     return rows
 
 
-def _likeliest(data: LinearData, places: FloatArray, ranges: FloatArray) -> SquaredExponential:
+def _likeliest(linear: LinearData, places: FloatArray, ranges: FloatArray) -> SquaredExponential:
     median, deviation = (np.array(column) for column in zip(*HYPER, strict=True))
 
     def cost(parts: FloatArray) -> float:
         field = SmoothField.of(_kernel(np.log(median) + deviation * parts, ranges), places)
-        return float(parts @ parts) / 2 - data.log_likelihood(field)
+        return float(parts @ parts) / 2 - linear.log_likelihood(field)
 
     options: Any = {"initial_simplex": np.concatenate([np.zeros((1, 3)), np.eye(3)]), **SEARCH}
-    found = optimize.minimize(cost, np.zeros(3), method="Nelder-Mead", options=options)
-    likeliest = _kernel(np.log(median) + deviation * found.x, ranges)
+    search = optimize.minimize(cost, np.zeros(3), method="Nelder-Mead", options=options)
+    likeliest = _kernel(np.log(median) + deviation * search.x, ranges)
     return SquaredExponential(likeliest.size, CAUTION * likeliest.load, CAUTION * likeliest.speed)
 
 
 def _result(problem: RunUpProblem[ProcessFamily], values: FloatArray, steps: int) -> ProcessFit:
-    slopes, spread = problem.data_slopes(values), problem.spread
+    slopes, spread = problem.measured_slopes(values), problem.spread
     covariance = np.linalg.inv(slopes.T @ slopes + np.diag(spread**-2.0))
     residual = problem.residual(values)[: slopes.shape[0]]
     rank, condition = rank_of(slopes * spread)
     singular = np.linalg.svd(slopes * spread, compute_uv=False)
     return ProcessFit(
-        problem.rig,
-        problem.family,
-        tuple(group.load for group in problem.groups),
-        values,
-        covariance,
-        float(residual @ residual),
-        slopes.shape[0],
-        float(np.trace(covariance @ slopes.T @ slopes)),
-        int(rank),
-        float(condition),
-        int(np.sum(singular > 1)),
-        steps,
+        rig=problem.rig,
+        family=problem.family,
+        loads=tuple(group.load for group in problem.groups),
+        values=values,
+        covariance=covariance,
+        chi2=float(residual @ residual),
+        n_datum=slopes.shape[0],
+        n_effective=float(np.trace(covariance @ slopes.T @ slopes)),
+        rank=int(rank),
+        condition=float(condition),
+        n_determined=int(np.sum(singular > 1)),
+        steps=steps,
     )

@@ -1,11 +1,11 @@
-"""Smooth fields over load and speed with a Gaussian process before any run-up is seen, and the film's family times such fields.
+"""Smooth fields over load and speed with a Gaussian process prior, and the film's family times such fields.
 
 g_i(W, Omega), i one of the eight coefficients, are independent with mean zero and the covariance
 
     k = s^2 exp(-((W - W') / l_W)^2 / 2 - ((Omega - Omega') / l_Omega)^2 / 2)
 
 (Rasmussen and Williams 2006, eq. 5.1). Between the places of the data they are g_i = b(W, Omega) z_i, z of unit variance a priori, b from
-the eigenvectors of k over these places; what b leaves of the variance elsewhere is kept as *unexplained*.
+the eigenvectors of k over these places; the remaining variance elsewhere is *unexplained*.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ class SquaredExponential:
     speed: float
 
     def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """k (n_first, n_second) between places (n, 2) of load and speed."""
+        """k (n_first, n_second) [-] between places (n, 2) of load [N] and speed [rad/s]."""
         difference = (first[:, None, :] - second[None, :, :]) / np.array([self.load, self.speed])
         return np.asarray(self.size**2 * np.exp(-0.5 * np.sum(difference**2, axis=-1)))
 
 
 @dataclass(frozen=True)
 class SmoothField:
-    """Fields of one *kernel* on the *places* (n_place, 2) of the data; *weights* (n_place, n_mode): U / sqrt(eigenvalue)."""
+    """Fields of one *kernel* on the *places* (n_place, 2) [N, rad/s] of the data; *weights* (n_place, n_mode): U / sqrt(eigenvalue)."""
 
     kernel: SquaredExponential
     places: FloatArray
@@ -46,20 +46,21 @@ class SmoothField:
 
     @classmethod
     def of(cls, kernel: SquaredExponential, places: FloatArray) -> SmoothField:
+        """The field of a *kernel* on the *places* (n_place, 2) [N, rad/s] of the data."""
         sizes, vectors = np.linalg.eigh(kernel.covariance(places, places))
-        kept = sizes > LEAST_EIGENVALUE * sizes[-1]
-        return cls(kernel, places, vectors[:, kept] / np.sqrt(sizes[kept]))
+        significant = sizes > LEAST_EIGENVALUE * sizes[-1]
+        return cls(kernel, places, vectors[:, significant] / np.sqrt(sizes[significant]))
 
     @property
     def n_mode(self) -> int:
         return int(self.weights.shape[1])
 
     def basis(self, places: FloatArray) -> FloatArray:
-        """b (n_point, n_mode) at places (n_point, 2)."""
+        """b (n_point, n_mode) [-] at places (n_point, 2) [N, rad/s]."""
         return np.asarray(self.kernel.covariance(places, self.places) @ self.weights)
 
     def unexplained(self, places: FloatArray) -> FloatArray:
-        """Covariance (n_point, n_point) of every field that no z describes."""
+        """Covariance (n_point, n_point) [-] of a field beyond its basis, at places (n_point, 2) [N, rad/s]."""
         basis = self.basis(places)
         return np.asarray(self.kernel.covariance(places, places) - basis @ basis.T)
 
@@ -76,7 +77,7 @@ class ProcessFamily:
         return len(PARAMETERS) + 8 * self.field.n_mode
 
     def factors(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """exp(g), (n_point, 8)."""
+        """exp(g), (n_point, 8) [-]."""
         basis = self.field.basis(places_of(load, speed))
         return np.asarray(np.exp(basis @ values[len(PARAMETERS) :].reshape(8, -1).T))
 
@@ -85,15 +86,15 @@ class ProcessFamily:
         return self.family.coefficients(values[: len(PARAMETERS)], load, speed) * self.factors(values, load, speed)
 
     def coefficients_and_slopes(self, values: FloatArray, load: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """`coefficients` and their derivatives by all parameters, (n_point, 8, n_parameter)."""
-        own, by_family = self.family.coefficients_and_slopes(values[: len(PARAMETERS)], load, speed)
+        """`coefficients` [N/m, N s/m] and their derivatives by all parameters, (n_point, 8, n_parameter)."""
+        film_eight, by_family = self.family.coefficients_and_slopes(values[: len(PARAMETERS)], load, speed)
         factors = self.factors(values, load, speed)
-        eight = own * factors
+        eight = film_eight * factors
         by_field = np.einsum("pi,ij,pm->pijm", eight, np.eye(8), self.field.basis(places_of(load, speed)))
         return eight, np.concatenate([by_family * factors[..., None], by_field.reshape(*eight.shape, -1)], axis=-1)
 
     def at_load(self, values: FloatArray, load: float) -> CoefficientsAtSpeed:
-        """K and C (n_speed, 2, 2) as a function of speed."""
+        """K [N/m] and C [N s/m], (n_speed, 2, 2), as a function of speed [rad/s]."""
         return lambda speed: as_matrices(self.coefficients(values, load, speed))
 
 

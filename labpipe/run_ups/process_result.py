@@ -1,4 +1,4 @@
-"""What the joint fit with smooth factors found, and what it predicts at any load, asked in the same way as the joint fit."""
+"""Result of the joint fit with smooth factors and its predictions at any load, with the interface of the joint fit."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from labpipe.run_ups.process_field import ProcessFamily, SquaredExponential, pla
 PEAK_STEP = 5e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ProcessFit:
     """Parameters *values* and *covariance* (n_parameter, n_parameter) of the *family*; *loads* [N]: those of the fit.
 
     chi2, n_datum: of responses and thresholds; n_effective: parameters that the data determine against the priors; rank, condition: of
-    the data, in units of the priors; n_determined: combinations that the data say more about than the priors do.
+    the data, in units of the priors; n_determined: combinations that the data determine better than the priors do.
     """
 
     rig: RunUpRotor
@@ -43,12 +43,12 @@ class ProcessFit:
 
     @property
     def kernel(self) -> SquaredExponential:
-        """Size and lengths of the smooth factors, as the marginal likelihood has them."""
+        """Size and lengths of the smooth factors, of maximum marginal likelihood."""
         return self.family.field.kernel
 
     @property
     def chi2_per_datum(self) -> float:
-        """chi-square over data less the parameters they determine."""
+        """chi-square over degrees of freedom."""
         return self.chi2 / (self.n_datum - self.n_effective)
 
     @property
@@ -58,10 +58,10 @@ class ProcessFit:
 
     @property
     def statement(self) -> str:
-        """What was assumed and how much of it the data decide."""
+        """Statement on the assumed factors and the combinations that the data determine."""
         kernel = self.kernel
         return (
-            f"smooth factors with a standard deviation of {100 * kernel.size:.0f} %, alike over {kernel.load:.2g} N and "
+            f"smooth factors with a standard deviation of {100 * kernel.size:.0f} %, correlated over {kernel.load:.2g} N and "
             f"{kernel.speed * 30 / np.pi:.0f} rpm, on the joint fit; of {self.values.size} parameters the data determine "
             f"{self.n_determined} combinations better than these assumptions do"
         )
@@ -79,7 +79,7 @@ class ProcessFit:
         return eight, np.sqrt(variance + np.maximum(beyond, 0)) * self.widening
 
     def factors(self, load: float, speed: FloatArray) -> FloatArray:
-        """The smooth factors themselves, (n_speed, 8)."""
+        """The smooth factors (n_speed, 8) [-]."""
         return self.family.factors(self.values, load, speed)
 
     def critical_speed(self, load: float, plane: str = "") -> Uncertain:
@@ -92,7 +92,7 @@ class ProcessFit:
         around = speed + step * np.array([-1.0, 0.0, 1.0])
         number = self.rig.plane_names.index(plane) if plane else -1
         eight = self.family.coefficients(self.values, load, around)
-        response, slopes = self.rig.under_unbalance(around, self.rig.known_unbalance).response_and_slopes(*as_matrices(eight))
+        response, slopes = self.rig.under_unbalance(around, self.rig.unbalance_by_plane).response_and_slopes(*as_matrices(eight))
         size = largest_displacement(response.reshape(3, -1, 2))[:, number]
         bend = (size[0] - 2 * size[1] + size[2]) / step**2
         by_eight = displacement_slopes(response, slopes)[:, number] * np.array([1.0, 0.0, -1.0])[:, None] / (2 * step * bend)
@@ -100,23 +100,23 @@ class ProcessFit:
 
     def threshold(self, load: float) -> Uncertain | None:
         """Onset speed of instability [rad/s]; None when there is none up to twice the highest speed of the search."""
-        found = self.rig.threshold(self.at_load(load))
-        if found is None:
+        onset = self.rig.threshold(self.at_load(load))
+        if onset is None:
             return None
-        speed, by_speed = nearby_threshold(self.rig, self.at_load(load), found)
+        speed, by_speed = nearby_threshold(self.rig, self.at_load(load), onset)
         stiffness, damping = self.at_load(load)(np.array([speed]))
         mode = self.rig.stability.least_stable(speed, stiffness[0], damping[0])
         by_eight = -np.concatenate([mode.by_stiffness.ravel(), mode.by_damping.ravel()]) / by_speed
         return Uncertain(speed, self._error(load, np.array([speed]), by_eight[None]))
 
     def caution(self, load: float) -> str:
-        """What a reader of a prediction at a *load* [N] must know beside its interval; empty where the interval says it all."""
+        """Warning on a prediction at an extrapolated *load* [N]; empty within the loads of the fit."""
         low, high = min(self.loads), max(self.loads)
         if low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
             return ""
         return (
-            f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): there the smooth factors are guessed, and the "
-            f"interval rests on their being alike over {self.kernel.load:.2g} N"
+            f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): the smooth factors are extrapolated, and the "
+            f"interval assumes their correlation over {self.kernel.load:.2g} N"
         )
 
     def _error(self, load: float, speed: FloatArray, weights: FloatArray) -> float:

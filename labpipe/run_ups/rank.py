@@ -1,4 +1,4 @@
-"""What run-ups can tell of the eight coefficients at one load and speed: rank, condition, and the combinations no run-up sees.
+"""Identifiability of the eight coefficients from run-ups at one load and speed: rank, condition, undetermined combinations.
 
 A round shaft under any unbalance moves its journal along one and the same complex vector (x_b, y_b): two complex equations. Amplitudes
 alone give one number per disc. Only a force that does not turn with the shaft moves the journal along another vector.
@@ -22,12 +22,12 @@ COMPLEX = "amplitude and phase in both directions"
 SECOND = "the same, with a second unbalance run"
 SHAKEN = "the same, with a run under a force that does not turn"
 SEEN = (
-    "the journal moves along one vector (x_b, y_b), so that only (k_xx + j Omega c_xx) x_b + (k_xy + j Omega c_xy) y_b and the same sum "
-    "of the y row are seen"
+    "the journal moves along one vector (x_b, y_b): only (k_xx + j Omega c_xx) x_b + (k_xy + j Omega c_xy) y_b and the same sum "
+    "of the y row are measured"
 )
 WORDS = {
-    2: "one number per plane is seen; six combinations of the eight coefficients are free",
-    4: f"{SEEN}; four combinations of the eight coefficients are free",
+    2: "one number per plane is measured; six combinations of the eight coefficients are undetermined",
+    4: f"{SEEN}; four combinations of the eight coefficients are undetermined",
     8: "all eight coefficients are determined",
 }
 ADVICE = "a second unbalance run adds no rank, a non-rotating shaker run does"
@@ -35,8 +35,8 @@ ADVICE = "a second unbalance run adds no rank, a non-rotating shaker run does"
 
 @dataclass(frozen=True)
 class RankStatement:
-    """*rank* of the eight unknowns from a set of *data*; *condition* within the rank; *words* on what is seen, *free*: each combination
-    that is not, in parts of the coefficients' own sizes; *advice* on the experiment, where there is one."""
+    """*rank* of the eight unknowns from a set of *data*; *condition* within the rank; *words*: statement, *free*: each combination
+    that is undetermined, in parts of the coefficients' sizes; *advice* on the experiment, where there is any."""
 
     data: str
     rank: int
@@ -54,9 +54,9 @@ def rank_statements(rig: RunUpRotor, load: float, speed: float, coefficients: Fl
     place = np.array([speed])
     eight = as_eight(*rig.start_coefficients(load, place)) if coefficients is None else np.asarray(coefficients, np.float64)[None]
     unit = scales(eight)[0]
-    first = _slopes(rig, place, eight, rig.known_unbalance) * unit
+    first = _slopes(rig, place, eight, rig.unbalance_by_plane) * unit
     other = rig.plane_names[-1]
-    second = _slopes(rig, place, eight, {other: 1j * max(abs(size) for size in rig.known_unbalance.values())}) * unit
+    second = _slopes(rig, place, eight, {other: 1j * max(abs(size) for size in rig.unbalance_by_plane.values())}) * unit
     shaker = _slopes(rig, place, eight, None) * unit
     both = np.concatenate([first, second])
     return (
@@ -68,7 +68,7 @@ def rank_statements(rig: RunUpRotor, load: float, speed: float, coefficients: Fl
 
 
 def measured_statement(rig: RunUpRotor, runs: Iterable[RunUp], load: float, speed: float) -> RankStatement:
-    """The statement for the *runs* at hand (of one load, at one speed), with the advice where a second unbalance brought nothing."""
+    """The statement for the *runs* at hand (of one load, at one speed), with *advice* where a second unbalance adds no rank."""
     runs = list(runs)
     place = np.array([speed])
     eight = as_eight(*rig.start_coefficients(load, place))
@@ -79,12 +79,12 @@ def measured_statement(rig: RunUpRotor, runs: Iterable[RunUp], load: float, spee
     return _statement(named, np.concatenate(parts), ADVICE if without_shaker else "")
 
 
-def _statement(data: str, slopes: FloatArray, advice: str = "") -> RankStatement:
+def _statement(source: str, slopes: FloatArray, advice: str = "") -> RankStatement:
     rows = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
-    found, condition = rank_of(rows)
-    rank = int(found)
-    words = WORDS.get(rank, f"{rank} combinations of the eight coefficients are seen")
-    return RankStatement(data, rank, float(condition), words, unseen_combinations(rows), advice)
+    computed_rank, condition = rank_of(rows)
+    rank = int(computed_rank)
+    sentence = WORDS.get(rank, f"{rank} combinations of the eight coefficients are determined")
+    return RankStatement(source, rank, float(condition), sentence, unseen_combinations(rows), advice)
 
 
 def _slopes(
@@ -100,7 +100,17 @@ def _response(
 ) -> tuple[ComplexArray, ComplexArray]:
     shape = (1, len(rig.planes), 2)
     force = None if unbalance else shaker or Shaker(rig.plane_names[0], 1.0, 0.0)
-    run = RunUp("", 1.0, speed, rig.plane_names, np.ones(shape, np.complex128), np.ones(shape), np.ones(shape), unbalance or {}, force)
+    run = RunUp(
+        "",
+        1.0,
+        speed,
+        rig.plane_names,
+        np.ones(shape, np.complex128),
+        amplitude_error=np.ones(shape),
+        phase_error=np.ones(shape),
+        unbalance=unbalance or {},
+        shaker=force,
+    )
     split = eight.reshape(1, 2, 2, 2)
     response, slopes = rig.excited(run).response_and_slopes(split[:, 0], split[:, 1])
     return response[0], slopes[0]
@@ -108,10 +118,10 @@ def _response(
 
 def _amplitude_slopes(rig: RunUpRotor, speed: FloatArray, eight: FloatArray) -> FloatArray:
     """Of the largest displacement of every plane, (n_plane, 8): d |f| = Re(f* df) / |f| for both circles of the orbit."""
-    response, slopes = _response(rig, speed, eight, rig.known_unbalance)
+    response, slopes = _response(rig, speed, eight, rig.unbalance_by_plane)
     response, slopes = response.reshape(-1, 2), slopes.reshape(-1, 2, 8)
-    found = np.zeros((response.shape[0], 8))
+    derivatives = np.zeros((response.shape[0], 8))
     for turn in (1j, -1j):
         circle = response[:, 0] + turn * response[:, 1]
-        found += ((circle / np.abs(circle)).conj()[:, None] * (slopes[:, 0] + turn * slopes[:, 1])).real / 2
-    return found
+        derivatives += ((circle / np.abs(circle)).conj()[:, None] * (slopes[:, 0] + turn * slopes[:, 1])).real / 2
+    return derivatives

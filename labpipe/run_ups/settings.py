@@ -1,4 +1,4 @@
-"""What a pipeline says of its run-ups: which runs, which methods, which metamodels."""
+"""Settings of run-ups: runs, methods, metamodels."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ METAMODELS = ("response-surface", "network", "gaussian-process", "physical")
 SEARCHES = ("pattern", "cobyqa")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunSettings(Settings):
     """One entry of ``run_ups.runs:``, a table or a recording; *unbalance* [kg m] by plane, complex: in place of the table's.
 
-    path, subtracted: the files with their folder; recorded_by: what `rig` names.
+    path, subtracted: the files with their folder; recorded_by: contents of `rig`.
     """
 
     file: str = setting("file", "table of the run-up (CSV), relative to the pipeline file", default="", file_kind="path", into="path")
@@ -82,7 +82,7 @@ class RunSettings(Settings):
                 raise ConfigError(f"'{name}' has three values", hint="measured, original and enhanced")
 
     def _check_recording(self) -> None:
-        """ConfigError for what a table says and a recording does not."""
+        """ConfigError for entries that a recording needs and a table does not."""
         if not self.tacho:
             raise ConfigError("'tacho' is missing", hint="name the channel with the tacho's pulses")
         if self.load is None:
@@ -94,9 +94,9 @@ class RunSettings(Settings):
             raise ConfigError("'pulses' and 'harmonics' are at least 1, 'revolutions' at least 2")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunUpSettings(Settings):
-    """The ``run_ups:`` section; *rig* is what `rotor` names."""
+    """The ``run_ups:`` section; *rig*: contents of `rotor`."""
 
     rotor: str = setting("file", "rotor file with pins, relative to the pipeline file", file_kind="run-up-rotor", into="rig")
     runs: tuple[RunSettings, ...] = setting(
@@ -115,10 +115,10 @@ class RunUpSettings(Settings):
     rig: RunUpRotor | None = None
 
     def __post_init__(self) -> None:
-        for field, known in (("methods", METHODS), ("metamodels", METAMODELS)):
+        for field, table in (("methods", METHODS), ("metamodels", METAMODELS)):
             for name in getattr(self, field):
-                if name not in known:
-                    raise ConfigError(f"unknown name '{name}'", hint=nearest(name, known), field=field)
+                if name not in table:
+                    raise ConfigError(f"unknown name '{name}'", hint=nearest(name, table), field=field)
         if not (0 < self.bound < 1 and self.ridge > 0):
             raise ConfigError("'bound' lies between 0 and 100 %, 'ridge' above 0", hint="for example bound: 30 %")
         if self.plane and self.rig is not None:
@@ -134,11 +134,11 @@ class RunUpSettings(Settings):
             raise
 
     def _check_metamodels(self) -> None:
-        """ConfigError for metamodels whose method is not among those that are fitted."""
+        """ConfigError for metamodels of a method that is not fitted."""
         needed = {self.metamodels_of} | ({"joint"} if "physical" in self.metamodels else set()) if self.metamodels else set()
         for name in sorted(needed - set(self.methods)):
             hint = f"add {name} to run_ups.methods"
-            raise ConfigError(f"metamodels need the method '{name}', which is not wanted", hint=hint, field="metamodels")
+            raise ConfigError(f"metamodels need the method '{name}', which is not fitted", hint=hint, field="metamodels")
 
     def _check_runs(self) -> None:
         if not self.runs:
@@ -146,6 +146,6 @@ class RunUpSettings(Settings):
         names = [run.name for run in self.runs]
         for name in names:
             if names.count(name) > 1:
-                raise ConfigError(f"a second run named '{name}'", hint="give it a name of its own", field="runs")
+                raise ConfigError(f"a second run named '{name}'", hint="names must differ", field="runs")
         if all(run.role == HELD_OUT for run in self.runs):
-            raise ConfigError("every run is held out, and nothing is left to fit", hint="leave out role: of some", field="runs")
+            raise ConfigError("every run is held out, none is trained", hint="leave out role: of some", field="runs")

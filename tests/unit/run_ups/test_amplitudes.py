@@ -32,7 +32,7 @@ def twenty() -> AmplitudeFit:
 
 def test_slopes_of_the_largest_displacement_equal_differences(rng: np.random.Generator) -> None:
     speed = np.array([90.0, 150.0, 260.0])
-    condensed = RIG.under_unbalance(speed, RIG.known_unbalance)
+    condensed = RIG.under_unbalance(speed, RIG.unbalance_by_plane)
     eight = as_eight(*RIG.start_coefficients(6.0, speed))
     slopes = displacement_slopes(*condensed.response_and_slopes(*as_matrices(eight)))
     assert slopes.shape == (3, 2, 8)
@@ -117,8 +117,8 @@ def test_twenty_starts_reach_the_data_with_factors_all_over_the_box(twenty: Ampl
     width = np.ptp(twenty.factors, axis=0)
     assert np.median(width) > 0.5
     spread = twenty.spread(9)
-    assert spread.words.startswith("the coefficients are not determined: under 5.88 N at 1300 rpm 20 starts reach the measured amplitudes")
-    assert "k_xx 0.7" in spread.words
+    assert spread.text.startswith("the coefficients are not determined: under 5.88 N at 1300 rpm 20 starts reach the measured amplitudes")
+    assert "k_xx 0.7" in spread.text
     assert twenty.statement.startswith(f"the coefficients are not determined: at {twenty.speed.size} speeds")
     np.testing.assert_allclose(twenty.objective, twenty.objectives.min(axis=0))
 

@@ -71,9 +71,9 @@ def test_inside_its_family_it_finds_what_can_be_found(inside: JointFit) -> None:
 
 
 def test_the_priors_hold_clearance_viscosity_and_the_common_factor(inside: JointFit) -> None:
-    assert len(inside.held_by_priors) == 1
-    assert "clearance +0.50" in inside.held_by_priors[0] and "viscosity +1.00" in inside.held_by_priors[0]
-    assert all(f"factor_{name} +0.50" in inside.held_by_priors[0] for name in COEFFICIENTS)
+    assert len(inside.prior_dominated) == 1
+    assert "clearance +0.50" in inside.prior_dominated[0] and "viscosity +1.00" in inside.prior_dominated[0]
+    assert all(f"factor_{name} +0.50" in inside.prior_dominated[0] for name in COEFFICIENTS)
     assert 10 < inside.n_effective < 12
 
 

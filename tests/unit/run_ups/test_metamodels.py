@@ -173,7 +173,7 @@ def test_networks_follow_a_smooth_field_and_their_seed() -> None:
     assert np.any(model.predict(7.0, SPEEDS) != other.predict(7.0, SPEEDS))
     np.testing.assert_allclose(model.predict(grid.load, grid.speed), grid.eight, rtol=0.05)
     assert model.n_converged == 3 and len(model.repeats) == 3
-    each = model.each(7.0, SPEEDS)
+    each = model.repeat_predictions(7.0, SPEEDS)
     np.testing.assert_allclose(model.std_error(7.0, SPEEDS), each.std(axis=0, ddof=1))
     assert np.isnan(fit_network(grid, repeats=1).std_error(7.0, SPEEDS)).all()
 

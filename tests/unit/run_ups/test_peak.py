@@ -19,8 +19,9 @@ def jeffcott(step: float, zeta: float = 0.1, natural: float = 150.0) -> RunUp:
     speed = np.arange(60.0, 261.0, step)
     radius = 1e-5 * speed**2 / (natural**2 - speed**2 + 2j * zeta * natural * speed)
     response = np.stack([radius, -1j * radius], axis=-1)[:, None]
-    errors = 1e-4 * np.abs(response), np.full(response.shape, 1e-4)
-    return RunUp("jeffcott", 5.0, speed, ("disc",), response, *errors, {"disc": 1e-5 + 0j})
+    amplitude, phase = 1e-4 * np.abs(response), np.full(response.shape, 1e-4)
+    unbalance = {"disc": 1e-5 + 0j}
+    return RunUp("jeffcott", 5.0, speed, ("disc",), response, amplitude_error=amplitude, phase_error=phase, unbalance=unbalance)
 
 
 @pytest.mark.parametrize("step", [5.0, 10.0])
