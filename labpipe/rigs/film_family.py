@@ -50,26 +50,26 @@ class FilmFamily:
     def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table."""
         load, speed = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
-        found = self.curve.coefficients(self.sommerfeld(values, load, speed))
-        return self._joined(found.stiffness, found.damping) * self._scale(values, load, speed)
+        curve_values = self.curve.coefficients(self.sommerfeld(values, load, speed))
+        return self._joined(curve_values.stiffness, curve_values.damping) * self._scale(values, load, speed)
 
     def coefficients_and_slopes(self, values: FloatArray, load: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """`coefficients` and their derivatives by PARAMETERS, (n_point, 8, 12)."""
-        found = self.curve.coefficients(self.sommerfeld(values, load, speed))
+        """`coefficients` [N/m, N s/m] and their derivatives by PARAMETERS, (n_point, 8, 12)."""
+        curve_values = self.curve.coefficients(self.sommerfeld(values, load, speed))
         scale = self._scale(values, load, speed)
-        own = self._joined(found.stiffness, found.damping) * scale
-        by_place = self._joined(found.stiffness_slope, found.damping_slope) * scale
-        slopes = np.zeros((*own.shape, len(PARAMETERS)))
+        eight = self._joined(curve_values.stiffness, curve_values.damping) * scale
+        by_place = self._joined(curve_values.stiffness_slope, curve_values.damping_slope) * scale
+        slopes = np.zeros((*eight.shape, len(PARAMETERS)))
         slopes[..., 0] = by_place
         slopes[..., 1] = by_place * np.log(speed / self.speed)[:, None]
         slopes[..., 2] = by_place * np.log(load / self.load)[:, None]
-        slopes[..., 3] = -2 * by_place - own
+        slopes[..., 3] = -2 * by_place - eight
         numbers = np.arange(8)
-        slopes[:, numbers, 4 + numbers] = own
-        return own, slopes
+        slopes[:, numbers, 4 + numbers] = eight
+        return eight, slopes
 
     def at_load(self, values: FloatArray, load: float) -> CoefficientsAtSpeed:
-        """K and C (n_speed, 2, 2) as a function of speed."""
+        """K [N/m] and C [N s/m], (n_speed, 2, 2), as a function of speed [rad/s]."""
         return lambda speed: as_matrices(self.coefficients(values, load, speed))
 
     def _scale(self, values: FloatArray, load: FloatArray, speed: FloatArray) -> FloatArray:
@@ -83,32 +83,32 @@ class FilmFamily:
 
 
 def as_matrices(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """K and C, (..., 2, 2) each, from eight COEFFICIENTS (..., 8)."""
+    """K [N/m] and C [N s/m], (..., 2, 2) each, from eight COEFFICIENTS (..., 8)."""
     split = coefficients.reshape(*coefficients.shape[:-1], 2, 2, 2)
     return split[..., 0, :, :], split[..., 1, :, :]
 
 
 def as_eight(stiffness: FloatArray, damping: FloatArray) -> FloatArray:
-    """The eight COEFFICIENTS (..., 8) from K and C (..., 2, 2)."""
+    """The eight COEFFICIENTS (..., 8) from K [N/m] and C [N s/m], (..., 2, 2)."""
     return FilmFamily._joined(np.asarray(stiffness), np.asarray(damping))
 
 
 def carried_beyond(eight: Callable[[FloatArray], FloatArray], low: float, high: float) -> CoefficientsAtSpeed:
-    """K and C over speed from coefficients (n_speed, 8) that are known from *low* to *high* [rad/s].
+    """K and C over speed from coefficients (n_speed, 8) [N/m, N s/m] that are given from *low* to *high* [rad/s].
 
-    Beyond, K and Omega C stay what they are there, as those of a film at one Sommerfeld number do; with C itself held, a rotor would
-    hardly ever get unstable there.
+    Outside, K and Omega C stay constant, as those of a film at one Sommerfeld number; with C itself constant, a rotor would hardly ever
+    get unstable there.
     """
 
     def coefficients(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         speed = np.asarray(speed, np.float64)
-        known = np.clip(speed, low, high)
-        stiffness, damping = as_matrices(eight(known))
-        return stiffness, damping * (known / speed)[..., None, None]
+        within = np.clip(speed, low, high)
+        stiffness, damping = as_matrices(eight(within))
+        return stiffness, damping * (within / speed)[..., None, None]
 
     return coefficients
 
 
-def coefficient_errors(found: FloatArray, true: FloatArray) -> FloatArray:
-    """rms over the points of found less true, over the rms of the true coefficient, (8,) [-], of (n_point, 8) each."""
-    return np.sqrt(np.mean((found - true) ** 2, axis=0) / np.mean(true**2, axis=0))
+def coefficient_errors(estimate: FloatArray, true: FloatArray) -> FloatArray:
+    """rms error of *estimate* over the points, relative to the rms of the true coefficient, (8,) [-], of (n_point, 8) each."""
+    return np.sqrt(np.mean((estimate - true) ** 2, axis=0) / np.mean(true**2, axis=0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
@@ -55,6 +55,7 @@ class RotorRig:
 
     name: str
     rotor: Rotor
+    _: KW_ONLY
     speed: float
     bearings: tuple[BearingPlace, ...]
     loads: tuple[tuple[int, float, float], ...] = ()
@@ -67,11 +68,11 @@ class RotorRig:
             raise ConfigError(f"speed: oil films need a speed above zero, not {self.speed:g} Hz")
         if len(self.bearings) < 2:
             raise ConfigError("bearings: a rotor rests on at least two", hint="name each with its node")
-        for what in ("name", "node"):
-            if len({getattr(place, what) for place in self.bearings}) < len(self.bearings):
-                raise ConfigError(f"bearings: two bearings have one {what}")
-        for what, node in self._places():
-            self.rotor.check_node(node, what)
+        for label in ("name", "node"):
+            if len({getattr(place, label) for place in self.bearings}) < len(self.bearings):
+                raise ConfigError(f"bearings: two bearings have one {label}")
+        for label, node in self._places():
+            self.rotor.check_node(node, label)
 
     def _places(self) -> list[tuple[str, int]]:
         """Everything that sits on a node, as a message names it."""
@@ -99,12 +100,12 @@ class RotorRig:
         for node, y, z in self.loads:
             before = forces.get(node, (0.0, 0.0))
             forces[node] = (before[0] + y, before[1] + z)
-        found = bearing_loads(self.rotor, [place.node for place in self.bearings], forces)
+        reactions = bearing_loads(self.rotor, [place.node for place in self.bearings], forces)
         # Rounding would turn a vertical load by 1e-13 rad and make every rotor's table of coefficients its own.
-        scale = 1e-9 * float(np.abs(found).max())
+        scale = 1e-9 * float(np.abs(reactions).max())
         return {
             place.name: (float(y) if abs(y) > scale else 0.0, float(z) if abs(z) > scale else 0.0)
-            for place, (y, z) in zip(self.bearings, found, strict=True)
+            for place, (y, z) in zip(self.bearings, reactions, strict=True)
         }
 
     def equilibria(self, mesh: FilmMesh = DEFAULT_MESH) -> dict[str, JournalEquilibrium]:
@@ -137,11 +138,11 @@ class RotorRig:
         """
         names = tuple(names) or tuple(place.name for place in self.bearings if place.is_film)
         chosen = [self.place(name) for name in names]
-        what = f"a change of {', '.join(changes)}"
+        purpose = f"a change of {', '.join(changes)}"
         return replace(
             self,
             bearings=tuple(
-                replace(place, bearing=replace(place.film(what), **changes)) if place in chosen else place for place in self.bearings
+                replace(place, bearing=replace(place.film(purpose), **changes)) if place in chosen else place for place in self.bearings
             ),
         )
 

@@ -6,7 +6,7 @@ Frame: x along the static load, y a quarter turn further with the spin (the roto
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property, partial
 from typing import Protocol
 
@@ -40,7 +40,9 @@ class TabulatedCoefficients(Protocol):
         """Range of speeds [rad/s] that they hold for."""
         ...
 
-    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray: ...
+    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """Coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -65,22 +67,23 @@ class SpeedSearch:
         return np.linspace(self.low, self.highest, N_THRESHOLD)
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         return f"{self.low / RPM:.0f} and {self.high / RPM:.0f} rpm"
 
 
 @dataclass(frozen=True)
 class RunUpRotor:
-    """A rotor file with pins: *pins* and *planes* (name, node) sit on nodes of the *rotor*; *unbalances*: the known ones.
+    """A rotor file with pins: *pins* and *planes* (name, node) are nodes of the *rotor*; *unbalances*: of the rotor file.
 
-    *tabulated*: journal coefficients that take the place of the film's own; beyond their speeds K and Omega C are held. *speeds*: where
-    critical speeds are looked for [rad/s], thresholds up to twice the highest; without them those of the run-ups (`searched_over`).
+    *tabulated*: journal coefficients instead of the film's; beyond their speeds K and Omega C stay constant. *speeds*: range of the search
+    for critical speeds [rad/s], thresholds up to twice its end; default: the speeds of the run-ups (`searched_over`).
 
-    ConfigError where something sits on no node or outside the pins, or two planes have one name.
+    ConfigError for a node that does not exist or lies outside the pins, or two planes of one name.
     """
 
     name: str
     rotor: Rotor
+    _: KW_ONLY
     pins: tuple[int, ...]
     place: BearingPlace
     planes: tuple[tuple[str, int], ...]
@@ -93,10 +96,10 @@ class RunUpRotor:
             raise ConfigError("planes: a run-up needs a plane at which it is measured", hint="for example planes: {disc 1: 2}")
         if len({node for _, node in self.planes}) < len(self.planes):
             raise ConfigError("planes: two planes sit on one node")
-        for node in (self.place.node, *(node for _, node in self.planes), *(one.node for one in self.unbalances)):
+        for node in (self.place.node, *(node for _, node in self.planes), *(unbalance.node for unbalance in self.unbalances)):
             self.pinned.dofs(node)
-        for one in self.unbalances:
-            self.plane_at(one.node)
+        for unbalance in self.unbalances:
+            self.plane_at(unbalance.node)
 
     @property
     def search(self) -> SpeedSearch:
@@ -119,20 +122,20 @@ class RunUpRotor:
         return tuple(name for name, _ in self.planes)
 
     @property
-    def known_unbalance(self) -> dict[str, complex]:
+    def unbalance_by_plane(self) -> dict[str, complex]:
         """Unbalance [kg m] by plane, complex with its angle."""
         amounts: dict[str, complex] = {}
-        for one in self.unbalances:
-            plane = self.plane_at(one.node)
-            amounts[plane] = amounts.get(plane, 0j) + one.size * complex(np.exp(1j * one.phase))
+        for unbalance in self.unbalances:
+            plane = self.plane_at(unbalance.node)
+            amounts[plane] = amounts.get(plane, 0j) + unbalance.size * complex(np.exp(1j * unbalance.phase))
         return amounts
 
     def node(self, plane: str) -> int:
         """ConfigError with the nearest known name on a miss."""
-        found = dict(self.planes)
-        if plane not in found:
-            raise ConfigError(f"no plane '{plane}' in {self.name}", hint=nearest(plane, found))
-        return found[plane]
+        nodes = dict(self.planes)
+        if plane not in nodes:
+            raise ConfigError(f"no plane '{plane}' in {self.name}", hint=nearest(plane, nodes))
+        return nodes[plane]
 
     def plane_at(self, node: int) -> str:
         for name, here in self.planes:
@@ -168,9 +171,9 @@ class RunUpRotor:
         if not isinstance(bearing, JournalBearing):
             return self._by_speed(load, speed)
         curve = journal_curve(bearing.length / bearing.diameter, bearing.groove_width)
-        found = curve.coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
+        curve_values = curve.coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
         scale = load / bearing.clearance
-        return found.stiffness * scale, found.damping * scale / speed[..., None, None]
+        return curve_values.stiffness * scale, curve_values.damping * scale / speed[..., None, None]
 
     def _by_speed(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """K and C (n_speed, 2, 2) of a bearing that is asked speed by speed, in the frame of the load."""
@@ -184,8 +187,8 @@ class RunUpRotor:
 
     def response(self, speed: FloatArray, coefficients: CoefficientsAtSpeed) -> ComplexArray:
         """Phasors (n_speed, n_plane, 2) [m] under the known unbalance."""
-        found = self.under_unbalance(speed, self.known_unbalance).response(*coefficients(speed))
-        return found.reshape(np.size(speed), len(self.planes), 2)
+        outputs = self.under_unbalance(speed, self.unbalance_by_plane).response(*coefficients(speed))
+        return outputs.reshape(np.size(speed), len(self.planes), 2)
 
     def critical_speed(self, coefficients: CoefficientsAtSpeed, plane: str = "", direction: str = "") -> float:
         """Speed [rad/s] of the largest displacement at a plane (the last one unless named) under the known unbalance.
@@ -198,7 +201,7 @@ class RunUpRotor:
         top = int(np.argmax(grid))
         if top in (0, grid.size - 1):
             hint = "look at the response over speed; speeds: in the rotor file sets the range"
-            raise FitError(f"the response to unbalance has no peak between {self.search.words}", hint=hint)
+            raise FitError(f"the response to unbalance has no peak between {self.search.text}", hint=hint)
         low, high = search[top - 1], search[top + 1]
         # Between three points of a smooth peak a fine grid and a parabola are exact to a millionth.
         fine = np.linspace(low, high, 41)

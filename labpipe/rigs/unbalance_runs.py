@@ -48,7 +48,7 @@ class UnbalanceSettings(Settings):
 
     @property
     def speed(self) -> FloatArray:
-        """Every speed of the range [Hz], the last one at most its end."""
+        """Every speed of the range (n_speed,) [Hz], the last one at most its end."""
         low, high = self.speeds
         return low + self.step * np.arange(int(np.floor((high - low) / self.step + 1e-9)) + 1)
 
@@ -61,8 +61,8 @@ def unbalance_runs(settings: UnbalanceSettings) -> UnbalanceRuns:
     worn = rig.place(settings.bearing).name
     cases = []
     for name, case in settings.cases:
-        own = rig.with_bearings((worn,), wear_depth=case.depth, wear_angle=case.angle)
-        forward, backward = np.abs([orbit(own.at_speed(float(speed))) for speed in settings.speed]).T.tolist()
+        worn_rig = rig.with_bearings((worn,), wear_depth=case.depth, wear_angle=case.angle)
+        forward, backward = np.abs([orbit(worn_rig.at_speed(float(speed))) for speed in settings.speed]).T.tolist()
         cases.append(UnbalanceCase(name, case.depth, case.angle, tuple(forward), tuple(backward)))
     return UnbalanceRuns(rig.name, worn, rig.response, tuple(settings.speed.tolist()), tuple(cases))
 

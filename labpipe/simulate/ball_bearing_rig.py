@@ -71,7 +71,7 @@ class RigNoise(Settings):
     strip: float = setting("value", "force read while the strip is calibrated", unit="N", default=20.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class VirtualBallBearingRig(Settings):
     """Bearings, shaft, sensors, and what the theory does not know: how much stiffer the bearings are than it says."""
 
@@ -149,13 +149,13 @@ def true_preload(rig: VirtualBallBearingRig, test: ShakerTest, seed: int) -> flo
 def true_stiffness(rig: VirtualBallBearingRig, test: ShakerTest, preload: float) -> FloatArray:
     """K of the bearing (5, 5): ratio (1 + hysteresis on the way down) times the theory's at the preload [N]."""
     loads = replace(test.tested.bearing.loads, z=preload)
-    (found,) = rolling_coefficients([replace(test.tested.bearing, loads=loads)])
+    (theory,) = rolling_coefficients([replace(test.tested.bearing, loads=loads)])
     factor = rig.stiffness_ratio * (1 + rig.hysteresis if test.way == "down" else 1.0)
-    return factor * found.stiffness
+    return factor * theory.stiffness
 
 
 def lever(rig: VirtualBallBearingRig) -> FloatArray:
-    """(5,): displacement measured per dof; a tilt is measured as the displacement at the arm, its moment is a force there."""
+    """Displacement measured per dof, (5,) [m/m, m/rad]: a tilt is measured as displacement at the arm, its moment is a force there."""
     return np.array([1.0, 1.0, 1.0, rig.arm, rig.arm])
 
 
@@ -200,8 +200,8 @@ def _calibration(rig: VirtualBallBearingRig, name: str, seed: int) -> SimulatedR
 
 
 def _simulate(rig: VirtualBallBearingRig, seed: int, runs: Sequence[str]) -> Simulation:
-    made = simulate_ball_bearing(rig, seed, runs)
-    return Simulation({run.name: _logged(run) for run in made}, {"runs": {run.name: run.truth for run in made}})
+    simulated = simulate_ball_bearing(rig, seed, runs)
+    return Simulation({run.name: _logged(run) for run in simulated}, {"runs": {run.name: run.truth for run in simulated}})
 
 
 def _logged(run: SimulatedRun) -> LoggedTable:

@@ -41,7 +41,7 @@ class JournalNoise(Settings):
     force: float = setting("value", "force transducer", unit="N", default=0.05)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class VirtualJournalRig(Settings):
     """The rotor of a rotor file with a model error, its shaker and its sensors; *rig* is what `rotor` names."""
 
@@ -68,14 +68,14 @@ class VirtualJournalRig(Settings):
             worn_place(self.rig, self.bearing)
         if not self.states:
             raise ConfigError("states: are missing", hint="for example states: {healthy: {}}", field="states")
-        for what in ("force", "bandwidth", "sample_rate", "duration"):
-            if not getattr(self, what) > 0:
-                raise ConfigError(f"{what} must be positive")
+        for name in ("force", "bandwidth", "sample_rate", "duration"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} must be positive")
         if not self.bandwidth < self.sample_rate / 2:
             raise ConfigError(f"bandwidth must lie below half the sampling rate, {self.sample_rate / 2:g} Hz")
-        for what in ("viscosity_error", "clearance_error"):
-            if not abs(getattr(self, what)) < 0.5:
-                raise ConfigError(f"{what} must lie between -50 % and 50 %")
+        for name in ("viscosity_error", "clearance_error"):
+            if not abs(getattr(self, name)) < 0.5:
+                raise ConfigError(f"{name} must lie between -50 % and 50 %")
         if self.cavitation_pressure > 0:
             raise ConfigError("cavitation_pressure is above the ambient pressure", hint="give zero or less")
 
@@ -154,7 +154,7 @@ def _run(virtual: VirtualJournalRig, name: str, response: ComplexArray, rng: np.
     moved[excited] = spectrum[excited, None] * response[:-1, :, AXES.index(axis)]
     motion = fft.irfft(moved, n, axis=0) + _unbalance_motion(virtual, response[-1], rng.uniform(0, 2 * np.pi))
     noise = rng.standard_normal((n, 3)) * [virtual.noise.force, *[virtual.noise.displacement] * 2]
-    channels = (Channel("f", "force", "input", axis), *(Channel(one, "displacement", "output", one) for one in AXES))
+    channels = (Channel("f", "force", "input", axis), *(Channel(dof, "displacement", "output", dof) for dof in AXES))
     return Recording(channels, np.column_stack([fft.irfft(spectrum, n), motion]) + noise, virtual.sample_rate, name)
 
 
@@ -171,8 +171,8 @@ def truth(virtual: VirtualJournalRig) -> dict[str, Any]:
     rig = true_rig(virtual, 0.0, 0.0)
     bearing = rig.place(virtual.bearing).bearing
     states = {state: {"wear_depth": wear.depth, "wear_angle": wear.angle} for state, wear in virtual.states}
-    own = {name: getattr(bearing, name) for name in ("viscosity", "clearance", "cavitation_pressure")}
-    return {**own, "loads": {name: list(load) for name, load in rig.static_loads().items()}, "states": states}
+    film_values = {name: getattr(bearing, name) for name in ("viscosity", "clearance", "cavitation_pressure")}
+    return {**film_values, "loads": {name: list(load) for name, load in rig.static_loads().items()}, "states": states}
 
 
 def _simulate(virtual: VirtualJournalRig, seed: int, runs: Sequence[str]) -> Simulation:
@@ -187,8 +187,8 @@ def _parameters(virtual: VirtualJournalRig, runs: Sequence[str]) -> Truth:
     if len(states) != 1:
         raise ConfigError("'runs' of one state of wear give one FRF matrix", hint="for example runs: [healthy-y, healthy-z]")
     (wear,) = states
-    known = truth(virtual)
-    film = {name: float(known[name]) for name in ("viscosity", "clearance", "cavitation_pressure")}
+    true_values = truth(virtual)
+    film = {name: float(true_values[name]) for name in ("viscosity", "clearance", "cavitation_pressure")}
     return {"wear_depth": wear.depth, "wear_angle": wear.angle, **film}
 
 

@@ -41,15 +41,15 @@ class LoopRun:
 
 def suspended(rig: VirtualMagneticRig, loop: ControlLoop | None = None) -> Suspended:
     """Pedestal and rotor on all bearings in one direction; the bias field is that of the rig's own loop, whatever gains *loop* has."""
-    own = rig.levitation
-    pull = negative_stiffness(own)
-    return Suspended(loop or own.loop, pull, rig.rotor_mass, own.bearings, rig.pedestal_stiffness, rig.pedestal_damping)
+    levitation = rig.levitation
+    pull = negative_stiffness(levitation)
+    return Suspended(loop or levitation.loop, pull, rig.rotor_mass, levitation.bearings, rig.pedestal_stiffness, rig.pedestal_damping)
 
 
 def rotor_alone(rig: VirtualMagneticRig) -> Suspended:
     """The share of the levitated rotor that one bearing carries."""
-    own = rig.levitation
-    return Suspended(own.loop, negative_stiffness(own), (rig.rotor_mass - rig.pedestal_mass) / own.bearings)
+    levitation = rig.levitation
+    return Suspended(levitation.loop, negative_stiffness(levitation), (rig.rotor_mass - rig.pedestal_mass) / levitation.bearings)
 
 
 def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> LoopRun:
@@ -60,20 +60,20 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Loop
     periods, rate = 1 + PERIODS, 2000.0
     closed = sampled_loop(plant)
     length = _length(periods / force.spacing)
-    fed = np.resize(_straight_force(force), length + 1) * np.cos(np.pi / 4)
+    force_samples = np.resize(_straight_force(force), length + 1) * np.cos(np.pi / 4)
     noise = _probe_noise(rig, rate, (length, 2), rng)
-    pushed = fed[:, None] + _hover_force(rig, plant, (length + 1, 2), rng)
-    found = _logged(closed.run(_inputs(pushed, noise)), rate, round(periods * rate))
+    loop_force = force_samples[:, None] + _hover_force(rig, plant, (length + 1, 2), rng)
+    signals = _logged(closed.run(_inputs(loop_force, noise)), rate, round(periods * rate))
     shaker = force.samples(rate, periods) + rng.normal(0.0, rig.noise.force, round(periods * rate))
     channels = [Channel("f", "force", "input", "45 deg", np.pi / 4)]
     columns: list[FloatArray] = [shaker]
     for number, dof in enumerate("xy"):
         channels.append(Channel(dof, "displacement", "output", dof, AXIS_ANGLES[dof]))
-        columns.append(found[:, number, READING])
+        columns.append(signals[:, number, READING])
     # The gain study needs force and motion only.
     for number, dof in enumerate("xy" if name not in GAINS else ""):
         channels += [Channel(f"i{dof}", "current", "reference", f"i{dof}"), Channel(f"u{dof}", "voltage", "reference", f"u{dof}")]
-        columns += [found[:, number, CURRENT], found[:, number, OUTPUT]]
+        columns += [signals[:, number, CURRENT], signals[:, number, OUTPUT]]
     return LoopRun(name, _radial_truth(rig, plant, force), Recording(tuple(channels), np.column_stack(columns), rate, name))
 
 
@@ -102,36 +102,38 @@ def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> L
     length = _length(settling + periods / added.spacing)
     inputs = _inputs(_hover_force(rig, plant, (length + 1, 1), rng), _probe_noise(rig, rate, (length, 1), rng))
     inputs[:, 0, 3] = np.resize(added.samples(CONTROL_RATE, 1), length)
-    found = _logged(sampled_loop(plant).run(inputs)[round(settling * CONTROL_RATE) :], rate, n_sample)[:, 0]
+    signals = _logged(sampled_loop(plant).run(inputs)[round(settling * CONTROL_RATE) :], rate, n_sample)[:, 0]
     reference = added.samples(rate, periods) + rng.normal(0.0, 1e-4, n_sample)
     channels = [Channel("e", "voltage", "input", "e")]
     channels += [Channel(label, "voltage", "output", label) for label in ("before", "after")]
-    samples = np.column_stack([reference, found[:, BEFORE], found[:, AFTER]])
+    samples = np.column_stack([reference, signals[:, BEFORE], signals[:, AFTER]])
     return LoopRun(name, {"mass": plant.mass, "injection_rms": INJECTION}, Recording(tuple(channels), samples, rate, name))
 
 
 def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> LoopRun:
     """The rotor alone from 1200 to 8000 rpm on both bearings and the passive axial one: x, y at both ends, z, tacho."""
-    low, high, lasts = RUN_UP
-    rate, length = 2000.0, _length(lasts)
+    low, high, duration = RUN_UP
+    rate, length = 2000.0, _length(duration)
     t = np.arange(length + 1) / CONTROL_RATE
-    speed = low + (high - low) * t / lasts
-    angle = 2 * np.pi * (low * t + (high - low) * t**2 / (2 * lasts))
+    speed = low + (high - low) * t / duration
+    angle = 2 * np.pi * (low * t + (high - low) * t**2 / (2 * duration))
     plant = rotor_alone(rig)
-    pushed = [_unbalance_force(plant.mass, speed, angle, *UNBALANCE[end], quarter) for end in UNBALANCE for quarter in (0.0, np.pi / 2)]
-    force = np.column_stack(pushed) + _hover_force(rig, plant, (length + 1, 4), rng)
+    radial_forces = [
+        _unbalance_force(plant.mass, speed, angle, *UNBALANCE[end], quarter) for end in UNBALANCE for quarter in (0.0, np.pi / 2)
+    ]
+    force = np.column_stack(radial_forces) + _hover_force(rig, plant, (length + 1, 4), rng)
     radial_motion = sampled_loop(plant).run(_inputs(force, _probe_noise(rig, rate, (length, 4), rng)))
     axial = Suspended(plant.loop, 0.0, rig.axial_mass, 0, rig.axial_stiffness, rig.axial_damping)
-    pulled = AXIAL_SHARE * _unbalance_force(rig.axial_mass, speed, angle, *UNBALANCE["front"], 0.0)
-    axial_motion = sampled_loop(axial).run(_inputs(pulled[:, None], _probe_noise(rig, rate, (length, 1), rng)))
-    n_sample = round(lasts * rate)
-    found = _logged(np.concatenate([radial_motion, axial_motion], axis=1), rate, n_sample)[:, :, READING]
+    axial_force = AXIAL_SHARE * _unbalance_force(rig.axial_mass, speed, angle, *UNBALANCE["front"], 0.0)
+    axial_motion = sampled_loop(axial).run(_inputs(axial_force[:, None], _probe_noise(rig, rate, (length, 1), rng)))
+    n_sample = round(duration * rate)
+    displacements = _logged(np.concatenate([radial_motion, axial_motion], axis=1), rate, n_sample)[:, :, READING]
     pulse = np.where(angle[: length : round(CONTROL_RATE / rate)][:n_sample] / (2 * np.pi) % 1.0 < 0.3, 5.0, 0.0)
     labels = [*(f"{end}.{dof}" for end in UNBALANCE for dof in "xy"), "z"]
     channels = [Channel(label, "displacement", "output", label) for label in labels]
     channels.append(Channel("n", "tacho", "reference", "n"))
     truth = {"mass": plant.mass, "unbalance": {end: {"eccentricity": e, "angle": a} for end, (e, a) in UNBALANCE.items()}}
-    return LoopRun(name, truth, Recording(tuple(channels), np.column_stack([found, pulse]), rate, name))
+    return LoopRun(name, truth, Recording(tuple(channels), np.column_stack([displacements, pulse]), rate, name))
 
 
 def _unbalance_force(mass: float, speed: FloatArray, angle: FloatArray, eccentricity: float, place: float, quarter: float) -> FloatArray:

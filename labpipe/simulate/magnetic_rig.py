@@ -32,7 +32,7 @@ STATIC_BEND = 300e-6
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """A run: its recording, or its calibration table (columns "name [unit]"), and the truth behind it."""
+    """A run: its recording, or its calibration table ("name [unit]": (n_row,)), and its true parameters."""
 
     name: str
     truth: dict[str, Any]
@@ -42,8 +42,8 @@ class SimulatedRun:
 
 def simulate(rig: VirtualMagneticRig, seed: int, runs: Sequence[str] | None = None) -> tuple[SimulatedRun, ...]:
     """The named runs, all of `run_names` unless named; the same rig and seed give the same samples, whatever other runs are made."""
-    known = {**RUNS, **_loop_runs(rig)}
-    return tuple(known[name](rig, name, _generator(seed, name)) for name in chosen_runs(rig, runs))
+    by_name = {**RUNS, **_loop_runs(rig)}
+    return tuple(by_name[name](rig, name, _generator(seed, name)) for name in chosen_runs(rig, runs))
 
 
 def run_names(rig: VirtualMagneticRig) -> tuple[str, ...]:
@@ -111,10 +111,10 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
     clean = clean + mechanics.free_decay(clean, timing.sample_rate, 70.0, 0.2)
     samples = [_noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng)]
     for quarter in (0.0, np.pi / 2):
-        moved = clean + _hover(rig, timing, rng)
+        displacement = clean + _hover(rig, timing, rng)
         if rotating:
-            moved = moved + _rotation(rig, timing, quarter)
-        samples.append(_noisy(moved, rig.noise.displacement, rng))
+            displacement = displacement + _rotation(rig, timing, quarter)
+        samples.append(_noisy(displacement, rig.noise.displacement, rng))
     bearing = mechanics.levitation_stiffness(rig.levitation, omega) / rig.levitation.bearings
     truth: dict[str, Any] = {
         "mass": rig.rotor_mass,
@@ -204,8 +204,8 @@ RUNS: dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], Simulat
 
 
 def _simulate(rig: VirtualMagneticRig, seed: int, runs: Sequence[str]) -> Simulation:
-    made = simulate(rig, seed, runs)
-    return Simulation({run.name: logged(run) for run in made}, {"runs": {run.name: run.truth for run in made}})
+    simulated = simulate(rig, seed, runs)
+    return Simulation({run.name: logged(run) for run in simulated}, {"runs": {run.name: run.truth for run in simulated}})
 
 
 def logged(run: SimulatedRun) -> LoggedTable:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 from labpipe.bearings.magnetic_loop import ControlLoop as ControlLoop
 from labpipe.records.settings import Settings, setting
@@ -42,6 +42,7 @@ class VirtualMagneticRig(Settings):
     """Pedestal, rotor in two magnetic bearings, sensors."""
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
+    _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual magnetic-bearing rig")
     pedestal_mass: float = setting("value", "mass of the pedestal alone", unit="kg", default=0.79)
     rotor_mass: float = setting("value", "mass of pedestal and rotor, moving radially", unit="kg", default=0.92)

@@ -39,9 +39,9 @@ class VirtualMdofRig(Settings):
 
     def __post_init__(self) -> None:
         n = len(self.stiffness)
-        for what in ("stiffness", "damping"):
-            if np.shape(getattr(self, what)) != (n, n):
-                raise ConfigError(f"{what} is not a {n} x {n} matrix")
+        for name in ("stiffness", "damping"):
+            if np.shape(getattr(self, name)) != (n, n):
+                raise ConfigError(f"{name} is not a {n} x {n} matrix")
         if not isinstance(self.mass, tuple) or np.shape(self.mass) not in ((n,), (n, n)):
             raise ConfigError(f"mass does not fit {n} dofs", hint="a list of masses, or a matrix")
         if self.noise < 0:

@@ -100,7 +100,7 @@ def line_amplitude(force: Multisine) -> float:
 
 
 def steady_state(force: Multisine, receptance: ComplexArray, n_sample: int, periods: int) -> FloatArray:
-    """Displacement (n_sample * periods,) [m] under the multisine, exact line by line: X_k = H(w_k) F_k."""
+    """Displacement (n_sample periods,) [m] under the multisine, exact line by line: X_k = H(w_k) F_k; *receptance* (n_line,) [m/N]."""
     spectrum = np.zeros(n_sample // 2 + 1, np.complex128)
     spectrum[force.lines] = receptance * line_amplitude(force) * np.exp(1j * force.phases) * (n_sample / 2)
     return np.tile(fft.irfft(spectrum, n_sample), periods)

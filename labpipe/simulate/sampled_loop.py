@@ -38,7 +38,8 @@ class Suspended:
 class SampledLoop:
     """s[k+1] = A s[k] + B w[k], z[k] = C s[k] + D w[k] at *rate* [Hz]; w: INPUTS [N, N, m, V], z: OUTPUTS [m, V, V, V, A].
 
-    The force runs straight from sample to sample, *injection* is added between the probe ("before") and the controller ("after").
+    a (n_state, n_state), b (n_state, 4), c (5, n_state), d (5, 4). The force is linear between samples, *injection* is added between the
+    probe ("before") and the controller ("after").
     """
 
     a: FloatArray
@@ -48,12 +49,15 @@ class SampledLoop:
     rate: float
 
     def run(self, inputs: FloatArray) -> FloatArray:
-        """Outputs (n_sample, n_direction, 5) of inputs (n_sample, n_direction, 4), from rest; ConfigError for a loop that is unstable."""
+        """Outputs (n_sample, n_direction, 5) [m, V, V, V, A] of inputs (n_sample, n_direction, 4) [N, N, m, V], from rest.
+
+        ConfigError for an unstable loop.
+        """
         largest = float(np.max(np.abs(np.linalg.eigvals(self.a))))
         if largest > 1 + ROUNDING:
             rate = np.log(largest) * self.rate
-            what = f"the loop is unstable: its fastest pole grows by e in {1e3 / rate:.3g} ms, so there is no recording of it"
-            raise ConfigError(what, hint="`labpipe bearing` shows the poles of its bearing file")
+            message = f"the loop is unstable: its fastest pole grows by e in {1e3 / rate:.3g} ms, so there is no recording of it"
+            raise ConfigError(message, hint="`labpipe bearing` shows the poles of its bearing file")
         state = np.zeros((self.a.shape[0], inputs.shape[1]))
         driven = inputs @ self.b.T
         states = np.empty((inputs.shape[0], inputs.shape[1], self.a.shape[0]))
@@ -73,7 +77,7 @@ class SampledLoop:
 
 
 def straight(omega: FloatArray, rate: float) -> FloatArray:
-    """What straight lines between samples make of a wave, sinc^2(w T / 2), (n_line,): the fed samples are so much larger."""
+    """Amplitude of a sampled wave with linear interpolation, sinc^2(w T / 2), (n_line,) [-]; samples are divided by it."""
     shape: FloatArray = np.sinc(omega / (2 * np.pi * rate)) ** 2
     return shape
 
@@ -82,11 +86,11 @@ def straight(omega: FloatArray, rate: float) -> FloatArray:
 class _Plant:
     """Motion, current and probe over one sampling interval, exact for a held voltage and a straight force.
 
-    held: of the voltage from before and of the newest one (they change over within the interval); ramp: of the force at both ends.
+    hold: of the voltage from before and of the newest one (they change over within the interval); ramp: of the force at both ends.
     """
 
     step: FloatArray
-    held: FloatArray
+    hold: FloatArray
     ramp: FloatArray
 
 
@@ -97,8 +101,8 @@ def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
         raise ConfigError("a sampled controller needs derivative_time and lag_time above zero")
     intervals = loop.delay * rate - 0.5
     if intervals < -1e-9:
-        what = f"delay: {1e6 * loop.delay:g} us is shorter than half a sampling interval of the controller, which it holds"
-        raise ConfigError(what, hint=f"at least {5e5 / rate:g} us at {rate / 1e3:g} kHz")
+        message = f"delay: {1e6 * loop.delay:g} us is shorter than half a sampling interval of the controller, which it holds"
+        raise ConfigError(message, hint=f"at least {5e5 / rate:g} us at {rate / 1e3:g} kHz")
     whole = int(np.floor(intervals + 1e-9))
     motion = _plant(plant, max(intervals - whole, 0.0), 1 / rate)
     terms = [_tustin(loop.derivative, 0.0, loop.derivative_time, 1 / rate), _tustin(0.0, loop.lag, loop.lag_time, 1 / rate)]
@@ -115,17 +119,17 @@ def _step(
     """One sampling interval. state: motion, the controller's two memories, voltages on their way, oldest first."""
     n = plant.step.shape[0]
     motion, memory, waiting = state[:n], state[n : n + 2], state[n + 2 :]
-    seen = motion[3] if n == 4 else motion[0]
-    reading = seen + inputs[2]
+    position = motion[3] if n == 4 else motion[0]
+    reading = position + inputs[2]
     before = loop.sensor * reading
     after = before + inputs[3]
-    parts = [b0 * after + kept for (b0, _, _), kept in zip(terms, memory, strict=True)]
+    parts = [b0 * after + state_part for (b0, _, _), state_part in zip(terms, memory, strict=True)]
     output = loop.proportional * after + sum(parts)
-    kept = [b1 * after - a1 * part for (_, b1, a1), part in zip(terms, parts, strict=True)]
+    memories = [b1 * after - a1 * part for (_, b1, a1), part in zip(terms, parts, strict=True)]
     # The voltage that arrives within this interval takes over from the one before it.
     line = np.append(waiting, output)
-    moved = plant.step @ motion + plant.held @ line[:2] + plant.ramp @ inputs[:2]
-    return np.concatenate([moved, kept, line[1:]]), np.array([reading, before, after, output, motion[2]])
+    moved = plant.step @ motion + plant.hold @ line[:2] + plant.ramp @ inputs[:2]
+    return np.concatenate([moved, memories, line[1:]]), np.array([reading, before, after, output, motion[2]])
 
 
 def _tustin(derivative: float, constant: float, time: float, interval: float) -> tuple[float, float, float]:
@@ -169,6 +173,6 @@ def _matrices(
     still = np.zeros(len(INPUTS))
     by_state = [step(unit, still) for unit in np.eye(n_state)]
     by_input = [step(np.zeros(n_state), unit) for unit in np.eye(len(INPUTS))]
-    a, c = (np.column_stack([each[part] for each in by_state]) for part in (0, 1))
-    b, d = (np.column_stack([each[part] for each in by_input]) for part in (0, 1))
+    a, c = (np.column_stack([column[part] for column in by_state]) for part in (0, 1))
+    b, d = (np.column_stack([column[part] for column in by_input]) for part in (0, 1))
     return a, b, c, d

@@ -49,7 +49,7 @@ class RunUpNoise(Settings):
             raise ConfigError("the noise of a run-up is positive", hint="fits weigh by it; for example amplitude: 1 %")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class VirtualUnbalanceRig(Settings):
     """The rotor of a rotor file with a model error, its loads and its noise; *rig* is what `rotor` names.
 
@@ -91,11 +91,11 @@ class VirtualUnbalanceRig(Settings):
 
     @property
     def omega(self) -> FloatArray:
-        """Speeds [rad/s], (count,)."""
+        """Speeds (n_speed,) [rad/s]."""
         return 2 * np.pi * np.linspace(*self.speeds, self.count)
 
     @property
-    def known(self) -> RunUpRotor:
+    def nominal(self) -> RunUpRotor:
         """The rotor file's rotor, its range of search that of the run-ups where the file has none; ConfigError without a rotor."""
         if self.rig is None:
             raise ConfigError("no rotor was read for this virtual rig", hint="name it with rotor:")
@@ -115,7 +115,7 @@ def true_coefficients(virtual: VirtualUnbalanceRig, load: float) -> Coefficients
     if virtual.truth == "factors":
         return _with_factors(virtual, load)
     if virtual.truth == "inside":
-        return family(virtual.known, virtual.loads).at_load(INSIDE, load)
+        return family(virtual.nominal, virtual.loads).at_load(INSIDE, load)
     return _outside(virtual, load)
 
 
@@ -125,9 +125,9 @@ def family(rig: RunUpRotor, loads: Iterable[float]) -> FilmFamily:
 
 
 def smooth_factors(load: float, speed: FloatArray, loads: tuple[float, float], speeds: tuple[float, float]) -> FloatArray:
-    """Factors of the eight coefficients (n_speed, 8) within LOWEST_FACTOR and HIGHEST_FACTOR, smooth over load and speed.
+    """Factors of the eight coefficients (n_speed, 8) [-] within LOWEST_FACTOR and HIGHEST_FACTOR, smooth over load and speed.
 
-    Half a wave to one wave over each range, the phases fixed by the golden ratio so that no two coefficients go together.
+    Half a wave to one wave over each range, the phases fixed by the golden ratio so that all coefficients differ.
     """
     u = (np.asarray(speed) - speeds[0]) / (speeds[1] - speeds[0])
     v = (load - loads[0]) / (loads[1] - loads[0])
@@ -141,7 +141,7 @@ def _with_factors(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSp
     speeds = (float(virtual.omega[0]), float(virtual.omega[-1]))
 
     def coefficients(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        start = as_eight(*virtual.known.start_coefficients(load, speed))
+        start = as_eight(*virtual.nominal.start_coefficients(load, speed))
         return as_matrices(start * smooth_factors(load, speed, loads, speeds))
 
     return coefficients
@@ -149,15 +149,15 @@ def _with_factors(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSp
 
 def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
     """Other grooves, and a viscosity that falls with the square of the speed: no parameter of the family says so."""
-    own = virtual.known.place.film("a virtual run-up")
-    clearance = own.clearance * (1 + virtual.clearance_error)
+    film = virtual.nominal.place.film("a virtual run-up")
+    clearance = film.clearance * (1 + virtual.clearance_error)
     highest = 2 * np.pi * virtual.speeds[1]
 
     def coefficients(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         thinner = (1 + virtual.viscosity_error) * (1 - virtual.heating * np.minimum(np.asarray(speed) / highest, 1.2) ** 2)
         # The viscosity enters through the Sommerfeld number alone, so speeds may be scaled in its place, and damping scaled back.
-        bearing = replace(own, clearance=clearance, groove_width=virtual.groove_width)
-        rig = replace(virtual.known, place=replace(virtual.known.place, bearing=bearing), tabulated=None)
+        bearing = replace(film, clearance=clearance, groove_width=virtual.groove_width)
+        rig = replace(virtual.nominal, place=replace(virtual.nominal.place, bearing=bearing), tabulated=None)
         stiffness, damping = rig.start_coefficients(load, np.asarray(speed) * thinner)
         return stiffness, damping * thinner[..., None, None]
 
@@ -171,7 +171,7 @@ def run_ups(virtual: VirtualUnbalanceRig, seed: int, names: Sequence[str] | None
 
 
 def _run(virtual: VirtualUnbalanceRig, name: str, rng: np.random.Generator) -> RunUp:
-    rig, load = virtual.known, virtual.load_of_run[name]
+    rig, load = virtual.nominal, virtual.load_of_run[name]
     coefficients = true_coefficients(virtual, load)
     speed = virtual.omega
     speed = speed[rig.stability.growth(speed, *coefficients(speed)) <= GROWTH_TOLERANCE]
@@ -179,28 +179,29 @@ def _run(virtual: VirtualUnbalanceRig, name: str, rng: np.random.Generator) -> R
         raise ConfigError(f"the rotor is unstable at every speed of run '{name}'", hint="lower the speeds")
     shape = (speed.size, len(rig.planes), 2)
     ones = np.ones(shape)
-    bare = RunUp(name, load, speed, rig.plane_names, ones + 0j, ones, ones, *_excitation(virtual, name))
-    exact = rig.excited(bare).response(*coefficients(speed)).reshape(shape)
+    unbalance, shaker = _excitation(virtual, name)
+    unit = RunUp(name, load, speed, rig.plane_names, ones + 0j, amplitude_error=ones, phase_error=ones, unbalance=unbalance, shaker=shaker)
+    exact = rig.excited(unit).response(*coefficients(speed)).reshape(shape)
     noise = virtual.noise
     noisy = exact * (1 + noise.amplitude * rng.standard_normal(shape)) * np.exp(1j * noise.phase * rng.standard_normal(shape))
     errors = {"amplitude_error": noise.amplitude * np.abs(noisy), "phase_error": noise.phase * ones}
-    return replace(bare, response=noisy, threshold=_threshold(virtual, name, coefficients, rng), **errors)
+    return replace(unit, response=noisy, threshold=_threshold(virtual, name, coefficients, rng), **errors)
 
 
 def _excitation(virtual: VirtualUnbalanceRig, name: str) -> tuple[dict[str, complex], Shaker | None]:
-    rig = virtual.known
+    rig = virtual.nominal
     if name.endswith("-shaker"):
         return {}, Shaker(rig.plane_names[0], virtual.shaker_force, 0.0, virtual.shaker_ratio)
     if name.endswith("-second"):
-        return {rig.plane_names[-1]: max(np.abs(list(rig.known_unbalance.values()))) + 0j}, None
-    return rig.known_unbalance, None
+        return {rig.plane_names[-1]: max(np.abs(list(rig.unbalance_by_plane.values()))) + 0j}, None
+    return rig.unbalance_by_plane, None
 
 
 def _threshold(virtual: VirtualUnbalanceRig, name: str, coefficients: CoefficientsAtSpeed, rng: np.random.Generator) -> Uncertain | None:
     """The threshold with its noise, on the first run-up of a load; None where there is none within the search."""
     if name.endswith(("-second", "-shaker")):
         return None
-    exact = virtual.known.threshold(coefficients)
+    exact = virtual.nominal.threshold(coefficients)
     if exact is None:
         return None
     return Uncertain(exact * (1 + virtual.noise.threshold * rng.standard_normal()), exact * virtual.noise.threshold)
@@ -208,13 +209,13 @@ def _threshold(virtual: VirtualUnbalanceRig, name: str, coefficients: Coefficien
 
 def truth(virtual: VirtualUnbalanceRig) -> dict[str, Any]:
     """Per load: the true critical speed and threshold [rad/s], and the eight coefficients at the run-up's speeds [N/m, N s/m]."""
-    rig, found = virtual.known, {}
+    rig, loads = virtual.nominal, {}
     for name, load in virtual.load_of_run.items():
         if name.endswith(("-second", "-shaker")):
             continue
         coefficients = true_coefficients(virtual, load)
         eight = as_eight(*coefficients(virtual.omega))
-        found[name] = {
+        loads[name] = {
             "load": load,
             "critical_speed": rig.critical_speed(coefficients),
             "resonance_speed": rig.resonance(coefficients),
@@ -222,7 +223,7 @@ def truth(virtual: VirtualUnbalanceRig) -> dict[str, Any]:
             "coefficients": [[float(f"{value:.6g}") for value in row] for row in eight],
         }
     bounds = {"inside": dict(zip(("logarithms", "bounds"), (INSIDE.tolist(), BOUND.tolist()), strict=True))}
-    return {"kind": virtual.truth, "speeds": virtual.omega.tolist(), **bounds.get(virtual.truth, {}), "loads": found}
+    return {"kind": virtual.truth, "speeds": virtual.omega.tolist(), **bounds.get(virtual.truth, {}), "loads": loads}
 
 
 def _simulate(virtual: VirtualUnbalanceRig, seed: int, runs: Sequence[str]) -> Simulation:
@@ -233,8 +234,8 @@ def _simulate(virtual: VirtualUnbalanceRig, seed: int, runs: Sequence[str]) -> S
 def _parameters(virtual: VirtualUnbalanceRig, runs: Sequence[str]) -> Truth:
     """Critical and threshold speed of the first run [rad/s]."""
     coefficients = true_coefficients(virtual, virtual.load_of_run[runs[0]])
-    threshold = virtual.known.threshold(coefficients)
-    return {"critical_speed": virtual.known.critical_speed(coefficients)} | ({} if threshold is None else {"threshold": threshold})
+    threshold = virtual.nominal.threshold(coefficients)
+    return {"critical_speed": virtual.nominal.critical_speed(coefficients)} | ({} if threshold is None else {"threshold": threshold})
 
 
 def _at_level(virtual: VirtualUnbalanceRig, level: float) -> VirtualUnbalanceRig:

@@ -43,9 +43,9 @@ class VirtualRig(Protocol):
 
 @dataclass(frozen=True)
 class LoggedTable:
-    """A file as a logger writes it: *columns* "name [unit]" of recorded numbers, as *text* or binary.
+    """A file of a logger: *columns* "name [unit]" of recorded numbers (n_row,), as *text* or binary.
 
-    level: of compression, None for the usual one; dictionary, split: how the bytes of a column are packed.
+    level: of compression, None for the default; dictionary, split: how the bytes of a column are packed.
     """
 
     columns: Mapping[str, NDArray[np.generic]]
@@ -63,7 +63,7 @@ class Simulation:
     truth: Mapping[str, Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class VirtualRigKind:
     """A kind of virtual rig; every function takes the settings of a rig first.
 
@@ -134,13 +134,13 @@ def _joined(seeds: Sequence[int]) -> int:
 def chosen_runs(rig: VirtualRig, runs: Iterable[str] | None) -> tuple[str, ...]:
     """The named runs, the usual ones without names; ConfigError for a name that the rig does not have."""
     kind = kind_of(rig)
-    known = kind.runs(rig)
+    available = kind.runs(rig)
     if runs is None:
-        return known if kind.usual is None else kind.usual(rig)
+        return available if kind.usual is None else kind.usual(rig)
     chosen = tuple(runs)
-    if chosen and not known:
+    if chosen and not available:
         raise ConfigError("this rig has no runs, it is one FRF", hint="leave --run out")
     for name in chosen:
-        if name not in known:
-            raise ConfigError(f"no run '{name}'", hint=nearest(name, known))
+        if name not in available:
+            raise ConfigError(f"no run '{name}'", hint=nearest(name, available))
     return chosen

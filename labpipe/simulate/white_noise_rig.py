@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,7 @@ class WhiteNoiseRig(Settings):
     stiffness: tuple[tuple[float, ...], ...] = setting("matrix", "stiffness matrix K (x, y)", unit="N/m")
     damping: tuple[tuple[float, ...], ...] = setting("matrix", "damping matrix C (x, y)", unit="N.s/m")
     mass: float = setting("value", "mass that moves with the rotor", unit="kg")
+    _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual rotor under white noise")
     force: float = setting("value", "rms force of the shaker", unit="N", default=30.0)
     bandwidth: float = setting("value", "the force is white up to here", unit="Hz", default=400.0)
@@ -53,15 +54,15 @@ class WhiteNoiseRig(Settings):
     noise: SensorNoise = setting("section", "measuring noise", section=SensorNoise, default=SensorNoise())
 
     def __post_init__(self) -> None:
-        for what in ("stiffness", "damping"):
-            if np.shape(getattr(self, what)) != (2, 2):
-                raise ConfigError(f"{what} is not a 2 x 2 matrix")
-        for what in ("mass", "force", "bandwidth", "sample_rate", "blocks", "block"):
-            if not getattr(self, what) > 0:
-                raise ConfigError(f"{what} must be positive")
-        for what in ("speed", "bandwidth"):
-            if not 0 <= getattr(self, what) < self.sample_rate / 2:
-                raise ConfigError(f"{what} must lie below half the sampling rate, {self.sample_rate / 2:g} Hz")
+        for name in ("stiffness", "damping"):
+            if np.shape(getattr(self, name)) != (2, 2):
+                raise ConfigError(f"{name} is not a 2 x 2 matrix")
+        for name in ("mass", "force", "bandwidth", "sample_rate", "blocks", "block"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} must be positive")
+        for name in ("speed", "bandwidth"):
+            if not 0 <= getattr(self, name) < self.sample_rate / 2:
+                raise ConfigError(f"{name} must lie below half the sampling rate, {self.sample_rate / 2:g} Hz")
 
     @property
     def n_sample(self) -> int:
@@ -116,8 +117,8 @@ def _unbalance_motion(rig: WhiteNoiseRig, phase: float) -> FloatArray:
 def truth(rig: WhiteNoiseRig) -> dict[str, Any]:
     """k_xx ... c_yy, mass, speed and unbalance [SI, Hz], by name."""
     matrices = (("k", rig.stiffness), ("c", rig.damping))
-    found: dict[str, Any] = {f"{letter}_{AXES[r]}{AXES[c]}": m[r][c] for letter, m in matrices for r in range(2) for c in range(2)}
-    return {"mass": rig.mass, **found, "speed_hz": rig.speed, "unbalance": rig.unbalance}
+    coefficients: dict[str, Any] = {f"{letter}_{AXES[r]}{AXES[c]}": m[r][c] for letter, m in matrices for r in range(2) for c in range(2)}
+    return {"mass": rig.mass, **coefficients, "speed_hz": rig.speed, "unbalance": rig.unbalance}
 
 
 def _simulate(rig: WhiteNoiseRig, seed: int, runs: Sequence[str]) -> Simulation:

@@ -166,7 +166,16 @@ def test_an_unknown_kind_is_answered_with_the_nearest(tmp_path: Path) -> None:
 def small_run(rig: RunUpRotor, change: float) -> RunUp:
     """A run-up of the rotor whose bearing is stiffer and damps more by *change*; exact, with 1 % stated."""
     speed = np.linspace(500, 2500, 9) * RPM
-    bare = RunUp("run", 20.0, speed, rig.plane_names, np.ones((9, 2, 2)) + 0j, np.ones((9, 2, 2)), np.ones((9, 2, 2)), rig.known_unbalance)
+    bare = RunUp(
+        "run",
+        20.0,
+        speed,
+        rig.plane_names,
+        np.ones((9, 2, 2)) + 0j,
+        amplitude_error=np.ones((9, 2, 2)),
+        phase_error=np.ones((9, 2, 2)),
+        unbalance=rig.unbalance_by_plane,
+    )
     stiffness, damping = rig.start_coefficients(20.0, speed)
     response = rig.excited(bare).response(change * stiffness, change * damping).reshape(9, 2, 2)
     return replace(bare, response=response, amplitude_error=0.01 * np.abs(response), phase_error=np.full(response.shape, 0.01))

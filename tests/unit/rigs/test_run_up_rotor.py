@@ -70,8 +70,10 @@ def test_a_static_force_that_does_not_turn_moves_the_journal_otherwise() -> None
     shape = (2, 2, 2)
     ones = np.ones(shape)
     speed = np.array([120.0, 150.0])
-    force = RunUp("s", 5.0, speed, RIG.plane_names, ones + 0j, ones, ones, shaker=Shaker("disc 1", 1.0, 0.0, 0.9))
-    turning = RunUp("u", 5.0, speed, RIG.plane_names, ones + 0j, ones, ones, {"disc 1": 1e-5 + 0j})
+    force = RunUp(
+        "s", 5.0, speed, RIG.plane_names, ones + 0j, amplitude_error=ones, phase_error=ones, shaker=Shaker("disc 1", 1.0, 0.0, 0.9)
+    )
+    turning = RunUp("u", 5.0, speed, RIG.plane_names, ones + 0j, amplitude_error=ones, phase_error=ones, unbalance={"disc 1": 1e-5 + 0j})
     assert np.allclose(RIG.excited(force).speed, 0.9 * speed)
     np.testing.assert_allclose(RIG.excited(turning).force[:, 1] / RIG.excited(turning).force[:, 0], -1j, atol=1e-9)
     assert np.max(np.abs(RIG.excited(force).force[:, 1] / RIG.excited(force).force[:, 0])) < 1e-2
@@ -79,7 +81,9 @@ def test_a_static_force_that_does_not_turn_moves_the_journal_otherwise() -> None
 
 def test_a_run_of_other_planes_is_refused() -> None:
     ones = np.ones((1, 1, 2))
-    run = RunUp("r", 5.0, np.array([100.0]), ("disc 2",), ones + 0j, ones, ones, {"disc 2": 1e-5 + 0j})
+    run = RunUp(
+        "r", 5.0, np.array([100.0]), ("disc 2",), ones + 0j, amplitude_error=ones, phase_error=ones, unbalance={"disc 2": 1e-5 + 0j}
+    )
     with pytest.raises(DataError, match="was measured at disc 2, the rotor has disc 1, disc 2"):
         RIG.excited(run)
 
@@ -106,7 +110,7 @@ def test_unknown_planes_get_the_nearest_name() -> None:
 
 def test_unbalances_on_one_node_add() -> None:
     twice = dataclasses.replace(RIG, unbalances=(*RIG.unbalances, Unbalance(2, 10e-6, np.pi / 2)))
-    assert twice.known_unbalance["disc 1"] == pytest.approx(50e-6 + 10e-6j)
+    assert twice.unbalance_by_plane["disc 1"] == pytest.approx(50e-6 + 10e-6j)
 
 
 def test_both_rules_of_the_difference() -> None:

@@ -32,15 +32,15 @@ def test_the_shipped_rig_is_that_of_the_source() -> None:
     np.testing.assert_allclose([*RIG.loads, RIG.held_out], 4.4482216 * np.array([0.823, 1.321, 1.817, 2.316, 3.808]), rtol=1e-7)
     np.testing.assert_allclose(RIG.omega * 30 / np.pi, np.arange(400, 3001, 100))
     assert list(RIG.load_of_run) == ["load-1", "load-2", "load-3", "load-4", "held-out"]
-    assert RIG.known.pinned.n_dof == 12
+    assert RIG.nominal.pinned.n_dof == 12
 
 
 def test_run_ups_hold_no_speed_at_which_the_rotor_is_unstable() -> None:
     for run in run_ups(RIG, 1):
         coefficients = true_coefficients(RIG, run.load)
-        growth = RIG.known.stability.growth(RIG.omega, *coefficients(RIG.omega))
+        growth = RIG.nominal.stability.growth(RIG.omega, *coefficients(RIG.omega))
         np.testing.assert_allclose(run.speed, RIG.omega[growth <= GROWTH_TOLERANCE])
-        threshold = RIG.known.threshold(coefficients)
+        threshold = RIG.nominal.threshold(coefficients)
         assert threshold is not None and run.speed.max() < threshold
         assert run.n_speed == (27 if threshold > RIG.omega[-1] else np.count_nonzero(RIG.omega < threshold))
 
@@ -49,7 +49,7 @@ def test_noise_has_the_stated_size() -> None:
     """1 % and 1 deg about the exact response, over 400 speeds below the threshold."""
     fine = dataclasses.replace(RIG, count=400, speeds=(400 / 60, 2700 / 60))
     run = run_ups(fine, 7, ["load-2"])[0]
-    exact = fine.known.response(run.speed, true_coefficients(fine, run.load))
+    exact = fine.nominal.response(run.speed, true_coefficients(fine, run.load))
     ratio = run.response / exact
     assert np.std(np.abs(ratio)) == pytest.approx(0.01, rel=0.05)
     assert np.degrees(np.std(np.angle(ratio))) == pytest.approx(1, rel=0.05)
@@ -65,7 +65,7 @@ def test_a_seed_makes_the_same_noise_whichever_runs_are_asked_for() -> None:
 
 def test_measured_thresholds_scatter_by_their_uncertainty() -> None:
     thresholds = [run_ups(RIG, seed, ["load-1"])[0].threshold for seed in range(30)]
-    exact = RIG.known.threshold(true_coefficients(RIG, RIG.loads[0]))
+    exact = RIG.nominal.threshold(true_coefficients(RIG, RIG.loads[0]))
     missed = [(one.value - exact) / one.std_error for one in thresholds if one is not None and exact is not None]
     assert len(missed) == 30
     assert 0.7 < np.std(missed) < 1.35
@@ -89,23 +89,23 @@ def test_every_truth_differs_from_the_rotor_file_and_says_how(kind: str) -> None
     for name, load in rig.load_of_run.items():
         eight = as_eight(*true_coefficients(rig, load)(rig.omega))
         np.testing.assert_allclose(stated["loads"][name]["coefficients"], eight, rtol=1e-5)
-        start = as_eight(*rig.known.start_coefficients(load, rig.omega))
+        start = as_eight(*rig.nominal.start_coefficients(load, rig.omega))
         assert 0.03 < np.median(np.abs(eight / start - 1)) < 0.4
         assert stated["loads"][name]["critical_speed"] < stated["loads"][name]["threshold"]
 
 
 def test_without_errors_the_outside_truth_is_the_rotor_file_s() -> None:
     rig = dataclasses.replace(RIG, viscosity_error=0.0, clearance_error=0.0, heating=0.0, groove_width=np.deg2rad(20))
-    ours, start = (as_eight(*one) for one in (true_coefficients(rig, 5.0)(rig.omega), rig.known.start_coefficients(5.0, rig.omega)))
+    ours, start = (as_eight(*one) for one in (true_coefficients(rig, 5.0)(rig.omega), rig.nominal.start_coefficients(5.0, rig.omega)))
     np.testing.assert_allclose(ours, start, rtol=1e-10)
 
 
 def test_thinner_oil_is_a_bearing_of_lower_viscosity() -> None:
     """Without heating: the same as a rotor file with that viscosity."""
     rig = dataclasses.replace(RIG, clearance_error=0.0, heating=0.0, groove_width=np.deg2rad(20), viscosity_error=-0.2)
-    place = rig.known.place
+    place = rig.nominal.place
     thin = dataclasses.replace(place, bearing=dataclasses.replace(place.bearing, viscosity=0.8 * place.bearing.viscosity))
-    expected = dataclasses.replace(rig.known, place=thin).start_coefficients(5.0, rig.omega)
+    expected = dataclasses.replace(rig.nominal, place=thin).start_coefficients(5.0, rig.omega)
     np.testing.assert_allclose(as_eight(*true_coefficients(rig, 5.0)(rig.omega)), as_eight(*expected), rtol=1e-10)
 
 
