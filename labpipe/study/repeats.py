@@ -39,12 +39,12 @@ class Workers:
         """(fit, repeat) -> Outcome; repeat r draws its noise from seed (*seed, r)."""
         numbers = list(range(repeats))
         if self._pool is None or repeats < WORTH_SHARING:
-            found = _repeated(source, fits, numbers, seed)
+            numbered = _repeated(source, fits, numbers, seed)
         else:
             shares = [numbers[start :: self._count] for start in range(self._count)]
             futures = [self._pool.submit(_repeated, source, fits, share, seed) for share in shares]
-            found = sorted((pair for future in futures for pair in future.result()), key=lambda pair: pair[0])
-        return [[outcomes[number] for _, outcomes in found] for number in range(len(fits))]
+            numbered = sorted((pair for future in futures for pair in future.result()), key=lambda pair: pair[0])
+        return [[outcomes[number] for _, outcomes in numbered] for number in range(len(fits))]
 
 
 @contextmanager
@@ -62,11 +62,11 @@ def workers(jobs: int) -> Iterator[Workers]:
 def _repeated(
     source: Source, fits: Sequence[FitSettings], numbers: Sequence[int], seed: tuple[int, ...]
 ) -> list[tuple[int, list[Outcome]]]:
-    found = []
+    numbered = []
     for number in numbers:
         response = source.response((*seed, number))
-        found.append((number, [_outcome(response, settings) for settings in fits]))
-    return found
+        numbered.append((number, [_outcome(response, settings) for settings in fits]))
+    return numbered
 
 
 def _outcome(response: FrequencyResponse, settings: FitSettings) -> Outcome:

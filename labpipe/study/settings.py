@@ -11,7 +11,7 @@ from labpipe.simulate.virtual_rigs import VirtualRig
 FEWEST_REPEATS = 10
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StudySettings(Settings):
     """Which virtual rig, how noisy, how often; *virtual_rig* is what `rig` names."""
 

@@ -79,12 +79,12 @@ def source_of(rig: VirtualRig, noise: float, lines: int | None, runs: tuple[str,
         raise ConfigError(f"a {rig.kind} gives no frequency response", hint="studies repeat fits of frequency responses")
     if lines is not None and kind.with_lines is None:
         raise ConfigError("'lines': the lines of this rig follow from its excitation", hint="leave it out")
-    known = kind.runs(rig)
-    if runs and not known:
+    available = kind.runs(rig)
+    if runs and not available:
         raise ConfigError("'runs': this rig has none", hint="leave it out")
-    if known and not runs:
-        raise ConfigError("'runs': is missing", hint=f"known: {', '.join(known)}")
-    if known:
+    if available and not runs:
+        raise ConfigError("'runs': is missing", hint=f"known: {', '.join(available)}")
+    if available:
         chosen_runs(rig, runs)
     if kind.response is None and frf is None:
         raise ConfigError("the study needs the frf: section to measure this rig's recordings")

@@ -35,7 +35,7 @@ def run_study(rig: Any, settings: StudySettings, fits: Sequence[FitSettings], fr
     """
     plain = [replace(fit, compare=False, sliding=None) for fit in fits]
     with workers(jobs) as crew:
-        cases = [case for own in _cases(rig, settings, plain, frf, crew, tell) for case in own]
+        cases = [case for level_cases in _cases(rig, settings, plain, frf, crew, tell) for case in level_cases]
         thresholds = [_threshold(rig, settings, fit, limit, frf, crew, tell) for fit, limit in _searches(settings, plain)]
     return Study(rig.name, settings.seed, settings.success, settings.share, tuple(cases), tuple(thresholds), settings.printed)
 
@@ -49,8 +49,8 @@ def _cases(
         tell(f"study     noise {100 * noise:g} %, {source.n_line} lines, {settings.repeats} repeats")
         outcomes = crew.outcomes(source, fits, settings.repeats, (settings.seed,))
         yield [
-            summarised(own, fit, source.truth, source.bounds(fit), settings.success, noise, source.n_line)
-            for fit, own in zip(fits, outcomes, strict=True)
+            summarised(fit_outcomes, fit, source.truth, source.bounds(fit), settings.success, noise, source.n_line)
+            for fit, fit_outcomes in zip(fits, outcomes, strict=True)
         ]
 
 

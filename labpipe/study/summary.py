@@ -81,13 +81,13 @@ def _names(parameters: Sequence[Parameter], truth: Truth) -> list[str]:
 
 
 def _parameter(name: str, results: Sequence[Outcome], truth: float, bound: float | None) -> StudiedParameter:
-    found = [parameter for outcome in results for parameter in outcome.parameters if parameter.name == name]
-    values = np.array([parameter.value for parameter in found])
-    stated = [parameter.std_error for parameter in found if parameter.std_error is not None]
-    intervals = [parameter.ci95 for parameter in found if parameter.ci95 is not None]
+    estimates = [parameter for outcome in results for parameter in outcome.parameters if parameter.name == name]
+    values = np.array([parameter.value for parameter in estimates])
+    stated = [parameter.std_error for parameter in estimates if parameter.std_error is not None]
+    intervals = [parameter.ci95 for parameter in estimates if parameter.ci95 is not None]
     return StudiedParameter(
         name=name,
-        unit=found[0].unit,
+        unit=estimates[0].unit,
         truth=truth,
         mean=float(values.mean()),
         rmse=float(np.sqrt(np.mean((values - truth) ** 2))),

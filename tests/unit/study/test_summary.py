@@ -19,7 +19,9 @@ def outcome(diagonal: float, beside: float, converged: bool = True, std_error: f
     """k_1_1 and k_1_2 with 95 % intervals of two standard errors; k_2_2 exact; a derived one that must not count."""
     values = {"k_1_1": diagonal, "k_1_2": beside, "k_2_2": 4.0}
     parameters = [
-        Parameter(name, value, "N/m", std_error, ci95=None if std_error is None else (value - 2 * std_error, value + 2 * std_error))
+        Parameter(
+            name, value, "N/m", std_error=std_error, ci95=None if std_error is None else (value - 2 * std_error, value + 2 * std_error)
+        )
         for name, value in values.items()
     ]
     return Outcome(converged, (*parameters, Parameter("f_n_1", 9.9, "Hz", derived=True)))
