@@ -11,14 +11,16 @@ def with_error(name: str, unit: str, value: float, std_error: float, quantile: f
     """value +- quantile standard errors."""
     reach = quantile * std_error
     ratio = value / std_error if std_error > 0 else None
-    return Parameter(name, value, unit, std_error, ratio, (value - reach, value + reach), abs(value) > reach)
+    return Parameter(
+        name, value, unit, std_error=std_error, t_ratio=ratio, ci95=(value - reach, value + reach), significant=abs(value) > reach
+    )
 
 
 def from_log(name: str, unit: str, log: float, log_error: float, quantile: float) -> Parameter:
     """exp(log) with the interval exp(log +- quantile log_error), wider upwards; its standard error to first order."""
     value = math.exp(log)
     interval = (math.exp(log - quantile * log_error), math.exp(log + quantile * log_error))
-    return Parameter(name, value, unit, value * log_error, ci95=interval)
+    return Parameter(name, value, unit, std_error=value * log_error, ci95=interval)
 
 
 def relative_change(name: str, log: float, log_error: float, quantile: float) -> Parameter:
@@ -26,7 +28,7 @@ def relative_change(name: str, log: float, log_error: float, quantile: float) ->
     factor = from_log(name, "1", log, log_error, quantile)
     assert factor.ci95 is not None
     low, high = factor.ci95
-    return Parameter(name, factor.value - 1, "1", factor.std_error, ci95=(low - 1, high - 1), significant=not low <= 1 <= high)
+    return Parameter(name, factor.value - 1, "1", std_error=factor.std_error, ci95=(low - 1, high - 1), significant=not low <= 1 <= high)
 
 
 def chance(name: str, p_value: float | None) -> Parameter:

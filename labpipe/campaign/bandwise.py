@@ -118,7 +118,19 @@ def _band(test: str, a: Fit, b: Fit, name: str, reach: float, p_value: float) ->
     assert new.ci95 is not None
     ends = sorted((1 + (new.value - old.value + sign * reach) / old.value) for sign in (-1, 1))
     ratio = new.value / old.value
-    return ComparedBand(test, name, new.unit, a.band_hz, new.value, new.ci95, old.value, old.ci95, ratio, (ends[0], ends[1]), p_value)
+    return ComparedBand(
+        test,
+        name,
+        new.unit,
+        band_hz=a.band_hz,
+        value=new.value,
+        ci95=new.ci95,
+        other=old.value,
+        other_ci95=old.ci95,
+        ratio=ratio,
+        ratio_ci95=(ends[0], ends[1]),
+        p_value=p_value,
+    )
 
 
 def _statement(

@@ -46,7 +46,7 @@ class Observation:
 
     def point(self) -> ComparedPoint:
         condition = None if np.isnan(self.condition) else self.condition
-        return ComparedPoint(self.fit.test, self.value, self.parameter.ci95, condition, self.group)
+        return ComparedPoint(self.fit.test, self.value, ci95=self.parameter.ci95, condition=condition, group=self.group)
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,7 @@ def _band(test: str, fit: Fit, theory: Fit, name: str) -> ComparedBand:
     # A fit without convergence has no interval and does not hold the prediction.
     low, high = measured.ci95 or (float("nan"), float("nan"))
     ends = sorted((low / predicted, high / predicted))
-    band = ComparedBand(test, name, measured.unit, fit.band_hz, measured.value, (low, high), predicted)
+    band = ComparedBand(test, name, measured.unit, band_hz=fit.band_hz, value=measured.value, ci95=(low, high), other=predicted)
     return replace(band, ratio=measured.value / predicted, ratio_ci95=(ends[0], ends[1]))
 
 
@@ -136,8 +136,8 @@ def _curve(view: View, letter: str, changed: MagneticFile | None) -> Curve:
     """K_eq or C_eq of one bearing at the lines from the first to the last band."""
     frequency = view.measured.omega / (2 * np.pi)
     unit = "N/m" if letter == "k" else "N.s/m"
-    curves = [_values(view.file, letter, frequency), () if changed is None else _values(changed, letter, frequency)]
-    return Curve(view.test, letter, unit, tuple(frequency.tolist()), *curves)
+    theory, matched = _values(view.file, letter, frequency), () if changed is None else _values(changed, letter, frequency)
+    return Curve(view.test, letter, unit, frequency=tuple(frequency.tolist()), theory=theory, matched=matched)
 
 
 def _values(file: MagneticFile, letter: str, frequency: np.ndarray[tuple[int], np.dtype[np.floating]]) -> tuple[float, ...]:

@@ -174,12 +174,12 @@ def _curve(measured: MeasuredSensitivity, predicted: FloatArray | None, theory: 
         measured.response.name,
         "sensitivity",
         "1",
-        tuple(measured.frequency.tolist()),
-        () if predicted is None else tuple(predicted.tolist()),
-        matched,
-        tuple(measured.size.tolist()),
-        tuple((measured.size - reach).tolist()),
-        tuple((measured.size + reach).tolist()),
+        frequency=tuple(measured.frequency.tolist()),
+        theory=() if predicted is None else tuple(predicted.tolist()),
+        matched=matched,
+        measured=tuple(measured.size.tolist()),
+        low=tuple((measured.size - reach).tolist()),
+        high=tuple((measured.size + reach).tolist()),
     )
 
 

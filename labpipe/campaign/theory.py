@@ -178,8 +178,8 @@ def _curve(fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Ri
         response.matrix[lines][:, row, None][:, :, column, None],
         (response.outputs[row],),
         (response.inputs[column],),
-        response.form,
-        covariance,
+        form=response.form,
+        covariance=covariance,
         averages=response.averages,
         covariance_dof=response.covariance_dof,
     )

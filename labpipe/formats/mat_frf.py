@@ -70,7 +70,7 @@ def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
     optional = {key: _shaped(variables, key, sizes[key], path) for key in _OPTIONAL if key in variables}
     dof = float(np.asarray(variables.get("covariance_dof", math.inf)).item())
     matrix = _shaped(variables, "H", shape, path)
-    return FrequencyResponse(frequency, matrix, outputs, inputs, text_of(variables["form"]), **optional, covariance_dof=dof, name=name)
+    return FrequencyResponse(frequency, matrix, outputs, inputs, form=text_of(variables["form"]), **optional, covariance_dof=dof, name=name)
 
 
 def _numbers(variables: dict[str, Any], key: str, path: Path) -> Any:

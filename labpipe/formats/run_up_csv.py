@@ -64,7 +64,18 @@ def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex]
             unbalances = dict(unbalance) or {planes[0]: 0j}
         amplitude_error, phase_error = errors
         run_name = name or path.stem
-        return RunUp(run_name, load, speed, planes, response, amplitude_error, phase_error, unbalances, shaker, _threshold(head))
+        return RunUp(
+            run_name,
+            load,
+            speed,
+            planes,
+            response,
+            amplitude_error=amplitude_error,
+            phase_error=phase_error,
+            unbalance=unbalances,
+            shaker=shaker,
+            threshold=_threshold(head),
+        )
     except DataError as error:
         raise DataError(error.what, where=error.where or str(path), hint=error.hint) from None
 

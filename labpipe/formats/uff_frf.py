@@ -63,7 +63,9 @@ def _response(buffer: mmap.mmap, frfs: list[UffRecord], coherences: list[UffReco
     coherence_records = _elements(coherences)
     has_all = all((o, i) in coherence_records for o in outputs for i in inputs)
     coherence = _cube(outputs, inputs, lambda o, i: _numbers(buffer, coherence_records[o, i], frequency).real) if has_all else None
-    return FrequencyResponse(frequency, matrix, _ports(outputs, several), _ports(inputs, several), form, coherence=coherence, name=name)
+    return FrequencyResponse(
+        frequency, matrix, _ports(outputs, several), _ports(inputs, several), form=form, coherence=coherence, name=name
+    )
 
 
 def _key(point: UffPoint) -> Key:

@@ -184,10 +184,10 @@ def _curve(response: FrequencyResponse, measured: Measured, fit: _BandFit) -> Fi
         frequency,
         measured.matrix * factor,
         fit.fitted * factor,
-        variance,
-        tuple(port.label for port in measured.outputs),
-        tuple(port.label for port in measured.inputs),
-        response.form,
+        variance=variance,
+        outputs=tuple(port.label for port in measured.outputs),
+        inputs=tuple(port.label for port in measured.inputs),
+        form=response.form,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 from labpipe.errors import ConfigError
@@ -60,6 +60,7 @@ class FitSettings(Settings):
     """One fit of the pipeline's ``identify:`` section; *name* is its key there, *model_settings*: of the section that its model has."""
 
     model: str = setting("choice", "what is identified", choices=tuple(MODELS))
+    _: KW_ONLY
     mass: Mass = setting("mass", "mass that moves with the response, or `estimate`", unit="kg", default=ESTIMATE)
     estimator: str = setting("choice", "how it is estimated", choices=tuple(ESTIMATORS), default="ml")
     input: tuple[str, ...] = setting("names", "force channel(s); default: all", default=())

@@ -37,7 +37,7 @@ def entry_term(name: str, kind: str, places: list[tuple[int, int]], shape: tuple
 
 
 def given_matrices(mass: FloatArray, force: FloatArray) -> Matrices:
-    """Known mass [kg] and force factors; nothing known of stiffness and damping."""
+    """Fixed mass (n, n) [kg] and force factors (n, n_input); no prior of stiffness and damping."""
     return replace(no_matrices(*force.shape), mass=mass, force=force)
 
 

@@ -67,14 +67,14 @@ def estimated(name: str, unit: str, value: float, std_error: float, dof: int, vi
     t_ratio = value / std_error if std_error > 0 else None
     interval = (value - limit * std_error, value + limit * std_error)
     significant = abs(value) > limit * std_error
-    return Parameter(name, value, unit, std_error, t_ratio, interval, significant, vif)
+    return Parameter(name, value, unit, std_error=std_error, t_ratio=t_ratio, ci95=interval, significant=significant, vif=vif)
 
 
 def derived(name: str, unit: str, value: float, std_error: float, dof: int) -> Parameter:
     """A parameter computed from estimated ones, with its propagated standard error."""
     limit = student_limit(dof)
     interval = (value - limit * std_error, value + limit * std_error)
-    return Parameter(name, value, unit, std_error, None, interval, derived=True)
+    return Parameter(name, value, unit, std_error=std_error, t_ratio=None, ci95=interval, derived=True)
 
 
 def inflation_factors(scaled_design: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from labpipe.errors import DataError
 
 
 def frozen_array(values: ArrayLike, dtype: type, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
-    """A read-only copy-on-need of *values* with the given dtype and shape; raises DataError on another shape or NaN."""
+    """Read-only array of *values* (n, ...) [any unit] with the given dtype and shape; DataError on another shape or NaN."""
     array: NDArray[Any] = np.array(values, dtype=dtype)
     if array.shape != shape:
         raise DataError(f"{name} has the shape {array.shape}, {shape} is needed")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Protocol
 
 from labpipe.records.finding import Finding
@@ -21,6 +21,7 @@ class ComparedPoint:
 
     test: str
     value: float
+    _: KW_ONLY
     ci95: tuple[float, float] | None = None
     condition: float | None = None
     group: str = ""
@@ -40,6 +41,7 @@ class ComparedBand:
     test: str
     parameter: str
     unit: str
+    _: KW_ONLY
     band_hz: tuple[float, float]
     value: float
     ci95: tuple[float, float]
@@ -69,6 +71,7 @@ class Curve:
     test: str
     quantity: str
     unit: str
+    _: KW_ONLY
     frequency: tuple[float, ...]
     theory: tuple[float, ...] = ()
     matched: tuple[float, ...] = ()
@@ -89,7 +92,7 @@ class Overlay:
     matched: tuple[float, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Comparison:
     """Tests held against each other: *kind*, what was compared over which *condition*, and what came out.
 

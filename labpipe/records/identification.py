@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 from labpipe.arrays import ComplexArray, FloatArray
@@ -53,6 +53,7 @@ class FittedCurve:
     frequency: FloatArray
     measured: ComplexArray
     fitted: ComplexArray
+    _: KW_ONLY
     variance: FloatArray | None
     outputs: tuple[str, ...]
     inputs: tuple[str, ...]
@@ -63,7 +64,7 @@ class FittedCurve:
 
     @property
     def drawn(self) -> tuple[FloatArray, ComplexArray]:
-        """Frequency [Hz] and the model as a curve: between the lines too where that was computed, else on the lines."""
+        """Frequency (n_dense,) [Hz] and the model as a curve: dense between the lines where that was computed, else on the lines."""
         if self.dense_frequency is None or self.dense is None:
             return self.frequency, self.fitted
         return self.dense_frequency, self.dense
@@ -71,7 +72,7 @@ class FittedCurve:
 
 @dataclass(frozen=True)
 class Region:
-    """The joint confidence region of two parameters: its *outline* (n, 2) in SI units, going round once; *level* e.g. 0.95."""
+    """Joint confidence region of two parameters: its closed *outline* (n_point, 2) [SI units]; *level* e.g. 0.95."""
 
     names: tuple[str, str]
     outline: FloatArray
@@ -80,16 +81,16 @@ class Region:
 
 @dataclass(frozen=True, repr=False)
 class Fit:
-    """One fit of one model in one band.
+    """One fit of one model in one band. lines: frequency lines used; equations: real equations; dof: equations minus estimated parameters.
 
-    lines: frequency lines used; equations: real equations; dof: equations - estimated parameters.
-    correlation: of the estimated (not derived) parameters, in their order. term: dof of the diagonal term that was fitted, where
-    one fit has several.
+    correlation (n, n) [-]: of the estimated (not derived) parameters, in their order. term: dof of the fitted diagonal term, where one
+    fit has several.
     """
 
     name: str
     model: str
     estimator: str
+    _: KW_ONLY
     band_hz: tuple[float, float]
     lines: int
     equations: int
@@ -161,6 +162,7 @@ class Identification:
 
     fits: tuple[Fit, ...]
     title: str = ""
+    _: KW_ONLY
     pipeline: str = ""
     sources: tuple[dict[str, str], ...] = ()
     settings: dict[str, Any] = field(default_factory=dict)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from labpipe.records.finding import Finding
 
 @dataclass(frozen=True)
 class Envelope:
-    """Smallest and largest of every stretch of *step* samples, (n_stretch,) each, in the channel's unit; NaN where all are missing."""
+    """Smallest and largest value of every stretch of *step* samples, (n_stretch,) each [the channel's unit]; NaN of missing ones."""
 
     step: int
     low: FloatArray
@@ -44,6 +44,7 @@ class ChannelOverview:
     name: str
     unit: str
     about: str
+    _: KW_ONLY
     minimum: float
     maximum: float
     mean: float
@@ -66,6 +67,7 @@ class Overview:
 
     file: str
     kind: str
+    _: KW_ONLY
     n_sample: int
     sample_rate: float | None
     rate: str

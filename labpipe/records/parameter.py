@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 
 @dataclass(frozen=True)
@@ -17,6 +17,7 @@ class Parameter:
     name: str
     value: float
     unit: str
+    _: KW_ONLY
     std_error: float | None = None
     t_ratio: float | None = None
     ci95: tuple[float, float] | None = None

@@ -100,6 +100,6 @@ class Recording:
         return int(self.samples.shape[0])
 
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
-        """Consecutive blocks of at most *n_sample* samples."""
+        """Consecutive blocks (n_sample, n_channel) [SI units] of at most *n_sample* samples."""
         for start in range(0, self.n_sample, n_sample):
             yield self.samples[start : start + n_sample]

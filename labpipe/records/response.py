@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,7 @@ class FrequencyResponse:
     matrix: ComplexArray
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
+    _: KW_ONLY
     form: str = "receptance"
     covariance: ComplexArray | None = None
     coherence: FloatArray | None = None
@@ -118,7 +119,7 @@ class FrequencyResponse:
 
     @property
     def variance(self) -> FloatArray | None:
-        """E|H - E H|^2 per element, (n_frequency, n_output, n_input), or None."""
+        """E|H - E H|^2 per element, (n_frequency, n_output, n_input) [unit^2 of H], or None."""
         if self.covariance is None:
             return None
         diagonal = np.einsum("fii->fi", self.covariance).real
@@ -126,7 +127,7 @@ class FrequencyResponse:
 
 
 def uncorrelated(variance: FloatArray) -> ComplexArray:
-    """The covariance (n_frequency, n, n) of elements known by their variance (n_frequency, n_output, n_input) only."""
+    """Covariance (n_frequency, n, n) [unit^2] of uncorrelated elements from their variance (n_frequency, n_output, n_input)."""
     flat = variance.reshape(variance.shape[0], -1)
     covariance = np.zeros((*flat.shape, flat.shape[1]), np.complex128)
     np.einsum("fii->fi", covariance)[...] = flat

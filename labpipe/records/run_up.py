@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
 
@@ -40,6 +40,7 @@ class RunUp:
     speed: FloatArray
     planes: tuple[str, ...]
     response: ComplexArray
+    _: KW_ONLY
     amplitude_error: FloatArray
     phase_error: FloatArray
     unbalance: Mapping[str, complex] = field(default_factory=dict)
@@ -81,5 +82,5 @@ class RunUp:
 
     @property
     def rpm(self) -> FloatArray:
-        """Speeds [rpm], (n_speed,)."""
+        """Speeds (n_speed,) [rpm]."""
         return self.speed * 30 / np.pi

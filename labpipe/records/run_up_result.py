@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 from labpipe.records.finding import Finding
@@ -62,6 +62,7 @@ class MeasuredRun:
     name: str
     load: float
     role: str
+    _: KW_ONLY
     excitation: str
     speed: Column
     motions: tuple[Motion, ...]
@@ -84,6 +85,7 @@ class RunPrediction:
     run: str
     critical_speed: Amount | None
     threshold: Amount | None
+    _: KW_ONLY
     speed: Column = ()
     motions: tuple[Motion, ...] = ()
     coefficient_speed: Column = ()
@@ -124,6 +126,7 @@ class RunUpMethod:
     name: str
     title: str
     verdict: str
+    _: KW_ONLY
     predictions: tuple[RunPrediction, ...]
     unknowns: int = 8
     rank: int | None = None
@@ -207,6 +210,7 @@ class RunUpResult:
     rotor: str
     plane: str
     bearing: str
+    _: KW_ONLY
     runs: tuple[MeasuredRun, ...]
     methods: tuple[RunUpMethod, ...]
     metamodels: tuple[MetamodelResult, ...] = ()

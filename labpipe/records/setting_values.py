@@ -10,7 +10,7 @@ import cmath
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from numbers import Integral, Real
 from typing import Any
 
@@ -45,6 +45,7 @@ class Setting:
 
     kind: str
     help: str
+    _: KW_ONLY
     unit: str = ""
     choices: tuple[str, ...] = ()
     section: type | None = None

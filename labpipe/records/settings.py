@@ -68,7 +68,7 @@ def setting(
     """A dataclass field that carries a Setting of a kind of CONVERTERS; without a default the YAML must give it."""
     if kind not in CONVERTERS:
         raise ValueError(f"unknown kind of setting '{kind}'")
-    declared = Setting(kind, help, unit, choices, section, file_kind, into, needed)
+    declared = Setting(kind, help, unit=unit, choices=choices, section=section, file_kind=file_kind, into=into, needed=needed)
     return dataclasses.field(default=default, metadata={"setting": declared})
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 
 @dataclass(frozen=True)
@@ -15,6 +15,7 @@ class StudiedParameter:
 
     name: str
     unit: str
+    _: KW_ONLY
     truth: float
     mean: float
     rmse: float
@@ -27,7 +28,7 @@ class StudiedParameter:
         return self.mean - self.truth
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StudyCase:
     """One fit at one noise level with one number of lines.
 

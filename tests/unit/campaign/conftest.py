@@ -16,11 +16,32 @@ def a_fit(test: str, values: dict[str, tuple[float, float]], correlation: float 
     """A fit whose parameters have the (value, standard error) given, units by their first letter."""
     units = {"k": "N/m", "c": "N.s/m", "m": "kg"}
     parameters = tuple(
-        Parameter(key, value, units[key[0]], error, value / error if error else None, (value - 2 * error, value + 2 * error))
+        Parameter(
+            key,
+            value,
+            units[key[0]],
+            std_error=error,
+            t_ratio=value / error if error else None,
+            ci95=(value - 2 * error, value + 2 * error),
+        )
         for key, (value, error) in values.items()
     )
     matrix = np.full((len(parameters),) * 2, correlation) + (1 - correlation) * np.eye(len(parameters))
-    return Fit(name, "sdof", "ml", (10.0, 20.0), 11, 22, 20, Goodness(1.0, 1.0), parameters, 1.0, matrix, test=test, term=term)
+    return Fit(
+        name,
+        "sdof",
+        "ml",
+        band_hz=(10.0, 20.0),
+        lines=11,
+        equations=22,
+        dof=20,
+        gof=Goodness(1.0, 1.0),
+        parameters=parameters,
+        condition_number=1.0,
+        correlation=matrix,
+        test=test,
+        term=term,
+    )
 
 
 @pytest.fixture

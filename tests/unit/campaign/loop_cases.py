@@ -24,7 +24,19 @@ SETTINGS = FitSettings(
     "sdof", mass=0.92, **PORTS, band=(1.0, 250.0), sliding=Sliding(15.0, 15.0), subtract=SUPPORT, share=2, name="sliding"
 )
 # A fit that stands for its band alone, where what it found is of no interest.
-WHOLE = Fit("sliding", "sdof", "ml", (1.0, 250.0), 250, 500, 498, Goodness(1.0, 1.0), (), 1.0, np.eye(2))
+WHOLE = Fit(
+    "sliding",
+    "sdof",
+    "ml",
+    band_hz=(1.0, 250.0),
+    lines=250,
+    equations=500,
+    dof=498,
+    gof=Goodness(1.0, 1.0),
+    parameters=(),
+    condition_number=1.0,
+    correlation=np.eye(2),
+)
 
 
 def bearing(name: str) -> MagneticFile:

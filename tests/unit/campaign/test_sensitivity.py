@@ -38,7 +38,9 @@ def response(rng: np.random.Generator, noise: float = 0.02, seen: complex = 1.0,
     matrix = np.stack([true - 1, true], axis=1) + drawn
     ports = tuple(Port(name, name, name) for name in ("before", "after"))
     covariance = np.broadcast_to(mixed @ mixed.T, (frequency.size, 2, 2)).astype(complex)
-    return FrequencyResponse(frequency, (matrix / seen)[:, :, None], ports, (Port("e", "e", "e"),), "other", covariance / abs(seen) ** 2)
+    return FrequencyResponse(
+        frequency, (matrix / seen)[:, :, None], ports, (Port("e", "e", "e"),), form="other", covariance=covariance / abs(seen) ** 2
+    )
 
 
 def test_intervals_of_the_lines_hold_the_truth(rng: np.random.Generator) -> None:

@@ -40,7 +40,9 @@ def measured(ratio: float, bending: float, rng=None, noise: float = 0.003) -> Fr
     if rng is not None:
         h = h + noise * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
     outputs, inputs = (tuple(Port(f"{name}{dof}", name or dof, dof) for dof in ("x", "z", "by")) for name in ("", "f"))
-    return FrequencyResponse(frequency, h, outputs, inputs, "accelerance", uncorrelated(np.full(h.shape, noise**2)), name="t")
+    return FrequencyResponse(
+        frequency, h, outputs, inputs, form="accelerance", covariance=uncorrelated(np.full(h.shape, noise**2)), name="t"
+    )
 
 
 def fits_of(response: FrequencyResponse):

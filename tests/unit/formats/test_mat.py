@@ -86,7 +86,9 @@ def test_round_trip_of_a_response(tmp_path: Path, rng, n_input: int) -> None:
     covariance = rng.normal(size=(6, n, n)) + 1j * rng.normal(size=(6, n, n))
     frequency = np.sort(rng.uniform(1, 9, 6))
     coherence = rng.random(matrix.shape)
-    made = FrequencyResponse(frequency, matrix, outputs, inputs, "mobility", covariance, coherence, covariance_dof=17.5)
+    made = FrequencyResponse(
+        frequency, matrix, outputs, inputs, form="mobility", covariance=covariance, coherence=coherence, covariance_dof=17.5
+    )
     write_frf_mat(tmp_path / "h.mat", made)
     read = read_frf_mat(tmp_path / "h.mat")
     assert (read.outputs, read.inputs, read.form, read.covariance_dof) == (outputs, inputs, "mobility", 17.5)

@@ -28,7 +28,7 @@ def response(rng: np.random.Generator, frequency: np.ndarray = FREQUENCY, form: 
     matrix = rng.normal(size=(frequency.size, 2, 2)) + 1j * rng.normal(size=(frequency.size, 2, 2))
     ports = (Port("x", "x", "x", 0.0), Port("y", "y", "y", np.pi / 2))
     forces = (Port("f", "f", "x", 0.0), Port("45 deg", "45 deg", "45 deg", np.pi / 4))
-    return FrequencyResponse(frequency, matrix * 1e-6, ports, forces, form, coherence=rng.random(matrix.shape), name="run 1")
+    return FrequencyResponse(frequency, matrix * 1e-6, ports, forces, form=form, coherence=rng.random(matrix.shape), name="run 1")
 
 
 def function(rng: np.random.Generator, **entries: object) -> dict:

@@ -63,7 +63,9 @@ def test_the_level_survives_files(response: FrequencyResponse, tmp_path: Path) -
 @pytest.mark.parametrize(("word", "passed"), [("none", True), ("masked", False), ("not masked", True)])
 def test_rules_on_warnings_do_not_see_notes(response: FrequencyResponse, word: str, passed: bool) -> None:
     fits = identification(response, MASKED).fits
-    rule = Rule("accept", "pedestal.warnings", "pedestal", "", "warnings", "=", word, "p.yaml:3")
+    rule = Rule(
+        section="accept", address="pedestal.warnings", fit="pedestal", which="", item="warnings", kind="=", bound=word, place="p.yaml:3"
+    )
     assert [outcome.passed for outcome in judge([rule], fits, {})] == [passed]
 
 

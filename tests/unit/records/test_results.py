@@ -21,8 +21,20 @@ from labpipe.records.run_up_result import Amount, MeasuredRun, MetamodelResult, 
 from labpipe.records.study import StudiedParameter
 from labpipe.records.unbalance import UnbalanceCase, UnbalanceRuns
 
-K, C = Parameter("k", 45.2e3, "N/m", 31.0), Parameter("c", 3.7, "N.s/m")
-FIT = Fit("direct", "sdof", "ml", (65.0, 80.0), 15, 30, 28, Goodness(0.99, 0.98), (K, C), 12.0, np.eye(2))
+K, C = Parameter("k", 45.2e3, "N/m", std_error=31.0), Parameter("c", 3.7, "N.s/m")
+FIT = Fit(
+    "direct",
+    "sdof",
+    "ml",
+    band_hz=(65.0, 80.0),
+    lines=15,
+    equations=30,
+    dof=28,
+    gof=Goodness(0.99, 0.98),
+    parameters=(K, C),
+    condition_number=12.0,
+    correlation=np.eye(2),
+)
 
 
 # parameters and fits
@@ -31,7 +43,7 @@ FIT = Fit("direct", "sdof", "ml", (65.0, 80.0), 15, 30, 28, Goodness(0.99, 0.98)
 @pytest.mark.parametrize(("band", "centre"), [((65.0, 80.0), 72.5), ((0.0, 1.0), 0.5), ((10.0, 10.0), 10.0)])
 def test_the_centre_of_a_band_lies_halfway(band: tuple[float, float], centre: float) -> None:
     assert dataclasses.replace(FIT, band_hz=band).centre_hz == centre
-    assert ComparedBand("t", "k", "N/m", band, 1.0, (0.0, 2.0), 1.0).centre_hz == centre
+    assert ComparedBand("t", "k", "N/m", band_hz=band, value=1.0, ci95=(0.0, 2.0), other=1.0).centre_hz == centre
 
 
 def test_a_parameter_goes_by_its_name() -> None:
@@ -101,7 +113,16 @@ def test_without_tests_there_are_no_conditions() -> None:
 # comparisons
 
 
-COMPARISON = Comparison("pair", "difference", "k", "N/m", (), (Parameter("difference", 3.0, "N/m"),), "different", "k differs")
+COMPARISON = Comparison(
+    name="pair",
+    kind="difference",
+    subject="k",
+    unit="N/m",
+    points=(),
+    amounts=(Parameter("difference", 3.0, "N/m"),),
+    verdict="different",
+    statement="k differs",
+)
 
 
 def test_an_amount_goes_by_its_name() -> None:
@@ -112,7 +133,7 @@ def test_an_amount_goes_by_its_name() -> None:
 
 @pytest.mark.parametrize(("other", "holds"), [(0.9, True), (1.1, True), (1.0, True), (0.89, False), (1.11, False)])
 def test_an_interval_holds_its_ends(other: float, holds: bool) -> None:
-    assert ComparedBand("t", "k", "N/m", (1.0, 2.0), 1.0, (0.9, 1.1), other).holds is holds
+    assert ComparedBand("t", "k", "N/m", band_hz=(1.0, 2.0), value=1.0, ci95=(0.9, 1.1), other=other).holds is holds
 
 
 # run-ups
@@ -136,11 +157,11 @@ def test_an_amount_without_error_has_no_interval() -> None:
     assert Amount(3.0).ci95 is None
 
 
-RUN = MeasuredRun("5 N", 5.0, "trained", "unbalance", (60.0,), ())
+RUN = MeasuredRun("5 N", 5.0, "trained", excitation="unbalance", speed=(60.0,), motions=())
 PREDICTION = RunPrediction("5 N", Amount(300.0), None)
-METHOD = RunUpMethod("joint", "Joint fit", "determined", (PREDICTION,))
+METHOD = RunUpMethod("joint", "Joint fit", "determined", predictions=(PREDICTION,))
 METAMODEL = MetamodelResult("gp", "Gaussian process", Surface((), (), ()), (), (PREDICTION,))
-RUN_UPS = RunUpResult("rotor", "disc", "journal", (RUN,), (METHOD,), (METAMODEL,))
+RUN_UPS = RunUpResult("rotor", "disc", "journal", runs=(RUN,), methods=(METHOD,), metamodels=(METAMODEL,))
 
 
 @pytest.mark.parametrize("owner", [METHOD, METAMODEL])
@@ -162,7 +183,7 @@ def test_methods_and_runs_go_by_their_names() -> None:
 @settings(derandomize=True, max_examples=30)
 @given(st.floats(-1e9, 1e9), st.floats(-1e9, 1e9))
 def test_bias_is_mean_less_truth(truth: float, mean: float) -> None:
-    studied = StudiedParameter("k", "N/m", truth, mean, 1.0, None, None, None)
+    studied = StudiedParameter("k", "N/m", truth=truth, mean=mean, rmse=1.0, bound=None, std_error=None, coverage=None)
     assert studied.bias == mean - truth
     # A root mean square error holds the bias: rmse^2 = bias^2 + variance.
     assert truth + studied.bias == pytest.approx(mean, abs=1e-6)
@@ -198,7 +219,17 @@ def test_axes_stand_at_a_right_angle() -> None:
 
 def channel(name: str, unit: str = "") -> ChannelOverview:
     envelope = Envelope(10, np.zeros(2), np.ones(2))
-    return ChannelOverview(name, unit, "", 0.0, 1.0, 0.5, 0.6, envelope, Spectrum(np.array([0.0, 1.0]), np.array([0.1, 0.2]), 3))
+    return ChannelOverview(
+        name,
+        unit,
+        "",
+        minimum=0.0,
+        maximum=1.0,
+        mean=0.5,
+        rms=0.6,
+        envelope=envelope,
+        spectrum=Spectrum(np.array([0.0, 1.0]), np.array([0.1, 0.2]), 3),
+    )
 
 
 @pytest.mark.parametrize(
@@ -209,7 +240,16 @@ def test_a_label_states_the_unit_once(name: str, unit: str, label: str) -> None:
 
 
 def test_time_is_not_plotted() -> None:
-    whole = Overview("a.csv", "csv", 20, 100.0, "100 Hz", (channel("t"), channel("x"), channel("y")), (), time="t")
+    whole = Overview(
+        "a.csv",
+        "csv",
+        n_sample=20,
+        sample_rate=100.0,
+        rate="100 Hz",
+        channels=(channel("t"), channel("x"), channel("y")),
+        findings=(),
+        time="t",
+    )
     assert [one.name for one in whole.plotted] == ["x", "y"]
     assert len(dataclasses.replace(whole, time="").plotted) == 3
 

@@ -12,7 +12,16 @@ from labpipe.records.run_up import RunUp, Shaker
 from labpipe.records.settings import Uncertain
 
 ONES = np.ones((2, 1, 2))
-RUN = RunUp("run", 5.0, np.array([60.0, 70.0]), ("disc",), ONES + 0j, 0.01 * ONES, 0.02 * ONES, {"disc": 1e-5 + 0j})
+RUN = RunUp(
+    "run",
+    5.0,
+    np.array([60.0, 70.0]),
+    ("disc",),
+    ONES + 0j,
+    amplitude_error=0.01 * ONES,
+    phase_error=0.02 * ONES,
+    unbalance={"disc": 1e-5 + 0j},
+)
 
 
 def test_it_is_read_only_and_knows_its_speeds_in_rpm() -> None:
@@ -47,4 +56,4 @@ def test_what_does_not_fit_together_is_refused(changes: dict[str, object], said:
 def test_two_planes_of_one_name_are_refused() -> None:
     both = np.ones((2, 2, 2))
     with pytest.raises(DataError, match="different names"):
-        RunUp("run", 5.0, RUN.speed, ("disc", "disc"), both + 0j, both, both, {"disc": 1e-5 + 0j})
+        RunUp("run", 5.0, RUN.speed, ("disc", "disc"), both + 0j, amplitude_error=both, phase_error=both, unbalance={"disc": 1e-5 + 0j})

@@ -45,7 +45,7 @@ def test_what_has_no_default_must_be_given() -> None:
 
 def test_a_declaration_is_kept_whole() -> None:
     declared = {name: found for name, (found, _) in settings_of(Outer).items()}
-    assert declared["period"] == Setting("value", "period of the excitation", "s")
+    assert declared["period"] == Setting("value", "period of the excitation", unit="s")
     assert declared["window"] == Setting("choice", "window", choices=("hann", "none"))
     assert declared["sliding"] == Setting("section", "moving band", section=Inner)
 

@@ -78,7 +78,7 @@ def unchecked(owner: type, **fields: Any) -> Any:
 
 def test_every_kind_of_setting_has_an_example_here() -> None:
     plain = [kind for kind in CONVERTERS if kind not in ("section", "sections", "entries")]
-    assert all(example(Setting(kind, "", "m", ("a",))) is not None for kind in plain)
+    assert all(example(Setting(kind, "", unit="m", choices=("a",))) is not None for kind in plain)
     assert {declared.kind for owner in OWNERS for declared, _ in settings_of(owner).values()} <= set(CONVERTERS)
 
 
@@ -115,11 +115,11 @@ def test_what_people_write_becomes_si_once(owner: type) -> None:
 
 def test_units_are_welcome_from_python() -> None:
     """The same settings, in words and in SI."""
-    in_words = FitSettings(
+    combination_text = FitSettings(
         "sdof", mass="790 g", band="60-70 Hz", subtract=Support("134.5 kN/m +- 1 %"), sliding={"width": "15 Hz", "step": "3 Hz"}
     )
     in_si = FitSettings("sdof", mass=0.79, band=(60.0, 70.0), subtract=Support(Uncertain(134.5e3, 1345.0)), sliding=Sliding(15.0, 3.0))
-    assert in_words == in_si
+    assert combination_text == in_si
     assert FrfSettings("periodic", period="500 ms", overlap="50 %") == FrfSettings("periodic", period=0.5, overlap=0.5)
 
 
@@ -170,10 +170,10 @@ def test_checks_of_a_class_see_si_numbers() -> None:
 
 
 def test_phasors_and_matrices() -> None:
-    unbalance = CONVERTERS["phasors"]({"disc": "50 g.mm at 90 deg", "rim": 1e-5}, Setting("phasors", "", "kg.m"))
+    unbalance = CONVERTERS["phasors"]({"disc": "50 g.mm at 90 deg", "rim": 1e-5}, Setting("phasors", "", unit="kg.m"))
     assert unbalance[0][1] == pytest.approx(5e-5j) and unbalance[1] == ("rim", 1e-5 + 0j)
     with pytest.raises(UnitError, match="disc: 'g' has the wrong dimension"):
-        CONVERTERS["phasors"]({"disc": "50 g"}, Setting("phasors", "", "kg.m"))
+        CONVERTERS["phasors"]({"disc": "50 g"}, Setting("phasors", "", unit="kg.m"))
     with pytest.raises(UnitError, match="not equally long"):
-        CONVERTERS["matrix"]([["1 m"], ["1 m", "2 m"]], Setting("matrix", "", "m"))
-    assert CONVERTERS["matrix"](((1.0, 2.0),), Setting("matrix", "", "m")) == ((1.0, 2.0),)
+        CONVERTERS["matrix"]([["1 m"], ["1 m", "2 m"]], Setting("matrix", "", unit="m"))
+    assert CONVERTERS["matrix"](((1.0, 2.0),), Setting("matrix", "", unit="m")) == ((1.0, 2.0),)
