@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
 from labpipe.records.settings import Settings, setting
@@ -15,6 +15,7 @@ class CalibrationSettings(Settings):
     table: str = setting("file", "table file (CSV), relative to this file", file_kind="path", into="path")
     x: str = setting("text", "column of the known or set value")
     y: str = setting("text", "column of the answer")
+    _: KW_ONLY
     x_unit: str = setting("text", "unit of x; default: in brackets behind the column's name", default="")
     y_unit: str = setting("text", "unit of y; default: in brackets behind the column's name", default="")
     group: str = setting("text", "column by which the table falls into several lines", default="")

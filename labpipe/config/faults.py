@@ -17,9 +17,9 @@ class Faults:
         self.folder = folder
         self._faults: list[ConfigError] = []
 
-    def add(self, node: Marked, key: str, what: str, hint: str = "") -> None:
+    def add(self, node: Marked, key: str, message: str, hint: str = "") -> None:
         """A fault of the entry *key* at its place in the file."""
-        text = f"{key}: {what}" if key else what
+        text = f"{key}: {message}" if key else message
         self._faults.append(ConfigError(text, where=node.place, hint=hint))
 
     def add_unit(self, node: Marked, key: str, error: UnitError) -> None:
@@ -36,14 +36,14 @@ class Faults:
         self.add(node, key, f"no such file '{node.text}'", "paths are relative to the file that names them")
 
     def merge(self, error: ConfigError) -> None:
-        """The faults of another file that this one names."""
+        """Add the faults of a referenced file."""
         self._faults.extend(error.faults if isinstance(error, ConfigErrors) else [error])
 
-    def unknown_keys(self, node: Marked, key: str, known: tuple[str, ...]) -> None:
-        """A fault for every key of the mapping that is not known, with the nearest known one."""
+    def unknown_keys(self, node: Marked, key: str, allowed: tuple[str, ...]) -> None:
+        """A fault for every key of the mapping that is not *allowed*, with the nearest allowed key."""
         for name, entry in node.content.items():
-            if name not in known:
-                self.add(entry, join(key, name), "unknown key", nearest(name, known))
+            if name not in allowed:
+                self.add(entry, join(key, name), "unknown key", nearest(name, allowed))
 
     def mapping(self, node: Marked, key: str) -> dict[str, Marked]:
         """The entries of a mapping, or none and a fault when the node is something else."""
@@ -53,7 +53,7 @@ class Faults:
         return {}
 
     def raise_any(self) -> None:
-        """Raise everything found, once, in the order of the file."""
+        """Raise all faults together, in the order of the file."""
         if self._faults:
             raise ConfigErrors(self._faults)
 

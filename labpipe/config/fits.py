@@ -1,4 +1,4 @@
-"""Reading one fit of the ``identify:`` section: its settings, and those that its model has beyond them."""
+"""Reading one fit of the ``identify:`` section: its settings and those of its model."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from labpipe.marked_yaml import Marked
 
 
 def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings | None:
-    """The settings of a fit; one that does not say its mass takes the rig's. None and faults where they cannot be read."""
+    """The settings of a fit, `mass` by default that of the rig. None and faults where they cannot be read."""
     faults, before = reading.faults, len(reading.faults)
     entries = faults.mapping(node, key)
-    given: dict[str, Any] = {"name": name}
+    presets: dict[str, Any] = {"name": name}
     section = _section_of(entries)
     if section:
         model, entry = section
         if entries["model"].text != model:
             faults.add(entries[entry], join(key, entry), f"the section '{entry}' goes with model {model}", model_kind(model).example)
         else:
-            given["model_settings"] = _model_settings(entries[entry], join(key, entry), model, reading)
+            presets["model_settings"] = _model_settings(entries[entry], join(key, entry), model, reading)
     plain = Marked({entry: part for entry, part in entries.items() if not section or entry != section[1]}, node.where, node.key_where)
-    fit = read_settings(FitSettings, plain, key, faults, **given) if len(faults) == before else None
+    fit = read_settings(FitSettings, plain, key, faults, **presets) if len(faults) == before else None
     if fit is None or "mass" in entries or reading.rig is None or reading.rig.mass is None:
         return fit
     return replace(fit, mass=reading.rig.mass)
 
 
 def _section_of(entries: dict[str, Marked]) -> tuple[str, str] | None:
-    """(model, key) of the model's own section that stands among the entries of a fit."""
+    """(model, key) of the model's section among the entries of a fit."""
     for model in MODELS:
         kind = model_kind(model)
         if kind.section and kind.section in entries and "model" in entries:

@@ -1,9 +1,9 @@
-"""Reading a pipeline file: what to do with which recordings."""
+"""Reading a pipeline file: tests, sections, rules, report."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,7 @@ class Pipeline:
     """
 
     path: Path
+    _: KW_ONLY
     title: str
     tests: tuple[Test, ...]
     frf: FrfSettings | None
@@ -99,7 +100,7 @@ def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
     _check_whole(tree, entries, tests, frf, faults)
     faults.raise_any()
     assert report is not None
-    return Pipeline(path, _title(entries, path), tests, frf, report, rules, rig, settings)
+    return Pipeline(path, title=_title(entries, path), tests=tests, frf=frf, report=report, rules=rules, rig=rig, sections=settings)
 
 
 def _sections(entries: dict[str, Marked], rig: Rig | None, faults: Faults) -> tuple[dict[str, Any], tuple[str, ...]]:
@@ -109,23 +110,23 @@ def _sections(entries: dict[str, Marked], rig: Rig | None, faults: Faults) -> tu
     for name, entry in sections():
         if name not in entries:
             continue
-        found = _section(entries[name], name, entry, Reading(faults, rig, names))
-        # Names that stand in the file count even where their entries cannot be read, so that no rule is faulted for that.
-        names = (*names, *(entries[name].content if entry.named and isinstance(entries[name].content, dict) else names_of(name, found)))
-        if found is not None:
-            settings[name] = found
+        content = _section(entries[name], name, entry, Reading(faults, rig, names))
+        # Names count even where their entries cannot be read, so that rules on them are no faults.
+        names = (*names, *(entries[name].content if entry.named and isinstance(entries[name].content, dict) else names_of(name, content)))
+        if content is not None:
+            settings[name] = content
     return settings, names
 
 
 def _section(node: Marked, name: str, entry: PipelineSection, reading: Reading) -> Any:
     if not entry.named:
-        return _one(node, name, "", entry, reading)
+        return _read_entry(node, name, "", entry, reading)
     entries = reading.faults.mapping(node, name)
-    named = (_one(part, join(name, key), key, entry, reading) for key, part in entries.items())
+    named = (_read_entry(part, join(name, key), key, entry, reading) for key, part in entries.items())
     return tuple(settings for settings in named if settings is not None)
 
 
-def _one(node: Marked, key: str, name: str, entry: PipelineSection, reading: Reading) -> Any:
+def _read_entry(node: Marked, key: str, name: str, entry: PipelineSection, reading: Reading) -> Any:
     read = entry.load("read")
     if read is not None:
         return read(node, key, name, reading)
@@ -137,14 +138,14 @@ def _title(entries: dict[str, Marked], path: Path) -> str:
 
 
 def _check_whole(tree: Marked, entries: dict[str, Marked], tests: tuple[Test, ...], frf: FrfSettings | None, faults: Faults) -> None:
-    """What only the whole file shows: something to do, and all that doing it needs."""
+    """Faults of the file as a whole: no work, missing sections."""
     work = (*RECORDED, *_standalone())
     if not any(key in entries for key in work):
         faults.add(tree, "", "nothing to work on", f"name {', '.join(work[:-1])} or {work[-1]}")
     if "study" in entries and not (entries["identify"].content if "identify" in entries else None):
         faults.add(entries["study"], "study", "there is nothing to study", "name fits under identify")
     if any(test.recordings for test in tests) and frf is None and "frf" not in entries:
-        faults.add(tree, "frf", "is missing", "say how the recordings become FRFs: excitation and period or block")
+        faults.add(tree, "frf", "is missing", "state excitation and period or block, from which FRFs are computed")
 
 
 def _standalone() -> Iterator[str]:

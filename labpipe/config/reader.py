@@ -17,21 +17,21 @@ from labpipe.records.settings import Setting, settings_of
 
 Owner = TypeVar("Owner")
 
-# Stands in a new project where nobody but the user knows; see stages/scaffold.py.
+# Placeholder of an entry that the user must fill in; see stages/scaffold.py.
 DECIDE = "DECIDE"
 
 
-def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **given: Any) -> Owner | None:
+def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **presets: Any) -> Owner | None:
     """An instance of the settings dataclass *owner* from the mapping *node*; None and faults where it cannot be read.
 
-    *given* are further fields that the file does not hold (a name, say), or defaults that take the place of missing entries.
+    *presets* are further fields that the file does not hold (a name, say), or defaults that take the place of missing entries.
     """
     before = len(faults)
     entries = faults.mapping(node, key)
     settings = settings_of(owner)
     if entries:
         faults.unknown_keys(node, key, tuple(settings))
-    fields: dict[str, Any] = dict(given)
+    fields: dict[str, Any] = dict(presets)
     unread: set[str] = set()
     for name, (setting, required) in settings.items():
         count = len(faults)
@@ -39,16 +39,16 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
             fields[name] = read_setting(entries[name], setting, join(key, name), faults)
             if setting.into:
                 fields[setting.into] = _content(entries[name], fields[name], setting, join(key, name), faults)
-        elif required and name not in given:
+        elif required and name not in presets:
             faults.add(node, join(key, name), "is missing", setting.help)
         if len(faults) > count:
             unread |= {name, setting.into}
-    made = _made(owner, {name: value for name, value in fields.items() if name not in unread}, node, key, faults, unread)
-    return made if len(faults) == before else None
+    instance = _instance(owner, {name: value for name, value in fields.items() if name not in unread}, node, key, faults, unread)
+    return instance if len(faults) == before else None
 
 
-def _made(owner: type[Owner], fields: dict[str, Any], node: Marked, key: str, faults: Faults, unread: set[str]) -> Owner | None:
-    """The dataclass, its own faults added to those of its fields; what could not be read is not complained of twice."""
+def _instance(owner: type[Owner], fields: dict[str, Any], node: Marked, key: str, faults: Faults, unread: set[str]) -> Owner | None:
+    """The dataclass, its faults added to those of its fields; None without a second fault for unread entries."""
     if any(field.default is MISSING and field.name not in fields for field in dataclasses.fields(owner)):  # type: ignore[arg-type]
         return None
     try:

@@ -34,7 +34,7 @@ class RigSettings(Settings):
     mass: float | None = setting("value", "mass that moves with the response", unit="kg", default=None)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ChannelSettings(Settings):
     """One entry below ``channels:``."""
 
@@ -79,22 +79,22 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
     before = len(faults)
     entries = faults.mapping(tree, "")
     plain = Marked({k: v for k, v in entries.items() if k != "channels"}, tree.where)
-    known = read_settings(RigSettings, plain, "", faults)
+    settings = read_settings(RigSettings, plain, "", faults)
     channels = _read_channels(entries.get("channels"), tree, faults)
-    if known is not None and known.sample_rate is not None and known.time is not None:
+    if settings is not None and settings.sample_rate is not None and settings.time is not None:
         faults.add(entries["time"], "sample_rate", "one of sample_rate and time is needed, not both", "leave one of them out")
-    if known is not None and known.sample_rate is not None and known.sample_rate <= 0:
+    if settings is not None and settings.sample_rate is not None and settings.sample_rate <= 0:
         faults.add(entries["sample_rate"], "sample_rate", "must be positive")
-    if len(faults) > before or known is None:
+    if len(faults) > before or settings is None:
         return None
     return Rig(
-        name=known.name,
+        name=settings.name,
         channels=tuple(channels),
-        sample_rate=known.sample_rate,
-        time=known.time,
-        time_scale=time_scale(known.time),
-        mass=known.mass,
-        description=known.description,
+        sample_rate=settings.sample_rate,
+        time=settings.time,
+        time_scale=time_scale(settings.time),
+        mass=settings.mass,
+        description=settings.description,
     )
 
 
@@ -127,20 +127,20 @@ def _read_channels(node: Marked | None, tree: Marked, faults: Faults) -> list[Ri
 
 
 def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChannel | None:
-    known = read_settings(ChannelSettings, node, key, faults)
-    if known is None:
+    settings = read_settings(ChannelSettings, node, key, faults)
+    if settings is None:
         return None
     before = len(faults)
-    scale, offset = _calibration(known, node, key, faults)
-    limits = _limits(known, node, key, faults)
-    dof, angle = _direction(known.dof or name, node, key, faults)
-    response = _response(known, node, key, faults)
+    scale, offset = _calibration(settings, node, key, faults)
+    limits = _limits(settings, node, key, faults)
+    dof, angle = _direction(settings.dof or name, node, key, faults)
+    response = _response(settings, node, key, faults)
     if len(faults) > before:
         return None
-    sign = -1.0 if known.invert else 1.0
-    role = known.role or DEFAULT_ROLES.get(known.quantity, "reference")
-    channel = Channel(name, known.quantity, role, dof, angle, known.delay, response)
-    return RigChannel(channel, known.column or name, known.unit or channel.unit, sign * scale, sign * offset, limits)
+    sign = -1.0 if settings.invert else 1.0
+    role = settings.role or DEFAULT_ROLES.get(settings.quantity, "reference")
+    channel = Channel(name, settings.quantity, role, dof, angle, settings.delay, response)
+    return RigChannel(channel, settings.column or name, settings.unit or channel.unit, sign * scale, sign * offset, limits)
 
 
 def _direction(dof: str, node: Marked, key: str, faults: Faults) -> tuple[str, float | None]:
@@ -155,31 +155,31 @@ def _direction(dof: str, node: Marked, key: str, faults: Faults) -> tuple[str, f
     return dof, None
 
 
-def _response(known: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[tuple[float, float, float], ...]:
+def _response(settings: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[tuple[float, float, float], ...]:
     """The sensor's frequency response; its table stands beside the rig file."""
-    if not known.response:
+    if not settings.response:
         return ()
     try:
-        return read_sensor_response(Path(node.where.rsplit(":", 2)[0]).parent / known.response)
+        return read_sensor_response(Path(node.where.rsplit(":", 2)[0]).parent / settings.response)
     except UnitError as error:
         faults.add_unit(node.content["response"], join(key, "response"), error)
         return ()
 
 
-def _calibration(known: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[float, float]:
+def _calibration(settings: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[float, float]:
     """(scale, offset) from the recorded number to SI: directly by the unit, or through the sensitivity."""
-    si_unit = QUANTITIES[known.quantity].si_unit
+    si_unit = QUANTITIES[settings.quantity].si_unit
     unit_node = node.content.get("unit", node)
     try:
-        unit = parse_unit(known.unit or si_unit)
-        if not known.sensitivity:
-            check_dimension(known.unit or si_unit, unit, si_unit)
+        unit = parse_unit(settings.unit or si_unit)
+        if not settings.sensitivity:
+            check_dimension(settings.unit or si_unit, unit, si_unit)
             return unit.factor, unit.offset
     except UnitError as error:
         faults.add_unit(unit_node, join(key, "unit"), error)
         return 1.0, 0.0
     try:
-        return unit.factor / _sensitivity(known.sensitivity, unit, si_unit, node), 0.0
+        return unit.factor / _sensitivity(settings.sensitivity, unit, si_unit, node), 0.0
     except UnitError as error:
         faults.add_unit(node.content["sensitivity"], join(key, "sensitivity"), error)
         return 1.0, 0.0
@@ -192,14 +192,14 @@ def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
     match = re.match(r"^\s*(\S+)\s+(.+)$", text)
     if match is None:
         raise UnitError(f"'{text}' is not a sensitivity", "for example '8 V/mm'")
-    given = parse_unit(match[2]).dimension
+    dimension = parse_unit(match[2]).dimension
     wanted = tuple(u - q for u, q in zip(unit.dimension, parse_unit(si_unit).dimension, strict=True))
     value = parse_value(text, match[2]) * parse_unit(match[2]).factor
     if value == 0:
         raise UnitError(f"the sensitivity '{text}' is zero")
-    if given == wanted:
+    if dimension == wanted:
         return value
-    if given == tuple(-w for w in wanted):
+    if dimension == tuple(-w for w in wanted):
         return 1.0 / value
     raise UnitError(f"'{match[2]}' does not lead from the channel's unit to {si_unit}", "write recorded unit per quantity, e.g. 'V/mm'")
 
@@ -218,12 +218,12 @@ def _calibrated_slope(reference: str, folder: Path) -> str:
     raise UnitError(f"'{file}' holds no calibration fit '{fit_name}'", nearest(fit_name, {fit["name"] for fit in fits}))
 
 
-def _limits(known: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[float, float] | None:
+def _limits(settings: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[float, float] | None:
     """The recorded values at which the logger clips, in the recorded unit; "10 V" means -10 V .. 10 V."""
-    if known.range is None:
+    if settings.range is None:
         return None
-    low, dots, high = str(known.range).partition("..")
-    unit = known.unit or QUANTITIES[known.quantity].si_unit
+    low, dots, high = str(settings.range).partition("..")
+    unit = settings.unit or QUANTITIES[settings.quantity].si_unit
     try:
         upper = parse_value((high if dots else low).strip(), unit)
         lower = parse_value(low.strip(), unit) if dots else -upper

@@ -1,8 +1,9 @@
-"""Reading a rotor file: shaft elements, discs, sleeves, bearings, loads, damping; what the rotor IS."""
+"""Reading a rotor file: shaft elements, discs, sleeves, bearings, loads, damping."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -64,7 +65,7 @@ def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
         faults.add(entries["pins"], "pins", "this rotor runs between pins, for run-ups", "here one in journal bearings is needed")
         return None
     plain = Marked({k: v for k, v in entries.items() if k not in SECTIONS}, tree.where)
-    known = read_settings(RotorSettings, plain, "", faults)
+    settings = read_settings(RotorSettings, plain, "", faults)
     materials = read_materials(entries.get("materials"), faults)
     lists = {key: read_entries(owner, entries.get(key), key, faults) for key, owner in LISTS.items()}
     bearings = read_bearings(entries.get("bearings"), faults)
@@ -73,14 +74,24 @@ def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
             faults.add(tree, key, "is missing", "a list; each entry begins with '- '")
     damping = read_settings(DampingSettings, entries["damping"], "damping", faults) if "damping" in entries else DampingSettings()
     rotor = None if len(faults) > before else build_rotor(lists, materials, damping, tree, faults)
-    if rotor is None or known is None:
+    if rotor is None or settings is None:
         return None
     places = tuple(place for _, place in bearings)
-    loads = tuple((one.node, one.y, one.z) for _, one in lists["loads"])
-    unbalances = tuple(Unbalance(one.node, one.size, one.phase) for _, one in lists["unbalances"])
+    loads = tuple((part.node, part.y, part.z) for _, part in lists["loads"])
+    unbalances = tuple(Unbalance(part.node, part.size, part.phase) for _, part in lists["unbalances"])
     _check_nodes({**lists, "bearings": bearings}, rotor, faults)
-    name = known.name or stem
-    return tried(lambda: RotorRig(name, rotor, known.speed, places, loads, unbalances, known.force, known.response), tree, "", faults)
+    make_rig = partial(
+        RotorRig,
+        settings.name or stem,
+        rotor,
+        speed=settings.speed,
+        bearings=places,
+        loads=loads,
+        unbalances=unbalances,
+        force=settings.force,
+        response=settings.response,
+    )
+    return tried(make_rig, tree, "", faults)
 
 
 def read_entries(owner: type[Owner], node: Marked | None, key: str, faults: Faults) -> list[tuple[Marked, Any]]:
@@ -90,18 +101,19 @@ def read_entries(owner: type[Owner], node: Marked | None, key: str, faults: Faul
     if not isinstance(node.content, list):
         faults.add(node, key, "a list is needed", "each entry begins with '- '")
         return []
-    found = [(entry, read_settings(owner, entry, f"{key}.{number}", faults)) for number, entry in enumerate(node.content, 1)]
-    return [(entry, one) for entry, one in found if one is not None]
+    pairs = [(entry, read_settings(owner, entry, f"{key}.{number}", faults)) for number, entry in enumerate(node.content, 1)]
+    return [(entry, settings) for entry, settings in pairs if settings is not None]
 
 
 def read_materials(node: Marked | None, faults: Faults) -> dict[str, Material]:
     materials = dict(MATERIALS)
     for name, entry in (faults.mapping(node, "materials") if node is not None else {}).items():
         key = join("materials", name)
-        one = read_settings(MaterialSettings, entry, key, faults)
-        if one is not None:
-            made = tried(lambda one=one: Material(one.density, one.elastic_modulus, one.shear_modulus, one.poisson), entry, key, faults)
-            materials |= {} if made is None else {name: made}
+        settings = read_settings(MaterialSettings, entry, key, faults)
+        if settings is not None:
+            moduli = settings.elastic_modulus, settings.shear_modulus, settings.poisson
+            material = tried(partial(Material, settings.density, *moduli), entry, key, faults)
+            materials |= {} if material is None else {name: material}
     return materials
 
 
@@ -112,36 +124,36 @@ def build_rotor(
     tree: Marked,
     faults: Faults,
 ) -> Rotor | None:
-    """The shaft with all that is on it; None and faults, each at the part's own place."""
+    """The shaft with discs and sleeves; None and faults at the place of each part."""
     before = len(faults)
 
-    def material(entry: Marked, one: Any) -> Material:
-        if one.material not in materials:
-            faults.add(entry.content["material"], "material", f"unknown material '{one.material}'", nearest(one.material, materials))
-        return materials.get(one.material, STEEL)
+    def material(entry: Marked, part: Any) -> Material:
+        if part.material not in materials:
+            faults.add(entry.content["material"], "material", f"unknown material '{part.material}'", nearest(part.material, materials))
+        return materials.get(part.material, STEEL)
 
     shaft: list[ShaftElement] = []
-    for entry, one in lists["elements"]:
-        steel = material(entry, one)
-        piece = tried(lambda one=one, steel=steel: ShaftElement(one.length, one.diameter, steel, one.inner_diameter), entry, "", faults)
-        shaft.extend([piece] * one.count if piece is not None else [])
-    discs = [tried(lambda e=e, one=one: one.disc(material(e, one)), e, "", faults) for e, one in lists["discs"]]
-    sleeves = [Sleeve(one.element, one.outer_diameter, material(entry, one)) for entry, one in lists["sleeves"]]
+    for entry, part in lists["elements"]:
+        make_element = partial(ShaftElement, part.length, part.diameter, material(entry, part), part.inner_diameter)
+        element = tried(make_element, entry, "", faults)
+        shaft.extend([element] * part.count if element is not None else [])
+    discs = [tried(partial(part.disc, material(entry, part)), entry, "", faults) for entry, part in lists["discs"]]
+    sleeves = [Sleeve(part.element, part.outer_diameter, material(entry, part)) for entry, part in lists["sleeves"]]
     if len(faults) > before or damping is None:
         return None
     parts = tuple(disc for disc in discs if disc is not None)
-    return tried(lambda: Rotor(tuple(shaft), parts, tuple(sleeves), damping.alpha, damping.beta), tree, "", faults)
+    return tried(partial(Rotor, tuple(shaft), parts, tuple(sleeves), damping.alpha, damping.beta), tree, "", faults)
 
 
 def _check_nodes(lists: dict[str, list[tuple[Marked, Any]]], rotor: Rotor, faults: Faults) -> None:
     """A fault at every entry that sits on no node."""
     for key in ("bearings", "loads", "unbalances"):
-        for entry, one in lists[key]:
-            tried(lambda one=one, key=key: rotor.check_node(one.node, f"this entry of {key}"), entry.content["node"], key, faults)
+        for entry, part in lists[key]:
+            tried(partial(rotor.check_node, part.node, f"this entry of {key}"), entry.content["node"], key, faults)
 
 
 def tried(make: Callable[[], Built], node: Marked, key: str, faults: Faults) -> Built | None:
-    """What *make* makes; a fault at the node's place where it refuses."""
+    """Return value of *make*; None and a fault at the node's place for a ConfigError."""
     try:
         return make()
     except ConfigError as error:

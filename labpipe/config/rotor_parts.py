@@ -47,7 +47,7 @@ class ElementSettings(Settings):
             raise ConfigError(f"count: from 1 to {MOST_COPIES}, not {self.count}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DiscSettings(Settings):
     """One entry of ``discs:``, by its dimensions and material or by its mass and moments of inertia."""
 

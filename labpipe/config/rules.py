@@ -13,7 +13,7 @@ _COMPARISON = re.compile(r"^\s*(>=|<=|>|<)\s*(.+?)\s*$")
 _ADDRESS = re.compile(r"^(?P<fit>[^.\[\]]+)(?:\[(?P<which>[^\]]*)\])?\.(?P<item>.+)$")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Rule:
     """``fit[which].item`` must satisfy *kind*: a comparison (>=, <=, >, <), '+-' (value and tolerance), or '=' (a word or flag).
 
@@ -40,7 +40,7 @@ def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[st
     """The rules of one section; faults for unreadable ones and for fits that the pipeline does not have."""
     if node is None:
         return ()
-    rules = []
+    rules: list[Rule] = []
     for address, entry in faults.mapping(node, section).items():
         match = _ADDRESS.match(address)
         if match is None:
@@ -74,4 +74,13 @@ def _rule(section: str, address: str, entry: Marked, match: re.Match[str], text:
         kind, bound = comparison[1], comparison[2]
     else:
         kind, bound = ("+-" if "+-" in text or "±" in text else "="), text
-    return Rule(section, address, match["fit"], match["which"] or "", match["item"], kind, bound, entry.place)
+    return Rule(
+        section=section,
+        address=address,
+        fit=match["fit"],
+        which=match["which"] or "",
+        item=match["item"],
+        kind=kind,
+        bound=bound,
+        place=entry.place,
+    )

@@ -1,4 +1,4 @@
-"""Reading a rotor file with ``pins:``: a shaft in pinned ends, on one bearing under a load of its own, for run-ups."""
+"""Reading a rotor file with ``pins:``: a shaft in pinned ends on one loaded bearing, for run-ups."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def load_run_up_rotor(path: Path, overrides: Iterable[str] = ()) -> RunUpRotor:
 
 
 def files_of(path: Path) -> tuple[Path, ...]:
-    """The rotor file and the one that its coefficients come from: everything that the rotor depends on."""
+    """The rotor file and the file of its coefficients."""
     entries = load_marked(path).content
     named = entries["coefficients"].content if isinstance(entries, dict) and "coefficients" in entries else None
     return (path, path.parent / named.rpartition("#")[0]) if isinstance(named, str) else (path,)
@@ -62,7 +62,7 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
     before = len(faults)
     entries = faults.mapping(tree, "")
     plain = Marked({key: entry for key, entry in entries.items() if key not in SECTIONS}, tree.where)
-    known = read_settings(PinnedSettings, plain, "", faults)
+    settings = read_settings(PinnedSettings, plain, "", faults)
     for key, hint in (("pins", "for example pins: [1, 5]"), ("planes", "for example planes: {disc 1: 2}"), ("bearings", "one entry")):
         if key not in entries:
             faults.add(tree, key, "is missing", hint)
@@ -74,15 +74,24 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
         faults.add(entries["bearings"], "bearings", "a rotor between pins runs on one bearing")
     materials = read_materials(entries.get("materials"), faults)
     damping = read_settings(DampingSettings, entries["damping"], "damping", faults) if "damping" in entries else DampingSettings()
-    tabulated = read_coefficients(known.coefficients, folder, entries["coefficients"], faults) if known and known.coefficients else None
+    tabulated = (
+        read_coefficients(settings.coefficients, folder, entries["coefficients"], faults) if settings and settings.coefficients else None
+    )
     rotor = None if len(faults) > before else build_rotor(lists, materials, damping, tree, faults)
-    if rotor is None or known is None or len(faults) > before:
+    if rotor is None or settings is None or len(faults) > before:
         return None
     (_, place), *_ = bearings
     place = replace(place, name="bearing") if place.name == "1" else place
-    speeds = None if known.speeds is None else (2 * np.pi * known.speeds[0], 2 * np.pi * known.speeds[1])
-    unbalances = tuple(Unbalance(one.node, one.size, one.phase) for _, one in lists["unbalances"])
-    return tried(lambda: RunUpRotor(known.name or stem, rotor, pins, place, planes, unbalances, tabulated, speeds), tree, "", faults)
+    speeds = None if settings.speeds is None else (2 * np.pi * settings.speeds[0], 2 * np.pi * settings.speeds[1])
+    unbalances = tuple(Unbalance(unbalance.node, unbalance.size, unbalance.phase) for _, unbalance in lists["unbalances"])
+    return tried(
+        lambda: RunUpRotor(
+            settings.name or stem, rotor, pins=pins, place=place, planes=planes, unbalances=unbalances, tabulated=tabulated, speeds=speeds
+        ),
+        tree,
+        "",
+        faults,
+    )
 
 
 def read_coefficients(named: str, folder: Path, node: Marked, faults: Faults) -> Metamodel | None:
@@ -106,14 +115,14 @@ def _metamodel(path: Path, name: str) -> Metamodel:
     except (OSError, ValueError) as error:
         raise DataError(f"'{path}' cannot be read as JSON: {error}") from error
     try:
-        known = {str(one["name"]): one["model"] for one in entries["run_ups"]["metamodels"]}
+        models = {str(model["name"]): model["model"] for model in entries["run_ups"]["metamodels"]}
     except (KeyError, TypeError):
-        known = {}
-    if not known:
+        models = {}
+    if not models:
         raise DataError(f"'{path}' holds no metamodels", hint="name the identification.json of run-ups whose section asks for metamodels:")
-    if name not in known:
-        raise ConfigError(f"no metamodel '{name}' in '{path}'", hint=nearest(name, known))
-    return from_entries(known[name])
+    if name not in models:
+        raise ConfigError(f"no metamodel '{name}' in '{path}'", hint=nearest(name, models))
+    return from_entries(models[name])
 
 
 def _nodes(node: Marked | None, key: str, faults: Faults) -> tuple[int, ...]:

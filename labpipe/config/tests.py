@@ -1,4 +1,4 @@
-"""Reading the tests of a pipeline file: which recordings give one FRF matrix, and under which conditions."""
+"""Reading the tests of a pipeline file: recordings of one FRF matrix each, and their conditions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class SourceFile:
 
 @dataclass(frozen=True)
 class Test:
-    """One test: recordings that together give one FRF matrix, or ready FRFs; *conditions* as people wrote them."""
+    """One test: recordings that together give one FRF matrix, or ready FRFs; *conditions* as text of the file."""
 
     name: str
     recordings: tuple[SourceFile, ...] = ()
@@ -84,20 +84,20 @@ class TestReader:
         if entries:
             self.faults.unknown_keys(node, key, EACH if "each" in entries else LISTED)
         if "each" in entries:
-            yield from self._each(entries, key)
+            yield from self._tests_per_file(entries, key)
         else:
             name = entries["name"].text if "name" in entries and entries["name"].text else str(number)
             yield self._test(name, node, key)
 
-    def _each(self, entries: dict[str, Marked], key: str) -> Iterator[Test]:
-        """One test per file, under the file's name; what the pattern finds in that name are conditions."""
+    def _tests_per_file(self, entries: dict[str, Marked], key: str) -> Iterator[Test]:
+        """One test per file, named after it; conditions from the name by the pattern."""
         common = self._conditions(entries)
         for source in self._source_files(entries["each"], join(key, "each")):
             name = source.path.name.split(".")[0]
-            found = conditions_in(name, entries["pattern"].text) if "pattern" in entries else {}
-            if found is None:
+            conditions = conditions_in(name, entries["pattern"].text) if "pattern" in entries else {}
+            if conditions is None:
                 self.faults.add(entries["pattern"], join(key, "pattern"), f"does not match '{name}'", "for example '{preload}-{direction}'")
-            yield Test(name, (source,), (), {**common, **(found or {})})
+            yield Test(name, (source,), (), {**common, **(conditions or {})})
 
     def _test(self, name: str, node: Marked, key: str) -> Test:
         entries = node.content if isinstance(node.content, dict) else {}
@@ -117,19 +117,19 @@ class TestReader:
     def _source_files(self, node: Marked, key: str) -> list[SourceFile]:
         sources: list[SourceFile] = []
         for entry in _listed(node):
-            own, file = self.rig, entry
+            rig, file = self.rig, entry
             if isinstance(entry.content, dict):
                 self.faults.unknown_keys(entry, key, ("file", "rig", "channels"))
                 file = entry.content.get("file", Marked(None, entry.where))
-                own = self._own_rig(entry, key)
-            elif own is None and "rig" not in self.top:
+                rig = self._recording_rig(entry, key)
+            elif rig is None and "rig" not in self.top:
                 self.faults.add(node, key, "no rig file is named", "add rig: FILE")
             paths = self._files(file, key)
-            sources.extend(SourceFile(path, own) for path in paths if own is not None)
+            sources.extend(SourceFile(path, rig) for path in paths if rig is not None)
         return sources
 
-    def _own_rig(self, entry: Marked, key: str) -> Rig | None:
-        """The rig of one recording: its own file, with its own channel entries over it."""
+    def _recording_rig(self, entry: Marked, key: str) -> Rig | None:
+        """The rig of one recording: its rig file, with the recording's channel entries."""
         rig_node = entry.content.get("rig", self.top.get("rig"))
         if rig_node is None:
             self.faults.add(entry, key, "no rig file is named", "add rig: FILE")
@@ -149,10 +149,10 @@ class TestReader:
             return []
         path = self.folder / node.text
         if glob.has_magic(node.text):
-            found = sorted(Path(name) for name in glob.glob(str(path), recursive=True))
-            if not found:
+            matches = sorted(Path(name) for name in glob.glob(str(path), recursive=True))
+            if not matches:
                 self.faults.add(node, key, f"no file matches '{node.text}'", "paths are relative to the pipeline file")
-            return found
+            return matches
         if not path.exists():
             self.faults.add(node, key, f"no such file '{node.text}'", "paths are relative to the pipeline file")
             return []

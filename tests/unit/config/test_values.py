@@ -19,7 +19,7 @@ from labpipe.records.setting_values import CONVERTERS, Setting, Uncertain, parse
 def read(kind: str, text: str, unit: str = "", choices: tuple[str, ...] = ()) -> Any:
     """The value behind `key:` in a YAML file."""
     node = parse_marked(f"key: {text}", "p.yaml").content["key"]
-    return read_value(node, Setting(kind, "help", unit, choices))
+    return read_value(node, Setting(kind, "help", unit=unit, choices=choices))
 
 
 def fault(kind: str, text: str, unit: str = "", choices: tuple[str, ...] = ()) -> tuple[str, str]:
