@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
@@ -29,13 +29,14 @@ class Series:
     """One entry of a panel. *kind*: 'line' (points, joined or not), 'area' (a closed outline), 'hline', 'vline', 'hspan', 'vspan',
     'cells' (a matrix of values between -1 and 1 with a text in each) or 'arrow' (from the first point to the second).
 
-    x, y: (n,) in the units of the axes, NaN where nothing is shown; of a line or span across the panel one of them is empty.
+    x, y: (n,) [units of the axes], NaN where nothing is shown; of a line or span across the panel one of them is empty.
     cells: y is (n_row, n_column). low, high: (n,) ends of an interval around y, shown as *interval* ('shaded' or 'bar').
     line: '-', '--', ':' or '-.', '' for none; marker: '.', 'o', 's' or 'v', '' for none; size, width: diameter and line [pt].
     """
 
     kind: str
     name: str
+    _: KW_ONLY
     x: FloatArray
     y: FloatArray
     colour: int = 0
@@ -85,7 +86,22 @@ def curve(
     interval = "shaded" if band is not None else "bar" if bars is not None else ""
     across, along = np.asarray(x, float), np.asarray(y, float)
     marked = size if marker else 0.0
-    return Series("line", name, across, along, colour, low, high, interval, line, marker, marked, width, opacity, hollow)
+    return Series(
+        "line",
+        name,
+        x=across,
+        y=along,
+        colour=colour,
+        low=low,
+        high=high,
+        interval=interval,
+        line=line,
+        marker=marker,
+        size=marked,
+        width=width,
+        opacity=opacity,
+        hollow=hollow,
+    )
 
 
 def dots(name: str, x: ArrayLike, y: ArrayLike, colour: int = 0, *, marker: str = ".", **look: Any) -> Series:
@@ -95,34 +111,34 @@ def dots(name: str, x: ArrayLike, y: ArrayLike, colour: int = 0, *, marker: str 
 
 def level(y: float, colour: int = GREY, line: str = "-", *, width: float = 0.8, name: str = "") -> Series:
     """A line across the panel at *y*; its name, if any, is written at its end."""
-    return Series("hline", name, np.empty(0), np.array([y]), colour, line=line, width=width)
+    return Series("hline", name, x=np.empty(0), y=np.array([y]), colour=colour, line=line, width=width)
 
 
 def upright(x: float, colour: int = GREY, line: str = "-", *, width: float = 0.8) -> Series:
     """A line from the foot of the panel to its head at *x*."""
-    return Series("vline", "", np.array([x]), np.empty(0), colour, line=line, width=width)
+    return Series("vline", "", x=np.array([x]), y=np.empty(0), colour=colour, line=line, width=width)
 
 
 def span(low: float, high: float, colour: int, opacity: float = 0.15) -> Series:
     """A shade across the panel between two values."""
-    return Series("hspan", "", np.empty(0), np.array([low, high]), colour, opacity=opacity)
+    return Series("hspan", "", x=np.empty(0), y=np.array([low, high]), colour=colour, opacity=opacity)
 
 
 def outline(name: str, x: ArrayLike, y: ArrayLike, colour: int = 0, opacity: float = 0.15) -> Series:
     """The shaded inside of a closed path (n,)."""
-    return Series("area", name, np.asarray(x, float), np.asarray(y, float), colour, opacity=opacity)
+    return Series("area", name, x=np.asarray(x, float), y=np.asarray(y, float), colour=colour, opacity=opacity)
 
 
 def cells(values: ArrayLike, texts: Sequence[Sequence[str]], name: str = "") -> Series:
     """A matrix (n_row, n_column) of values between -1 and 1, which *name* says, as colours with a text in each; row 0 is above."""
     matrix = np.asarray(values, float)
-    return Series("cells", name, np.arange(matrix.shape[1], dtype=float), matrix, INK, texts=tuple(tuple(row) for row in texts))
+    return Series("cells", name, x=np.arange(matrix.shape[1], dtype=float), y=matrix, colour=INK, texts=tuple(tuple(row) for row in texts))
 
 
 def arrow(tail: ArrayLike, head: ArrayLike, colour: int) -> Series:
     """The sense of a motion: an arrow from one point (2,) to another."""
     across, along = np.array([tail, head], float).T
-    return Series("arrow", "", across, along, colour)
+    return Series("arrow", "", x=across, y=along, colour=colour)
 
 
 def look(number: int) -> tuple[int, str]:

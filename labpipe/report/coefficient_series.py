@@ -58,22 +58,22 @@ class CoefficientSeries:
         return all(value.day is not None for value in self.values)
 
     def shown(self) -> FloatArray:
-        """Values (n,) in the display unit."""
+        """Values (n,) [display unit]."""
         return np.array([to_display(value.parameter.value, self.unit) for value in self.values])
 
     def errors(self) -> FloatArray:
-        """Standard errors (n,) in the display unit, NaN where a fit has none."""
+        """Standard errors (n,) [display unit], NaN where a fit has none."""
         zero = to_display(0.0, self.unit)
         errors = [value.parameter.std_error for value in self.values]
         return np.array([np.nan if error is None else abs(to_display(error, self.unit) - zero) for error in errors])
 
     def intervals(self) -> FloatArray:
-        """95 % intervals (n, 2) in the display unit, NaN where there is none."""
+        """95 % intervals (n, 2) [display unit], NaN where there is none."""
         ends = [value.parameter.ci95 or (np.nan, np.nan) for value in self.values]
         return np.array([[to_display(end, self.unit) for end in pair] for pair in ends])
 
     def over(self) -> dict[str, tuple[Axis, FloatArray]]:
-        """condition -> (axis, (n,) in its unit) for every amount that all tests have and that differs between them."""
+        """condition -> (axis, values (n,) [axis unit]) for every amount that all tests have and that differs between them."""
         names = [name for name in self.values[0].conditions if all(name in value.conditions for value in self.values)]
         conditions = {}
         for name in names:

@@ -58,7 +58,7 @@ def form_axis(form: str) -> Axis:
 
 
 def phase_degrees(values: ComplexArray) -> FloatArray:
-    """Phase [deg] of complex values."""
+    """Phase (n,) [deg] of complex values (n,)."""
     return np.degrees(np.angle(values))
 
 

@@ -118,7 +118,7 @@ def _orbits(response: FrequencyResponse, label: str, peak: HalfPower) -> Panel:
 
 
 def orbit(amplitude: ComplexArray, n_point: int = 181) -> FloatArray:
-    """x and y over one revolution from forward and backward amplitudes (2,), (2, n_point): [x, y] = Re(A [f, b] e^{j theta})."""
+    """x and y over one revolution, (2, n_point), from forward and backward amplitudes (2,) [m]: [x, y] = Re(A [f, b] e^{j theta})."""
     turn = np.exp(1j * np.linspace(0, 2 * np.pi, n_point))
     return np.asarray(((FROM_DIRECTIONAL @ amplitude)[:, None] * turn).real)
 

@@ -46,7 +46,7 @@ def every_kind() -> Chart:
         upright(3.0, line=":"),
         span(2.0, 3.0, 2),
     )
-    across_the_speed = Series("vspan", "", np.array([2.0, 3.0]), np.empty(0), 3)
+    across_the_speed = Series("vspan", "", x=np.array([2.0, 3.0]), y=np.empty(0), colour=3)
     below = (
         dots("c", X, X, 1, marker="o", size=4.0, bars=(0.9 * X, 1.2 * X)),
         dots("outside", X[:1], X[:1], 4, marker="s", hollow=True, size=8.0),

@@ -20,7 +20,9 @@ from labpipe.report.document import Code, Document, Figure, Paragraph, Section, 
 
 PAGE = re.compile(rb"/Type /Page\n")
 RULE = RuleOutcome("accept", "a.k > 0", 1.0, True)
-RESULT = Identification((), "Report", "p.yaml", ({"path": "a.csv", "sha256": "ab" * 32},), outcomes=(RULE,), version="0.1.0")
+RESULT = Identification(
+    (), "Report", pipeline="p.yaml", sources=({"path": "a.csv", "sha256": "ab" * 32},), outcomes=(RULE,), version="0.1.0"
+)
 
 
 @pytest.fixture

@@ -46,15 +46,37 @@ def test_bands_of_a_sliding_fit_are_shown_over_frequency(response: FrequencyResp
 def test_a_response_an_identification_and_a_comparison(response: FrequencyResponse) -> None:
     assert labels(labpipe.plot(response))[0] == "receptance [um/N]"
     assert len(labels(labpipe.plot(Identification(fits(response), responses=(response,))))) == 3
-    points = tuple(ComparedPoint(f"test {n}", 1e6 * n, None, 100.0 * n) for n in (1, 2, 3))
+    points = tuple(ComparedPoint(f"test {n}", 1e6 * n, ci95=None, condition=100.0 * n) for n in (1, 2, 3))
     trend = Comparison(
-        "axial", "trend", "k of z", "N/m", points, (), "rising", "It rises.", "preload", "N", line=((100.0, 1e6), (300.0, 3e6))
+        name="axial",
+        kind="trend",
+        subject="k of z",
+        unit="N/m",
+        points=points,
+        amounts=(),
+        verdict="rising",
+        statement="It rises.",
+        condition="preload",
+        condition_unit="N",
+        line=((100.0, 1e6), (300.0, 3e6)),
     )
     assert labels(labpipe.plot(trend)) == ["k of z [kN/m]"]
 
 
 def test_what_has_no_figure_is_refused_in_words() -> None:
-    bare = Fit("a", "sdof", "ml", (1.0, 2.0), 3, 6, 4, Goodness(0.9, 0.9), (), 1.0, np.ones((1, 1)))
+    bare = Fit(
+        "a",
+        "sdof",
+        "ml",
+        band_hz=(1.0, 2.0),
+        lines=3,
+        equations=6,
+        dof=4,
+        gof=Goodness(0.9, 0.9),
+        parameters=(),
+        condition_number=1.0,
+        correlation=np.ones((1, 1)),
+    )
     with pytest.raises(DataError, match="this Fit has no figure"):
         labpipe.plot(bare)
     with pytest.raises(DataError, match="this Identification has no figure"):

@@ -37,7 +37,17 @@ def result(name: str = "pedestal", sliding: Sliding | None = None) -> Identifica
     fits = identify(response, FitSettings("sdof", mass=0.79, name=name, sliding=sliding))
     outcome = RuleOutcome("accept", f"{name}.gof >= 0.95", 0.9999, True)
     sources = ({"path": "run.csv", "sha256": "ab" * 32},)
-    return Identification(fits, f"Report of {name}", "p.yaml", sources, {"frf": {"period": 1.0}}, {}, (response,), (outcome,), "0.1.0")
+    return Identification(
+        fits,
+        f"Report of {name}",
+        pipeline="p.yaml",
+        sources=sources,
+        settings={"frf": {"period": 1.0}},
+        rig={},
+        responses=(response,),
+        outcomes=(outcome,),
+        version="0.1.0",
+    )
 
 
 def html_report(identification: Identification) -> str:
@@ -134,7 +144,7 @@ def test_values_are_rounded_to_what_their_error_supports(value: float, error: fl
 
 def test_stars_follow_the_t_distribution() -> None:
     # Student's t with 40 degrees of freedom: two-sided p of 0.05, 0.01, 0.001 at 2.021, 2.704, 3.551 (printed tables).
-    marks = [significance(Parameter("k", t, "N/m", 1.0, t), 40) for t in (2.0, 2.03, 2.71, 3.56)]
+    marks = [significance(Parameter("k", t, "N/m", std_error=1.0, t_ratio=t), 40) for t in (2.0, 2.03, 2.71, 3.56)]
     assert marks == ["n.s.", "*", "**", "***"]
 
 

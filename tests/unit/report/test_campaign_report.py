@@ -22,11 +22,26 @@ from labpipe.report.document import Figure, Paragraph, Table
 
 
 def one_result(k: float, preload: str, day: str, band: tuple[float, float] = (1.0, 9.0)) -> Identification:
-    parameter = Parameter("k", k, "N/m", 50.0, k / 50, (k - 98.0, k + 98.0), True)
+    parameter = Parameter("k", k, "N/m", std_error=50.0, t_ratio=k / 50, ci95=(k - 98.0, k + 98.0), significant=True)
     gof = Goodness(0.99, 0.99)
-    fit = Fit("direct", "sdof", "ml", band, 9, 18, 16, gof, (parameter,), 1.0, np.ones((1, 1)), test="run")
+    fit = Fit(
+        "direct",
+        "sdof",
+        "ml",
+        band_hz=band,
+        lines=9,
+        equations=18,
+        dof=16,
+        gof=gof,
+        parameters=(parameter,),
+        condition_number=1.0,
+        correlation=np.ones((1, 1)),
+        test="run",
+    )
     settings = {"tests": [{"name": "run", "conditions": {"preload": preload, "date": day}}]}
-    return Identification((fit,), "Campaign", "p.yaml", ({"path": "a.csv", "sha256": "ab" * 32},), settings, version="0.1.0")
+    return Identification(
+        (fit,), "Campaign", pipeline="p.yaml", sources=({"path": "a.csv", "sha256": "ab" * 32},), settings=settings, version="0.1.0"
+    )
 
 
 def campaign(values: list[float], preloads: list[int] | None = None) -> list[tuple[str, Identification]]:

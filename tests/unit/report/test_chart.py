@@ -56,7 +56,7 @@ def test_a_series_keeps_its_own_numbers() -> None:
 )
 def test_what_cannot_be_drawn_is_refused(kind: str, x: list[float], y: list[float], more: dict[str, list[float]], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Series(kind, "k", np.array(x), np.array(y), **{name: np.array(values) for name, values in more.items()})
+        Series(kind, "k", x=np.array(x), y=np.array(y), **{name: np.array(values) for name, values in more.items()})
     with pytest.raises(ValueError, match="2 panels in 1 x 1"):
         Chart((panel(), panel()))
 

@@ -16,19 +16,40 @@ from labpipe.report.comparison_figures import comparison_figures
 from labpipe.report.document import Table
 
 POINTS = tuple(
-    ComparedPoint(f"test {n}", 1e6 * value, (0.9e6 * value, 1.1e6 * value), 100.0 * n, way, 0.8e6 * value, 1.25, (1.2, 1.3))
+    ComparedPoint(
+        f"test {n}",
+        1e6 * value,
+        ci95=(0.9e6 * value, 1.1e6 * value),
+        condition=100.0 * n,
+        group=way,
+        theory=0.8e6 * value,
+        ratio=1.25,
+        ratio_ci95=(1.2, 1.3),
+    )
     for n, value in ((1, 10.0), (2, 20.0), (3, 30.0))
     for way in ("up", "down")
 )
 AMOUNTS = (
-    Parameter("ratio", 1.25, "1", 0.02, ci95=(1.21, 1.29)),
-    Parameter("mean", 2e7, "N/m", 1e5, ci95=(1.9e7, 2.1e7)),
+    Parameter("ratio", 1.25, "1", std_error=0.02, ci95=(1.21, 1.29)),
+    Parameter("mean", 2e7, "N/m", std_error=1e5, ci95=(1.9e7, 2.1e7)),
     Parameter("within", 1e5, "N/m", ci95=(5e4, 2e5)),
     Parameter("p_value", float("nan"), "1"),
 )
 OVERLAY = Overlay("test 1", "accelerance", (10.0, 20.0, 30.0), (1.0, 5.0, 1.0), (5.0, 1.0, 0.5), (1.0, 5.1, 1.0))
 LAW = ((100.0, 1e7), (300.0, 3e7))
-BASE = Comparison("axial", "trend", "k of z, fit peaks", "N/m", POINTS, AMOUNTS, "rising", "It rises.", "preload", "N", line=LAW)
+BASE = Comparison(
+    name="axial",
+    kind="trend",
+    subject="k of z, fit peaks",
+    unit="N/m",
+    points=POINTS,
+    amounts=AMOUNTS,
+    verdict="rising",
+    statement="It rises.",
+    condition="preload",
+    condition_unit="N",
+    line=LAW,
+)
 
 
 def panels(comparison: Comparison, number: int = 0) -> tuple[Panel, ...]:

@@ -14,10 +14,22 @@ from labpipe.report.figures import correlation_figure, fitted_curve_figure, form
 
 FREQUENCY = np.array([10.0, 20.0, 30.0])
 MATRIX = np.array([1.0, 2j, -4.0])[:, None, None] * 1e-6
-K = Parameter("k", 45200.0, "N/m", 31.0, ci95=(45137.0, 45263.0))
-C = Parameter("c", 3.7, "N.s/m", 0.1, ci95=(3.5, 3.9))
-FIT = Fit("direct", "sdof", "ml", (10.0, 30.0), 3, 6, 4, Goodness(0.99, 0.98, 1.1, 0.4), (K, C), 2.0, np.array([[1.0, -0.4], [-0.4, 1.0]]))
-CURVE = FittedCurve(FREQUENCY, MATRIX, 2 * MATRIX, np.full(MATRIX.shape, 1e-14), ("y",), ("f",), "receptance")
+K = Parameter("k", 45200.0, "N/m", std_error=31.0, ci95=(45137.0, 45263.0))
+C = Parameter("c", 3.7, "N.s/m", std_error=0.1, ci95=(3.5, 3.9))
+FIT = Fit(
+    "direct",
+    "sdof",
+    "ml",
+    band_hz=(10.0, 30.0),
+    lines=3,
+    equations=6,
+    dof=4,
+    gof=Goodness(0.99, 0.98, 1.1, 0.4),
+    parameters=(K, C),
+    condition_number=2.0,
+    correlation=np.array([[1.0, -0.4], [-0.4, 1.0]]),
+)
+CURVE = FittedCurve(FREQUENCY, MATRIX, 2 * MATRIX, variance=np.full(MATRIX.shape, 1e-14), outputs=("y",), inputs=("f",), form="receptance")
 RESPONSE = FrequencyResponse(FREQUENCY, MATRIX, (Port("y", "y", "y"),), (Port("f", "f", "y"),), name="run 1")
 
 
@@ -89,7 +101,9 @@ def test_a_response_is_shown_with_the_best_statement_of_its_quality() -> None:
 
 def test_slopes_of_a_calibration_stand_by_name_from_zero() -> None:
     lines = [
-        replace(FIT, name="gain", test=test, model="straight-line", parameters=(Parameter("slope", value, "N/A", 0.1, ci95=ends),))
+        replace(
+            FIT, name="gain", test=test, model="straight-line", parameters=(Parameter("slope", value, "N/A", std_error=0.1, ci95=ends),)
+        )
         for test, value, ends in (("up", 2.0, (1.8, 2.2)), ("down", 3.0, None))
     ]
     (panel,) = line_figure(lines).graphic.panels

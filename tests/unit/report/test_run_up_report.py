@@ -51,25 +51,44 @@ def motions(scale: float, measured: bool) -> tuple[Motion, ...]:
 
 def run(name: str, load: float, role: str = "trained") -> MeasuredRun:
     printed = ((1317 / 60, 1450 / 60, 1317 / 60), (2838.37 / 60, 2475 / 60, 2955 / 60))
-    speeds = Amount(1400 * RPM, 1.0 * RPM), Amount(2800 * RPM, 5 * RPM)
-    return MeasuredRun(name, load, role, "disc 1: 50 g mm at 0 deg", SPEED, motions(1.0, True), *speeds, "", *printed)
+    return MeasuredRun(
+        name,
+        load,
+        role,
+        excitation="disc 1: 50 g mm at 0 deg",
+        speed=SPEED,
+        motions=motions(1.0, True),
+        critical_speed=Amount(1400 * RPM, 1.0 * RPM),
+        threshold=Amount(2800 * RPM, 5 * RPM),
+        printed_critical_speed=printed[0],
+        printed_threshold=printed[1],
+    )
 
 
 def told(name: str, factor: float, error: float | None, notes: tuple[str, ...] = ()) -> RunPrediction:
     eight = tuple(tuple(1e5 * factor * (n + 1) / (1 if n < 4 else 100) for n in range(8)) for _ in SPEED)
     errors = tuple(tuple(0.02 * abs(one) for one in row) for row in eight) if error else ()
     speeds = Amount(1400 * RPM * factor, error), Amount(2800 * RPM * factor, error)
-    return RunPrediction(name, *speeds, SPEED, motions(factor, False), SPEED, eight, errors, notes)
+    return RunPrediction(
+        name,
+        *speeds,
+        speed=SPEED,
+        motions=motions(factor, False),
+        coefficient_speed=SPEED,
+        coefficients=eight,
+        std_errors=errors,
+        notes=notes,
+    )
 
 
 OUTSIDE = "16.9 N lies outside the loads of the fit (3.66 to 10.3 N)"
 RUNS = (run("load-1", 3.66), run("held-out", 16.9, "held-out"))
-START = RunUpMethod("start", "original (start)", "not fitted", tuple(told(one.name, 1.03, None) for one in RUNS), unknowns=0)
+START = RunUpMethod("start", "original (start)", "not fitted", predictions=tuple(told(one.name, 1.03, None) for one in RUNS), unknowns=0)
 AMPLITUDES = RunUpMethod(
     "amplitudes",
     "(a) amplitudes, pattern search",
     "not determined",
-    (told("load-1", 0.99, None), RunPrediction("held-out", None, None, notes=("at the fitted loads only",))),
+    predictions=(told("load-1", 0.99, None), RunPrediction("held-out", None, None, notes=("at the fitted loads only",))),
     rank=2,
     condition=120.0,
     share_at_bound=0.25,
@@ -82,7 +101,7 @@ JOINT = RunUpMethod(
     "joint",
     "(c) joint physical fit",
     "not rejected",
-    (told("load-1", 1.0001, 0.3 * RPM), told("held-out", 0.99, 0.8 * RPM, (OUTSIDE,))),
+    predictions=(told("load-1", 1.0001, 0.3 * RPM), told("held-out", 0.99, 0.8 * RPM, (OUTSIDE,))),
     unknowns=12,
     rank=11,
     condition=50.0,
@@ -92,7 +111,10 @@ JOINT = RunUpMethod(
     n_datum=836,
     n_effective=11.0,
     free=("viscosity +1.00, clearance +0.50",),
-    parameters=(Parameter("viscosity", 0.8, "1", 0.05, None, (0.7, 0.9)), Parameter("clearance", 1.5, "1", at_bound=True)),
+    parameters=(
+        Parameter("viscosity", 0.8, "1", std_error=0.05, t_ratio=None, ci95=(0.7, 0.9)),
+        Parameter("clearance", 1.5, "1", at_bound=True),
+    ),
 )
 SURFACE = Surface((3.0, 6.0, 9.0), (50.0, 100.0), tuple(((1e5, 2e5), (1e5, 3e5), (1e5, 4e5)) for _ in range(8)))
 MODEL = MetamodelResult(
@@ -111,16 +133,16 @@ RESULT = RunUpResult(
     "Two-disc rotor",
     "disc 2",
     "journal bearing",
-    RUNS,
-    (START, AMPLITUDES, JOINT),
-    (MODEL,),
-    "(c) joint physical fit",
-    RANKS,
-    5.0,
-    1400 * RPM,
-    RankRow("load-1", 4, 7.0, "one vector", ("k_yx +1.00, c_yx -0.90",)),
-    "Falah and Khorshid, tables 2 and 3",
-    (Finding("collinear", "(a): the data see 2 of 8 coefficients"),),
+    runs=RUNS,
+    methods=(START, AMPLITUDES, JOINT),
+    metamodels=(MODEL,),
+    metamodels_of="(c) joint physical fit",
+    ranks=RANKS,
+    rank_load=5.0,
+    rank_speed=1400 * RPM,
+    measured_rank=RankRow("load-1", 4, 7.0, "one vector", ("k_yx +1.00, c_yx -0.90",)),
+    source="Falah and Khorshid, tables 2 and 3",
+    findings=(Finding("collinear", "(a): the data see 2 of 8 coefficients"),),
 )
 
 

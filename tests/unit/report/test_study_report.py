@@ -15,9 +15,35 @@ from labpipe.report.matrix_figure import matrix_figure
 from labpipe.report.study import study_blocks
 from labpipe.report.wording import inflated_text, parameter_row, threshold_text
 
-K = StudiedParameter("k_1_1", "N/m", 2.0, 2.1, 0.2, 0.16, 0.19, 0.94)
-CASE = StudyCase("ml", "ml", 0.011, 25, 500, 3, 0.00297, 0.00259, 3.4e-6, (0.998,), 0.975, 0.957, (K,))
-FIT = Fit("three", "mdof", "ml", (0.0, 1.0), 3, 9, 8, Goodness(0.9, 0.89, 4.0, 1e-9), (), 2.0, np.eye(1))
+K = StudiedParameter("k_1_1", "N/m", truth=2.0, mean=2.1, rmse=0.2, bound=0.16, std_error=0.19, coverage=0.94)
+CASE = StudyCase(
+    fit="ml",
+    estimator="ml",
+    noise=0.011,
+    lines=25,
+    repeats=500,
+    failed=3,
+    mean_error=0.00297,
+    median_error=0.00259,
+    error_variance=3.4e-6,
+    success=(0.998,),
+    rmse_over_bound=0.975,
+    coverage=0.957,
+    parameters=(K,),
+)
+FIT = Fit(
+    "three",
+    "mdof",
+    "ml",
+    band_hz=(0.0, 1.0),
+    lines=3,
+    equations=9,
+    dof=8,
+    gof=Goodness(0.9, 0.89, 4.0, 1e-9),
+    parameters=(),
+    condition_number=2.0,
+    correlation=np.eye(1),
+)
 
 
 def study(**change: object) -> Study:
@@ -74,7 +100,7 @@ def test_candidates_best_first() -> None:
 
 
 def test_enlarged_standard_errors_are_said() -> None:
-    parameter = Parameter("c", 3.7, "N.s/m", 0.02, std_error_inflated=0.04)
+    parameter = Parameter("c", 3.7, "N.s/m", std_error=0.02, std_error_inflated=0.04)
     assert "c 0.04 N s/m" in inflated_text(replace(FIT, parameters=(parameter,)))
     assert inflated_text(FIT) == ""
 
@@ -82,7 +108,15 @@ def test_enlarged_standard_errors_are_said() -> None:
 def test_every_element_of_a_large_matrix_has_its_panel() -> None:
     frequency = np.array([1.0, 2.0, 3.0])
     matrix = np.arange(1, 28).reshape(3, 3, 3) * 1e-6 * (1 + 1j)
-    curve = FittedCurve(frequency, matrix, 1.1 * matrix, np.full(matrix.shape, 1e-14), ("1", "2", "3"), ("a", "b", "c"), "receptance")
+    curve = FittedCurve(
+        frequency,
+        matrix,
+        1.1 * matrix,
+        variance=np.full(matrix.shape, 1e-14),
+        outputs=("1", "2", "3"),
+        inputs=("a", "b", "c"),
+        form="receptance",
+    )
     figure = matrix_figure(replace(FIT, curve=curve), curve)
     panels = figure.graphic.panels
     assert [panel.title for panel in panels] == [f"{o}/{i}" for o in "123" for i in "abc"]
@@ -92,7 +126,7 @@ def test_every_element_of_a_large_matrix_has_its_panel() -> None:
 
 
 def test_soft_springs_stay_in_newtons_per_metre_but_tables_keep_one_unit() -> None:
-    soft = Parameter("k", 2.0, "N/m", 0.02, ci95=(1.96, 2.04))
+    soft = Parameter("k", 2.0, "N/m", std_error=0.02, ci95=(1.96, 2.04))
     assert parameter_row(soft, 10)[1:4] == ("2.000", "N/m", "0.02")
     assert parameter_row(soft, 10, "kN/m")[1:3] == ("0.002000", "kN/m")
     assert parameter_row(replace(soft, value=2000.0), 10)[1:3] == ("2.000000", "kN/m")

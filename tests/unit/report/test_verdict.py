@@ -16,11 +16,24 @@ from labpipe.report.measurement import measurement_sections
 from labpipe.report.provenance import provenance_sections
 from labpipe.report.verdict import MOST_NOTES, verdict_sections
 
-K = Parameter("k", 45200.0, "N/m", 31.0, 1458.0, (45137.0, 45263.0), True)
-FIT = Fit("direct", "sdof", "ml", (65.0, 80.0), 15, 30, 28, Goodness(0.99, 0.98), (K,), 12.3, np.ones((1, 1)), test="427N")
+K = Parameter("k", 45200.0, "N/m", std_error=31.0, t_ratio=1458.0, ci95=(45137.0, 45263.0), significant=True)
+FIT = Fit(
+    "direct",
+    "sdof",
+    "ml",
+    band_hz=(65.0, 80.0),
+    lines=15,
+    equations=30,
+    dof=28,
+    gof=Goodness(0.99, 0.98),
+    parameters=(K,),
+    condition_number=12.3,
+    correlation=np.ones((1, 1)),
+    test="427N",
+)
 HOLDS = RuleOutcome("accept", "direct.gof >= 0.95", 0.98, True)
 FAILS = RuleOutcome("expect", "direct.k 1 kN/m", None, False)
-RESULT = Identification((FIT,), "Report", "p.yaml", outcomes=(HOLDS,), version="0.1.0")
+RESULT = Identification((FIT,), "Report", pipeline="p.yaml", outcomes=(HOLDS,), version="0.1.0")
 RESPONSE = FrequencyResponse(np.array([1.0, 2.0]), np.ones((2, 1, 1)) + 0j, (Port("y", "y", "y"),), (Port("f", "f", "y"),), name="427N")
 
 
@@ -107,7 +120,7 @@ def test_bands_of_a_sliding_fit_share_a_section_with_a_row_each() -> None:
 
 
 def test_lines_of_a_calibration_share_a_section() -> None:
-    slope = Parameter("slope", 2.0, "N/A", 0.1, 20.0, (1.8, 2.2), True)
+    slope = Parameter("slope", 2.0, "N/A", std_error=0.1, t_ratio=20.0, ci95=(1.8, 2.2), significant=True)
     lines = tuple(
         replace(FIT, name="gain", model="straight-line", test=test, parameters=(slope,), notes=("up to 3 A",)) for test in ("a", "b")
     )

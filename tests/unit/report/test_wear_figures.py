@@ -24,16 +24,29 @@ def curve(before: bool) -> FittedCurve:
     """Four terms, the fit 10 % and the model before it 40 % above the measured response."""
     measured = np.multiply.outer(1e-6 * (1 + 0.5j) * (1 + FREQUENCY / 50), np.array([[1.0, 0.2], [-0.2, 0.8]]))
     own = 1.4 * measured if before else None
-    return FittedCurve(FREQUENCY, measured, 1.1 * measured, None, ("y", "z"), ("y", "z"), "receptance", own)
+    return FittedCurve(
+        FREQUENCY, measured, 1.1 * measured, variance=None, outputs=("y", "z"), inputs=("y", "z"), form="receptance", before=own
+    )
 
 
 def fit(region: Region | None = None, before: bool = False) -> Fit:
     depth = Parameter("wear_depth", 22e-6, "m", std_error=0.12e-6, ci95=(21.76e-6, 22.24e-6))
     angle = Parameter("wear_angle", float(np.deg2rad(11)), "rad", std_error=0.0035, ci95=(float(np.deg2rad(10.6)), float(np.deg2rad(11.4))))
     return Fit(
-        "wear", "worn-bearing", "ml", (20.0, 90.0), 8, 64, 62, Goodness(0.99, 0.99), (depth, angle), 3.0, np.eye(2),
-        curve=curve(before), region=region,
-    )  # fmt: skip
+        "wear",
+        "worn-bearing",
+        "ml",
+        band_hz=(20.0, 90.0),
+        lines=8,
+        equations=64,
+        dof=62,
+        gof=Goodness(0.99, 0.99),
+        parameters=(depth, angle),
+        condition_number=3.0,
+        correlation=np.eye(2),
+        curve=curve(before),
+        region=region,
+    )
 
 
 def through_file(found: Fit, folder: Path) -> Fit:
