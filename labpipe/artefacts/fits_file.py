@@ -27,9 +27,9 @@ def _work(settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> di
         "labpipe": __version__,
         "code": code_digest(),
         "settings": [entry_of(fit) for fit in settings],
-        "responses": [dataclasses.asdict(one) for one in responses],
+        "responses": [dataclasses.asdict(response) for response in responses],
     }
-    return json.loads(json.dumps(entry))  # type: ignore[no-any-return]
+    return json.loads(json.dumps(entry))
 
 
 def write_fits(path: Path, fits: Sequence[Fit], settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> None:

@@ -134,6 +134,7 @@ def _response(entry: dict[str, Any]) -> FrequencyResponse:
     matrix: ComplexArray = record_of(entry["matrix"], ComplexArray)
     variance = entry["variance"]
     dof = entry["covariance_dof"]
+    optional: dict[str, Any] = {name: None if entry.get(name) is None else np.array(entry[name], np.float64) for name in _OPTIONAL_ARRAYS}
     return FrequencyResponse(
         frequency=np.array(entry["frequency_hz"], np.float64),
         matrix=matrix,
@@ -141,7 +142,7 @@ def _response(entry: dict[str, Any]) -> FrequencyResponse:
         inputs=tuple(Port(**port) for port in entry["inputs"]),
         form=entry["form"],
         covariance=None if variance is None else uncorrelated(np.array(variance, np.float64)),
-        **{name: None if entry.get(name) is None else np.array(entry[name], np.float64) for name in _OPTIONAL_ARRAYS},
+        **optional,
         snr_channels=tuple(entry["snr_channels"]),
         averages=entry["averages"],
         covariance_dof=math.inf if dof is None else dof,

@@ -90,7 +90,7 @@ def theoretical_response(
     *stiffness* (5, 5) [N/m, N/rad, N m/rad], *frequency* (n_frequency,) [Hz], *beta* [s]. Raises as transfer_matrix does.
     """
     ports = tuple(Port(dof, dof, dof) for dof in DOFS)
-    return FrequencyResponse(frequency, transfer_matrix(shaft, stiffness, frequency, beta), ports, ports, "receptance", name=name)
+    return FrequencyResponse(frequency, transfer_matrix(shaft, stiffness, frequency, beta), ports, ports, form="receptance", name=name)
 
 
 def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray, known_inertia: bool = False) -> FloatArray:

@@ -46,7 +46,7 @@ def excite(
     quiet: bool,
 ) -> None:
     """Design a periodic test signal and print its crest factor (peak over rms)."""
-    limits = _option("--band", lambda: to_band(band, Setting("band", "", "Hz")))
+    limits = _option("--band", lambda: to_band(band, Setting("band", "", unit="Hz")))
     line_spacing = _option("--spacing", lambda: parse_value(spacing, "Hz"))
     sample_rate = _option("--rate", lambda: parse_value(rate, "Hz"))
     rms = _option("--level", lambda: parse_value(level, "V"))

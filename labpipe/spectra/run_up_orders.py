@@ -34,7 +34,7 @@ def run_up_of(track: OrderTrack, name: str, load: float, unbalance: Mapping[str,
     if speed.size < 2:
         raise DataError(f"recording '{name}' has a constant speed", hint="a run-up needs a speed that changes")
     size = np.maximum(np.abs(response), np.finfo(float).tiny)
-    return RunUp(name, load, speed, names, response, deviation, deviation / size, dict(unbalance))
+    return RunUp(name, load, speed, names, response, amplitude_error=deviation, phase_error=deviation / size, unbalance=dict(unbalance))
 
 
 def _by_speed(speed: FloatArray, response: ComplexArray, deviation: FloatArray) -> tuple[FloatArray, ComplexArray, FloatArray]:

@@ -60,7 +60,7 @@ class GuessedChannel:
 
 
 def first_rows(table: Table) -> tuple[tuple[str, ...], FloatArray]:
-    """The distinct columns of a table and their first rows (n, n_column)."""
+    """Distinct columns of a table and their first rows (n_row, n_column) [recorded units]."""
     names = tuple(dict.fromkeys(table.columns))
     chunks: list[FloatArray] = []
     rows = 0
@@ -73,7 +73,7 @@ def first_rows(table: Table) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def time_columns(names: Sequence[str], rows: FloatArray) -> list[str]:
-    """The columns that are a time axis: every step is alike and positive."""
+    """Columns of *rows* (n_row, n_column) [recorded units] that are a time axis: all steps equal and positive."""
     steps = np.diff(rows, axis=0)
     mean = steps.mean(axis=0)
     even = (mean > 0) & (np.abs(steps - mean).max(axis=0) <= EVEN * np.abs(mean))

@@ -114,7 +114,7 @@ def settings_entry(pipeline: Pipeline) -> dict[str, Any]:
         "title": pipeline.title,
         "pipeline": pipeline.path.name,
     }
-    return json.loads(json.dumps(entry_of(entry)))  # type: ignore[no-any-return]
+    return json.loads(json.dumps(entry_of(entry)))
 
 
 def _rig_entry(pipeline: Pipeline) -> dict[str, Any]:

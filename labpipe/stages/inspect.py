@@ -67,7 +67,10 @@ class _Look:
         levels = np.column_stack([screen.minimum, screen.maximum, screen.mean, screen.rms]).tolist()
         tracks = zip(self._envelopes.envelopes(), self._spectra.spectra(sample_rate), strict=True)
         rows = zip(self._names, units, about, levels, tracks, strict=True)
-        return tuple(ChannelOverview(name, unit, words, *own, *track) for name, unit, words, own, track in rows)
+        return tuple(
+            ChannelOverview(name, unit, role, minimum=low, maximum=high, mean=mean, rms=rms, envelope=envelope, spectrum=spectrum)
+            for name, unit, role, (low, high, mean, rms), (envelope, spectrum) in rows
+        )
 
 
 def _of_recording(recording: StoredRecording) -> Overview:
@@ -78,7 +81,15 @@ def _of_recording(recording: StoredRecording) -> Overview:
     words = f"{rate:g} Hz, {recording.n_sample / rate:g} s"
     about = [f"{channel.role} {channel.dof}" for channel in recording.channels]
     channels = look.channels([channel.unit for channel in recording.channels], about, rate)
-    return Overview(recording.name, "calibrated recording", recording.n_sample, rate, words, channels, recording.findings)
+    return Overview(
+        recording.name,
+        "calibrated recording",
+        n_sample=recording.n_sample,
+        sample_rate=rate,
+        rate=words,
+        channels=channels,
+        findings=recording.findings,
+    )
 
 
 def _of_table(file: Path, rig: Rig | None) -> Overview:
@@ -106,7 +117,17 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
     channels = look.channels([table.units.get(name, "") for name in names], [_role(name, rig) for name in names], rate)
     against = None if rig is None else tuple(str(one) for one in contradictions(table, rig))
     time_name = times[0] if times else ""
-    return Overview(file.name, "raw file", look.screen.n_sample, rate, words, channels, look.screen.findings(), time_name, against)
+    return Overview(
+        file.name,
+        "raw file",
+        n_sample=look.screen.n_sample,
+        sample_rate=rate,
+        rate=words,
+        channels=channels,
+        findings=look.screen.findings(),
+        time=time_name,
+        contradictions=against,
+    )
 
 
 def _role(column: str, rig: Rig | None) -> str:

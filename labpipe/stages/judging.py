@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from labpipe.config.rules import Rule
@@ -16,7 +16,7 @@ from labpipe.registry import nearest
 from labpipe.sections import names_of, section
 
 _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
-_FIT_VALUES = {
+_FIT_VALUES: dict[str, Callable[[Fit], float | None]] = {
     "gof": lambda fit: fit.gof.r2_adjusted,
     "r2": lambda fit: fit.gof.r2,
     "chi2_reduced": lambda fit: fit.gof.chi2_reduced,
@@ -71,13 +71,14 @@ def _is_centre(text: str, centre: float) -> bool:
 
 def _outcome(rule: Rule, fits: list[Fit]) -> RuleOutcome:
     """A rule on several fits (bands, tests) must hold for each; the value shown is the first that fails, or the first."""
+    compared: list[tuple[float | str | None, bool]]
     if rule.item == "count":
-        held = [compare_number(rule, float(len(fits)), "1")]
+        compared = [compare_number(rule, float(len(fits)), "1")]
     elif rule.item == "warnings":
-        held = [_warnings_held(rule, fit) for fit in fits]
+        compared = [_warnings_held(rule, fit) for fit in fits]
     else:
-        held = [_item_held(rule, fit) for fit in _having(rule, fits)]
-    value, passed = next((pair for pair in held if not pair[1]), held[0])
+        compared = [_item_held(rule, fit) for fit in _having(rule, fits)]
+    value, passed = next((pair for pair in compared if not pair[1]), compared[0])
     return RuleOutcome(rule.section, rule.text, value, passed)
 
 

@@ -72,7 +72,8 @@ def _warnings(rule: Rule, result: RunUpResult) -> RuleOutcome:
 
 
 def _predictors(result: RunUpResult) -> dict[str, RunUpMethod | MetamodelResult]:
-    return {one.name: one for one in (*result.methods, *result.metamodels)}
+    methods: list[RunUpMethod | MetamodelResult] = [*result.methods, *result.metamodels]
+    return {method.name: method for method in methods}
 
 
 def _of_method(rule: Rule, address: _Address, result: RunUpResult, held: Held) -> RuleOutcome:

@@ -45,7 +45,7 @@ class TrackedRun:
 
     @property
     def speeds(self) -> FloatArray:
-        """Speed of every stretch [rpm]."""
+        """Speed of every stretch (n_stretch,) [rpm]."""
         return 60 * self.track.speed
 
 

@@ -17,7 +17,7 @@ MAX_VALUES = 20_000
 
 @dataclass(frozen=True)
 class Sweep:
-    """The swept entry's key, its values in the SI *unit*."""
+    """Key of the swept entry, its values (n_value,) [SI unit]."""
 
     key: str
     unit: str

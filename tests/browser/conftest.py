@@ -53,7 +53,17 @@ def sliding_result() -> Identification:
     whole = identify(response, FitSettings("sdof", mass=0.79, name="whole", band=(40.0, 100.0)))
     outcomes = (RuleOutcome("accept", "whole.gof >= 0.95", 0.99, True),)
     sources = ({"path": "run.csv", "sha256": "ab" * 32},)
-    return Identification((*fits, *whole), "Sliding bands", "p.yaml", sources, {}, {}, (response,), outcomes, "0.1.0")
+    return Identification(
+        (*fits, *whole),
+        "Sliding bands",
+        pipeline="p.yaml",
+        sources=sources,
+        settings={},
+        rig={},
+        responses=(response,),
+        outcomes=outcomes,
+        version="0.1.0",
+    )
 
 
 @pytest.fixture(scope="session")

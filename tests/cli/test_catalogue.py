@@ -23,7 +23,7 @@ from labpipe.records.identification import Failed, Fit, Goodness, Identification
 
 def parameter(name: str, value: float, error: float | None, unit: str = "N/m", inflated: float | None = None) -> Parameter:
     ci95 = None if error is None else (value - 1.96 * error, value + 1.96 * error)
-    return Parameter(name, value, unit, error, None, ci95, True, std_error_inflated=inflated)
+    return Parameter(name, value, unit, std_error=error, t_ratio=None, ci95=ci95, significant=True, std_error_inflated=inflated)
 
 
 def fit(test: str, stiffness: float, error: float | None = 10.0, name: str = "direct", codes: tuple[str, ...] = ()) -> Fit:

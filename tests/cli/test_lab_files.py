@@ -34,7 +34,7 @@ def receptance(form: str = "receptance") -> FrequencyResponse:
     omega = 2 * np.pi * FREQUENCY
     matrix = (1j * omega) ** ("receptance", "mobility", "accelerance").index(form) / (K - MASS * omega**2 + 1j * omega * C)
     ports = (Port("y", "y", "y", np.pi / 2),)
-    return FrequencyResponse(FREQUENCY, matrix[:, None, None], ports, ports, form)
+    return FrequencyResponse(FREQUENCY, matrix[:, None, None], ports, ports, form=form)
 
 
 @pytest.fixture

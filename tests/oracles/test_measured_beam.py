@@ -26,7 +26,7 @@ def analysed() -> FrequencyResponse:
     variables = loadmat(shipped("case1.mat"))
     port = (Port("y", "y", "y", None),)
     frequency = variables["Freq_domain"].ravel()[1:].astype(float)
-    return FrequencyResponse(frequency, variables["Hf_chan_2"][1:, :, None], port, port, "receptance")
+    return FrequencyResponse(frequency, variables["Hf_chan_2"][1:, :, None], port, port, form="receptance")
 
 
 @pytest.mark.parametrize("band", [(204.0, 220.0), (209.0, 215.0)])

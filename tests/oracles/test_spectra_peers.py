@@ -80,7 +80,7 @@ def test_a_sampling_rate_that_is_no_whole_number(rate: float) -> None:
 
 def test_accelerance_at_0_hz_is_no_receptance() -> None:
     port = (Port("a", "a", "a"),)
-    accelerance = FrequencyResponse(np.array([0.0, 1.0]), np.ones((2, 1, 1)), port, port, "accelerance")
+    accelerance = FrequencyResponse(np.array([0.0, 1.0]), np.ones((2, 1, 1)), port, port, form="accelerance")
     with pytest.raises(DataError, match="0 Hz"):
         converted(accelerance, "receptance")
 

@@ -21,7 +21,7 @@ from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.settings import Uncertain
 from labpipe.simulate.journal_rig import receptance
-from labpipe.wear.measured import worn_data
+from labpipe.wear.measured import worn_receptance
 from labpipe.wear.misfit import MISFITS
 from labpipe.wear.model import worn_model
 from labpipe.wear.prior import posterior
@@ -71,7 +71,7 @@ def test_noise_free_recovery(wear: tuple[float, float]) -> None:
     The truth's films have the cells of the identification's: only then is there nothing but the search and the tables to err.
     """
     settings = WearSettings("mendes.yaml", rig=RIG, response="dFRF")
-    data = worn_data(measured(SEVEN, wear, OWN, None), FitSettings("worn-bearing", model_settings=settings), settings)
+    data = worn_receptance(measured(SEVEN, wear, OWN, None), FitSettings("worn-bearing", model_settings=settings), settings)
     misfit = MISFITS["complex"](worn_model(settings, SEVEN), data)
     found = minima(misfit, start_mesh(settings, misfit))
     assert found[0].starts >= 10 and sum(one.starts for one in found) == 20

@@ -59,11 +59,11 @@ def curves(draw: st.DrawFn) -> FittedCurve:
         draw(arrays(n)),
         draw(complex_arrays(*shape)),
         draw(complex_arrays(*shape)),
-        draw(st.none() | arrays(*shape)),
-        outputs,
-        inputs,
-        draw(st.sampled_from(list(FORMS))),
-        draw(st.none() | complex_arrays(*shape)),
+        variance=draw(st.none() | arrays(*shape)),
+        outputs=outputs,
+        inputs=inputs,
+        form=draw(st.sampled_from(list(FORMS))),
+        before=draw(st.none() | complex_arrays(*shape)),
     )
 
 

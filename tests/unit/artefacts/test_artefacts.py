@@ -103,21 +103,38 @@ def test_recording_round_trip_in_blocks(tmp_path: Path, rng: np.random.Generator
 
 
 def test_identification_round_trip(tmp_path: Path, rng: np.random.Generator) -> None:
-    curve = FittedCurve(np.arange(3.0), np.ones((3, 1, 1)) * 1j, np.ones((3, 1, 1)), None, ("x",), ("f",), "receptance")
-    parameters = (Parameter("k", 1.0, "N/m", 0.1, 10.0, (0.8, 1.2), True, 1.1), Parameter("f_n", 2.0, "Hz", derived=True))
+    curve = FittedCurve(
+        np.arange(3.0), np.ones((3, 1, 1)) * 1j, np.ones((3, 1, 1)), variance=None, outputs=("x",), inputs=("f",), form="receptance"
+    )
+    parameters = (
+        Parameter("k", 1.0, "N/m", std_error=0.1, t_ratio=10.0, ci95=(0.8, 1.2), significant=True, vif=1.1),
+        Parameter("f_n", 2.0, "Hz", derived=True),
+    )
     fit = Fit(
-        "a", "sdof", "ml", (1.0, 2.0), 3, 6, 4, Goodness(0.9, 0.8, 1.1, 0.3), parameters, float("inf"), np.eye(1), curve=curve, test="t"
+        "a",
+        "sdof",
+        "ml",
+        band_hz=(1.0, 2.0),
+        lines=3,
+        equations=6,
+        dof=4,
+        gof=Goodness(0.9, 0.8, 1.1, 0.3),
+        parameters=parameters,
+        condition_number=float("inf"),
+        correlation=np.eye(1),
+        curve=curve,
+        test="t",
     )
     one = Identification(
         (fit,),
         "T",
-        "p.yaml",
-        ({"path": "a", "sha256": "b"},),
-        {"frf": None},
-        {},
-        (),
-        (RuleOutcome("accept", "a.k > 0", 1.0, True),),
-        "0.1.0",
+        pipeline="p.yaml",
+        sources=({"path": "a", "sha256": "b"},),
+        settings={"frf": None},
+        rig={},
+        responses=(),
+        outcomes=(RuleOutcome("accept", "a.k > 0", 1.0, True),),
+        version="0.1.0",
     )
     write_identification(tmp_path / "i.json", one)
     other = read_identification(tmp_path / "i.json")
@@ -130,11 +147,24 @@ def test_identification_round_trip(tmp_path: Path, rng: np.random.Generator) -> 
 
 def test_the_model_between_the_lines_travels_and_older_files_have_none(tmp_path: Path) -> None:
     lines, between = np.arange(3.0), np.linspace(0.0, 2.0, 5)
-    plain = FittedCurve(lines, np.ones((3, 1, 1)) * 1j, np.ones((3, 1, 1)), None, ("x",), ("f",), "receptance")
+    plain = FittedCurve(lines, np.ones((3, 1, 1)) * 1j, np.ones((3, 1, 1)), variance=None, outputs=("x",), inputs=("f",), form="receptance")
     dense = replace(plain, dense_frequency=between, dense=(between + 1j)[:, None, None])
     goodness = Goodness(0.9, 0.8)
     for name, curve in (("plain", plain), ("dense", dense)):
-        fit = Fit("a", "sdof", "ml", (1.0, 2.0), 3, 6, 4, goodness, (), 1.0, np.eye(1), curve=curve)
+        fit = Fit(
+            "a",
+            "sdof",
+            "ml",
+            band_hz=(1.0, 2.0),
+            lines=3,
+            equations=6,
+            dof=4,
+            gof=goodness,
+            parameters=(),
+            condition_number=1.0,
+            correlation=np.eye(1),
+            curve=curve,
+        )
         write_identification(tmp_path / name, Identification((fit,), version="1"))
     old, new = (read_identification(tmp_path / name).fits[0].curve for name in ("plain", "dense"))
     assert old is not None and old.dense is None and old.drawn[0].tolist() == lines.tolist()
@@ -181,7 +211,7 @@ def test_records_are_read_only_and_checked_at_birth(rng: np.random.Generator) ->
 @pytest.mark.parametrize("change", [{"fits": [{"name": "x"}]}, {"studies": [{"later": 1}]}, {"fits": 3}])
 def test_a_result_with_other_entries_is_refused_in_plain_words(tmp_path: Path, change: dict) -> None:
     path = tmp_path / "identification.json"
-    write_identification(path, Identification((), "empty", "p.yaml"))
+    write_identification(path, Identification((), "empty", pipeline="p.yaml"))
     path.write_text(json.dumps({**json.loads(path.read_text("utf-8")), **change}), "utf-8")
     with pytest.raises(DataError, match=r"was written by labpipe .*, or edited") as caught:
         read_identification(path)

@@ -168,7 +168,20 @@ def test_a_table_that_was_edited_is_checked_like_any_record(tmp_path: Path) -> N
 
 SETTINGS = (FitSettings("sdof", mass=0.79, band=(60.0, 70.0), name="direct"), FitSettings("sdof", name="free"))
 RESPONSES = (SourceRef("a.frf.parquet", "00"),)
-FIT = Fit("direct", "sdof", "ml", (60.0, 70.0), 15, 30, 28, Goodness(0.99, 0.98), (), 12.0, np.eye(1), test="427N")
+FIT = Fit(
+    "direct",
+    "sdof",
+    "ml",
+    band_hz=(60.0, 70.0),
+    lines=15,
+    equations=30,
+    dof=28,
+    gof=Goodness(0.99, 0.98),
+    parameters=(),
+    condition_number=12.0,
+    correlation=np.eye(1),
+    test="427N",
+)
 
 
 @settings(max_examples=10, suppress_health_check=CHECKS)

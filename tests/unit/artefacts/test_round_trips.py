@@ -119,7 +119,7 @@ SOURCES = st.lists(st.fixed_dictionaries({"path": st.text(max_size=5), "sha256":
 @QUICK
 @given(st.text(max_size=8), st.text(max_size=8), SOURCES, SETTINGS, SETTINGS)
 def test_what_it_was_made_from(tmp_path: Path, title: str, pipeline: str, sources: Any, work: dict, rig: dict) -> None:
-    again = through_file(tmp_path, Identification((), title, pipeline, sources, work, rig))
+    again = through_file(tmp_path, Identification((), title, pipeline=pipeline, sources=sources, settings=work, rig=rig))
     assert (again.title, again.pipeline, again.sources, again.settings, again.rig) == (title, pipeline, sources, work, rig)
 
 
@@ -127,7 +127,19 @@ def test_what_it_was_made_from(tmp_path: Path, title: str, pipeline: str, source
 
 
 def test_a_condition_number_without_limit_is_null_in_the_file(tmp_path: Path) -> None:
-    fit = Fit("a", "sdof", "ls", (1.0, 2.0), 3, 6, 4, Goodness(0.9, 0.8), (), math.inf, np.eye(1))
+    fit = Fit(
+        "a",
+        "sdof",
+        "ls",
+        band_hz=(1.0, 2.0),
+        lines=3,
+        equations=6,
+        dof=4,
+        gof=Goodness(0.9, 0.8),
+        parameters=(),
+        condition_number=math.inf,
+        correlation=np.eye(1),
+    )
     assert through_file(tmp_path, Identification((fit,))).fits[0].condition_number == math.inf
     assert json.loads((tmp_path / "identification.json").read_text("utf-8"))["fits"][0]["condition_number"] is None
 
@@ -139,7 +151,21 @@ def test_a_known_covariance_has_no_end_of_degrees_of_freedom(tmp_path: Path) -> 
     assert json.loads((tmp_path / "identification.json").read_text("utf-8"))["responses"][0]["covariance_dof"] is None
 
 
-CASE = StudyCase("ls", "ls", 0.02, 25, 30, 30, math.nan, math.nan, math.nan, (0.0,), None, None, ())
+CASE = StudyCase(
+    fit="ls",
+    estimator="ls",
+    noise=0.02,
+    lines=25,
+    repeats=30,
+    failed=30,
+    mean_error=math.nan,
+    median_error=math.nan,
+    error_variance=math.nan,
+    success=(0.0,),
+    rmse_over_bound=None,
+    coverage=None,
+    parameters=(),
+)
 
 
 def test_a_study_of_nothing_but_failures_has_errors_that_are_no_number(tmp_path: Path) -> None:
@@ -150,13 +176,22 @@ def test_a_study_of_nothing_but_failures_has_errors_that_are_no_number(tmp_path:
 
 def test_an_amount_that_could_not_be_given_is_no_number(tmp_path: Path) -> None:
     amounts = (Parameter("ratio", math.nan, "1"),)
-    comparison = Comparison("ratio", "ratio", "k", "N/m", (), amounts, "not determined", "nothing can be said")
+    comparison = Comparison(
+        name="ratio",
+        kind="ratio",
+        subject="k",
+        unit="N/m",
+        points=(),
+        amounts=amounts,
+        verdict="not determined",
+        statement="nothing can be said",
+    )
     (again,) = through_file(tmp_path, Identification((), sections={"compare": (comparison,)})).sections["compare"]
     assert same(again, comparison)
 
 
 def test_a_run_up_method_without_numbers(tmp_path: Path) -> None:
-    result = RunUpResult("rotor", "disc", "journal", (), (RunUpMethod("a", "A", "failed", ()),))
+    result = RunUpResult("rotor", "disc", "journal", runs=(), methods=(RunUpMethod("a", "A", "failed", predictions=()),))
     assert same(through_file(tmp_path, Identification((), sections={"run_ups": result})).sections["run_ups"], result)
 
 
@@ -164,7 +199,19 @@ def test_a_run_up_method_without_numbers(tmp_path: Path) -> None:
 
 
 def test_warnings_and_notes_stand_apart(tmp_path: Path) -> None:
-    fit = Fit("a", "sdof", "ls", (1.0, 2.0), 3, 6, 4, Goodness(0.9, 0.8), (), 2.0, np.eye(1))
+    fit = Fit(
+        "a",
+        "sdof",
+        "ls",
+        band_hz=(1.0, 2.0),
+        lines=3,
+        equations=6,
+        dof=4,
+        gof=Goodness(0.9, 0.8),
+        parameters=(),
+        condition_number=2.0,
+        correlation=np.eye(1),
+    )
     found = (note("masked", "49-51 Hz"), Finding("clipped", "y"))
     through_file(tmp_path, Identification((dataclasses.replace(fit, findings=found),)))
     (entry,) = json.loads((tmp_path / "identification.json").read_text("utf-8"))["fits"]
@@ -174,10 +221,23 @@ def test_warnings_and_notes_stand_apart(tmp_path: Path) -> None:
 
 def test_the_agreed_names_of_a_fit_are_in_the_file(tmp_path: Path) -> None:
     """Names that outside checks read: INTERFACE of the file."""
-    parameter = Parameter("k", 45200.0, "N/m", 31.0, 1458.0, (45137.0, 45263.0), True, 1.2)
+    parameter = Parameter("k", 45200.0, "N/m", std_error=31.0, t_ratio=1458.0, ci95=(45137.0, 45263.0), significant=True, vif=1.2)
     candidates = (Candidate("this model", 2, 3.0, 4, 7.0, 0.5),)
-    fit = Fit("a", "sdof", "ml", (65.0, 80.0), 15, 30, 28, Goodness(1.0, 1.0), (parameter,), 12.3, np.eye(1), candidates=candidates)
-    through_file(tmp_path, Identification((fit,), "T", "p.yaml"))
+    fit = Fit(
+        "a",
+        "sdof",
+        "ml",
+        band_hz=(65.0, 80.0),
+        lines=15,
+        equations=30,
+        dof=28,
+        gof=Goodness(1.0, 1.0),
+        parameters=(parameter,),
+        condition_number=12.3,
+        correlation=np.eye(1),
+        candidates=candidates,
+    )
+    through_file(tmp_path, Identification((fit,), "T", pipeline="p.yaml"))
     whole = json.loads((tmp_path / "identification.json").read_text("utf-8"))
     assert whole["schema"] == "labpipe/identification/2" and (whole["title"], whole["pipeline"]) == ("T", "p.yaml")
     (entry,) = whole["fits"]
@@ -195,7 +255,7 @@ def test_what_a_result_does_not_have_is_not_in_its_file(tmp_path: Path, section:
 def test_a_file_from_before_newer_entries_is_read(tmp_path: Path) -> None:
     """Entries that later versions added are empty where a file has none."""
     path = tmp_path / "identification.json"
-    write_identification(path, Identification((), "T", "p.yaml"))
+    write_identification(path, Identification((), "T", pipeline="p.yaml"))
     entries = json.loads(path.read_text("utf-8"))
     for name in ("responses", "settings", "rig", "accept", "expect"):
         del entries[name]
@@ -207,15 +267,39 @@ def test_a_file_from_before_newer_entries_is_read(tmp_path: Path) -> None:
 # the same record however it was made
 
 
-POINT = ComparedPoint("427N", 1.1, (1.0, 1.2), 427.0, "up", 1.0, 1.1, (1.0, 1.2), 0.5)
-BAND = ComparedBand("427N", "k", "N/m", (10.0, 20.0), 1.0, (0.9, 1.1), 1.05, None, 0.95, (0.9, 1.0), 0.04)
-CURVE = Curve("427N", "k", "N/m", (1.0, 2.0), (3.0, 4.0), (), (5.0, 6.0))
+POINT = ComparedPoint("427N", 1.1, ci95=(1.0, 1.2), condition=427.0, group="up", theory=1.0, ratio=1.1, ratio_ci95=(1.0, 1.2), p_value=0.5)
+BAND = ComparedBand(
+    "427N",
+    "k",
+    "N/m",
+    band_hz=(10.0, 20.0),
+    value=1.0,
+    ci95=(0.9, 1.1),
+    other=1.05,
+    other_ci95=None,
+    ratio=0.95,
+    ratio_ci95=(0.9, 1.0),
+    p_value=0.04,
+)
+CURVE = Curve("427N", "k", "N/m", frequency=(1.0, 2.0), theory=(3.0, 4.0), matched=(), measured=(5.0, 6.0))
 OVERLAY = Overlay("427N", "receptance", (1.0,), (2.0,), (3.0,), (4.0,))
 
 
 def test_a_comparison_with_all_its_parts(tmp_path: Path) -> None:
     parts = {"line": ((1.0, 2.0),), "overlays": (OVERLAY,), "bands": (BAND,), "curves": (CURVE,), "correlations": (("a", "b", 0.3),)}
-    whole = Comparison("r", "ratio", "k", "N/m", (POINT,), (), "stiffer", "stiffer than theory", "preload", "N", **parts)
+    whole = Comparison(
+        name="r",
+        kind="ratio",
+        subject="k",
+        unit="N/m",
+        points=(POINT,),
+        amounts=(),
+        verdict="stiffer",
+        statement="stiffer than theory",
+        condition="preload",
+        condition_unit="N",
+        **parts,
+    )
     (again,) = through_file(tmp_path, Identification((), sections={"compare": (whole,)})).sections["compare"]
     assert again == whole and again.bands[0].holds and again.bands[0].centre_hz == 15.0
 

@@ -16,11 +16,24 @@ from labpipe.catalogue.trends import trends
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.identification import Fit, Goodness, Identification, Parameter
 
-FIT = Fit("direct", "sdof", "ml", (60.0, 70.0), 20, 40, 38, Goodness(0.99, 0.99), (), 3.0, np.eye(1), test="a")
+FIT = Fit(
+    "direct",
+    "sdof",
+    "ml",
+    band_hz=(60.0, 70.0),
+    lines=20,
+    equations=40,
+    dof=38,
+    gof=Goodness(0.99, 0.99),
+    parameters=(),
+    condition_number=3.0,
+    correlation=np.eye(1),
+    test="a",
+)
 
 
 def result(test: str = "a", error: float | None = 10.0, name: str = "direct", term: str = "", **values: float) -> Identification:
-    parameters = tuple(Parameter(key, value, "N/m", error) for key, value in values.items())
+    parameters = tuple(Parameter(key, value, "N/m", std_error=error) for key, value in values.items())
     return Identification((replace(FIT, name=name, term=term, parameters=parameters, test=test),))
 
 

@@ -19,8 +19,21 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.identification import Failed, Fit, Goodness, Identification, Parameter, RuleOutcome
 
-K = Parameter("k", 1000.0, "N/m", 10.0, 100.0, (980.0, 1020.0), True)
-FIT = Fit("direct", "sdof", "ml", (60.0, 70.0), 20, 40, 38, Goodness(0.99, 0.99), (K,), 3.0, np.eye(1), test="a")
+K = Parameter("k", 1000.0, "N/m", std_error=10.0, t_ratio=100.0, ci95=(980.0, 1020.0), significant=True)
+FIT = Fit(
+    "direct",
+    "sdof",
+    "ml",
+    band_hz=(60.0, 70.0),
+    lines=20,
+    equations=40,
+    dof=38,
+    gof=Goodness(0.99, 0.99),
+    parameters=(K,),
+    condition_number=3.0,
+    correlation=np.eye(1),
+    test="a",
+)
 
 
 def store(folder: Path, stiffness: float = 1000.0, date: str = "2026-11-03", **changes: object) -> Path:
@@ -139,7 +152,7 @@ def test_warnings_count_once_and_notes_not_at_all() -> None:
 @given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e3), st.floats(1.0, 10.0))
 def test_an_interval_is_widened_as_its_error_is(value: float, error: float, factor: float) -> None:
     """ci95 of +- 2 s becomes +- 2 f s where the residual exceeds the noise by f."""
-    plain = Parameter("k", value, "N/m", error, None, (value - 2 * error, value + 2 * error))
+    plain = Parameter("k", value, "N/m", std_error=error, t_ratio=None, ci95=(value - 2 * error, value + 2 * error))
     assert interval(plain) == plain.ci95
     low, high = interval(replace(plain, std_error_inflated=factor * error))
     assert high - low == pytest.approx(4 * factor * error, rel=1e-6, abs=1e-6 * abs(value) * 1e-6)

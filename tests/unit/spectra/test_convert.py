@@ -51,7 +51,7 @@ def test_the_line_at_0_hz_can_be_differentiated_but_not_integrated() -> None:
     with pytest.raises(DataError, match="0 Hz of a accelerance"):
         converted(accelerance, "receptance")
     with pytest.raises(ConfigError, match="form 'other'"):
-        converted(FrequencyResponse(np.array([1.0]), np.ones((1, 1, 1)), port, port, "other"), "receptance")
+        converted(FrequencyResponse(np.array([1.0]), np.ones((1, 1, 1)), port, port, form="other"), "receptance")
 
 
 @pytest.mark.parametrize("form", ["receptance", "mobility", "accelerance"])

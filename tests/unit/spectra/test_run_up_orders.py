@@ -87,7 +87,16 @@ def test_stretches_of_one_speed_are_one_point(rng: np.random.Generator) -> None:
 
 
 def run(speed: np.ndarray, response: np.ndarray, unbalance: dict[str, complex], error: float = 1e-7, phase: float = 0.01) -> RunUp:
-    return RunUp("run", 5.0, speed, ("disc 1",), response, np.full(response.shape, error), np.full(response.shape, phase), unbalance)
+    return RunUp(
+        "run",
+        5.0,
+        speed,
+        ("disc 1",),
+        response,
+        amplitude_error=np.full(response.shape, error),
+        phase_error=np.full(response.shape, phase),
+        unbalance=unbalance,
+    )
 
 
 SPEED = np.array([100.0, 110.0, 120.0])

@@ -38,7 +38,7 @@ def axial_response(stiffness: float, rng) -> FrequencyResponse:
     noise = 0.002 * (rng.standard_normal(w.size) + 1j * rng.standard_normal(w.size)) / np.sqrt(2)
     variance = np.full((w.size, 1, 1), 0.002**2)
     ports = (Port("z", "z", "z"),), (Port("z", "z", "z"),)
-    return FrequencyResponse(frequency, (h + noise)[:, None, None], *ports, "accelerance", uncorrelated(variance))
+    return FrequencyResponse(frequency, (h + noise)[:, None, None], *ports, form="accelerance", covariance=uncorrelated(variance))
 
 
 @pytest.fixture
