@@ -157,7 +157,7 @@ def test_cobyqa_meets_the_same_amplitudes() -> None:
 
 def test_a_sentence_for_the_report(factors: list[AmplitudeFit]) -> None:
     said = perfect_but_wrong(factors)
-    assert "see only 2 combinations of the eight coefficients" in said and "lie on a bound" in said
+    assert "determine only 2 combinations of the eight coefficients" in said and "are at a bound" in said
 
 
 @pytest.mark.parametrize("settings", [{"bound": 0.0}, {"bound": 1.0}, {"starts": 0}, {"method": "cobyka"}])

@@ -213,8 +213,8 @@ def test_every_metamodel_is_read_back_as_it_was(any_model: Metamodel) -> None:
 def test_every_metamodel_says_how_it_was_made(any_model: Metamodel) -> None:
     words = {
         "surface": "36 points, over the eight coefficients R² 0.9",
-        "process": "alike over",
-        "network": "10 repeats of 2 inputs, 8 hidden units and 8 outputs, seeds from 3 on; the training of all of them ended by itself",
+        "process": "correlated over",
+        "network": "10 repeats of 2 inputs, 8 hidden units and 8 outputs, seeds from 3 on; the training of all of them converged",
         "physical": "parameters of the joint fit",
     }
     assert words[any_model.kind] in any_model.statement

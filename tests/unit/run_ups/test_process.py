@@ -217,7 +217,7 @@ def test_errors_of_predictions_are_those_of_drawn_parameters(found: ProcessFit, 
 
 def test_what_it_says_of_itself(found: ProcessFit) -> None:
     assert found.caution(found.loads[0]) == ""
-    assert "16.9 N lies outside the loads of the fit (3.66 to 10.3 N): there the smooth factors are guessed" in found.caution(16.94)
+    assert "16.9 N lies outside the loads of the fit (3.66 to 10.3 N): the smooth factors are extrapolated" in found.caution(16.94)
     assert f"of {found.values.size} parameters the data determine {found.n_determined} combinations" in found.statement
     assert found.n_determined < found.rank <= found.values.size
     factors = found.factors(6.0, np.array([100.0, 200.0]))
