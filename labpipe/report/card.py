@@ -17,22 +17,22 @@ from labpipe.report.spectral_figures import spectral_blocks
 
 # Height of a channel's two plots side by side [in].
 HEIGHT = 2.1
-# Lines of a spectrum this far below its largest are rounding, and would only stretch the axis.
+# Lower end of a spectrum's axis relative to its largest line: smaller lines are rounding.
 DEEPEST = 1e-7
 # Ends of the axis of a phase [deg].
 PHASE_END = 185.0
 
 
-def recording_card(seen: Overview) -> Document:
+def recording_card(overview: Overview) -> Document:
     """The card of a recording or a raw file."""
     sections = (
-        Section("The file", _facts(seen)),
-        Section("Findings", _findings(seen.findings, "No gaps, no clipping, no channel that stands still.")),
-        *([] if seen.contradictions is None else [Section("Against the rig file", _contradictions(seen.contradictions))]),
-        Section("Levels", (_levels(seen.plotted),)),
-        Section("Channels", tuple(channel_figure(channel, seen) for channel in seen.plotted)),
+        Section("The file", _facts(overview)),
+        Section("Findings", _findings(overview.findings, "No gaps, no clipping, no constant channel.")),
+        *([] if overview.contradictions is None else [Section("Against the rig file", _contradictions(overview.contradictions))]),
+        Section("Levels", (_levels(overview.plotted),)),
+        Section("Channels", tuple(channel_figure(channel, overview) for channel in overview.plotted)),
     )
-    return Document(seen.file, f"{seen.kind[0].upper()}{seen.kind[1:]}, seen by labpipe {__version__}", sections, to_sign=False)
+    return Document(overview.file, f"{overview.kind[0].upper()}{overview.kind[1:]}, read by labpipe {__version__}", sections, to_sign=False)
 
 
 def response_card(response: FrequencyResponse, file: str) -> Document:
@@ -42,19 +42,19 @@ def response_card(response: FrequencyResponse, file: str) -> Document:
         Section("Findings", _findings(response.findings, "The file carries no warnings.")),
         Section("Frequency response", (response_figure(response), phase_figure(response), *spectral_blocks(response))),
     )
-    return Document(file, f"Frequency response, seen by labpipe {__version__}", sections, to_sign=False)
+    return Document(file, f"Frequency response, read by labpipe {__version__}", sections, to_sign=False)
 
 
-def _facts(seen: Overview) -> tuple[Block, ...]:
-    length = "not known" if seen.sample_rate is None else f"{seen.n_sample / seen.sample_rate:.6g} s"
-    rate = seen.rate if seen.sample_rate is None or "Hz" in seen.rate else f"{seen.sample_rate:g} Hz ({seen.rate})"
-    rows = [("samples per channel", str(seen.n_sample)), ("rate", rate), ("length", length)]
-    if seen.time:
-        rows.append(("time column", seen.time))
-    about = any(channel.about for channel in seen.channels)
+def _facts(overview: Overview) -> tuple[Block, ...]:
+    length = "not known" if overview.sample_rate is None else f"{overview.n_sample / overview.sample_rate:.6g} s"
+    rate = overview.rate if overview.sample_rate is None or "Hz" in overview.rate else f"{overview.sample_rate:g} Hz ({overview.rate})"
+    rows = [("samples per channel", str(overview.n_sample)), ("rate", rate), ("length", length)]
+    if overview.time:
+        rows.append(("time column", overview.time))
+    about = any(channel.about for channel in overview.channels)
     header = ("channel", "unit", *(["role and direction"] if about else []))
-    channels = tuple((channel.name, channel.unit or "not stated", *([channel.about] if about else [])) for channel in seen.plotted)
-    return Table(("what", "which"), tuple(rows), "What the file says of itself"), Table(header, channels, "Channels")
+    channels = tuple((channel.name, channel.unit or "not stated", *([channel.about] if about else [])) for channel in overview.plotted)
+    return Table(("what", "which"), tuple(rows), "Entries of the file"), Table(header, channels, "Channels")
 
 
 def _response_facts(response: FrequencyResponse, file: str) -> tuple[Block, ...]:
@@ -65,17 +65,19 @@ def _response_facts(response: FrequencyResponse, file: str) -> tuple[Block, ...]
         ("form", f"{response.form} [{FORMS[response.form]}]"),
         ("lines", f"{frequency.size}, {frequency[0]:g} to {frequency[-1]:g} Hz"),
         ("averages", "not stated" if response.averages is None else f"{response.averages:.4g}"),
-        ("doubt", " and ".join(doubts) or "neither covariance nor coherence: ml needs one, ls does not"),
+        ("uncertainty", " and ".join(doubts) or "neither covariance nor coherence: ml needs one, ls does not"),
     )
-    ports = tuple(_port(what, port) for what, some in (("response", response.outputs), ("force", response.inputs)) for port in some)
+    ports = tuple(
+        _port(kind, port) for kind, ports_of_kind in (("response", response.outputs), ("force", response.inputs)) for port in ports_of_kind
+    )
     return (
-        Table(("what", "which"), rows, "What the file says of itself"),
+        Table(("what", "which"), rows, "Entries of the file"),
         Table(("kind", "label", "dof", "angle [deg]"), ports, "Rows and columns of the matrix", (3,)),
     )
 
 
-def _port(what: str, port: Port) -> tuple[str, ...]:
-    return what, port.label, port.dof, "" if port.angle is None else f"{np.degrees(port.angle):g}"
+def _port(kind: str, port: Port) -> tuple[str, ...]:
+    return kind, port.label, port.dof, "" if port.angle is None else f"{np.degrees(port.angle):g}"
 
 
 def _findings(findings: Sequence[Finding], nothing: str) -> tuple[Block, ...]:
@@ -105,9 +107,9 @@ def _crest(channel: ChannelOverview) -> str:
     return f"{peak / channel.rms:.3g}" if channel.rms > 0 else ""
 
 
-def channel_figure(channel: ChannelOverview, seen: Overview) -> Figure:
+def channel_figure(channel: ChannelOverview, overview: Overview) -> Figure:
     """Envelope over time beside the spectrum of one channel."""
-    panels = (_envelope(channel, seen.sample_rate), _spectrum(channel, seen.sample_rate))
+    panels = (_envelope(channel, overview.sample_rate), _spectrum(channel, overview.sample_rate))
     stretch = f", smallest and largest of every {channel.envelope.step} samples" if channel.envelope.step > 1 else ""
     blocks = channel.spectrum.blocks
     averaged = f"mean of {blocks} block{'s' if blocks > 1 else ''}" if blocks else "no block without gaps"

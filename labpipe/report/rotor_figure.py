@@ -56,8 +56,8 @@ def rotor_sections(identification: Identification) -> tuple[Section, ...]:
 
 def rotor_figures(settings: Mapping[str, Any]) -> list[Figure]:
     """One sketch for every rotor that an identification's settings name, each once: of its fits and of its response to unbalance."""
-    own = [fit.get("model_settings") or {} for fit in settings.get("identify", [])]
-    rigs = [settings_of_model["rig"] for settings_of_model in own if settings_of_model.get("rig")]
+    model_settings = [fit.get("model_settings") or {} for fit in settings.get("identify", [])]
+    rigs = [settings_of_model["rig"] for settings_of_model in model_settings if settings_of_model.get("rig")]
     rigs += [settings["unbalance"]["rig"]] if "unbalance" in settings else []
     distinct = [rig for number, rig in enumerate(rigs) if rig not in rigs[:number]]
     return [rotor_figure(rig) for rig in distinct]

@@ -1,4 +1,4 @@
-"""Run-ups as people read them: what was measured, what each method predicts, how far its coefficients are determined, and their figures."""
+"""Report of run-ups: measurements, predictions and coefficients of every method, identifiability, figures."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from labpipe.report.run_up_figures import best_method, bode_figure, cascade_figu
 from labpipe.report.run_up_tables import (
     coefficient_table,
     doubt_blocks,
-    left_out_table,
     measured_table,
     parameter_table,
     speed_blocks,
+    validation_table,
 )
 
 FRAME = (
@@ -30,11 +30,11 @@ def cover_facts(result: RunUpResult) -> dict[str, str]:
 
 
 def run_up_sections(result: RunUpResult, _identification: Identification) -> tuple[Section, ...]:
-    """What was measured, both speeds, doubt, coefficients, metamodels, and the response of every run."""
+    """Sections on measurements, both speeds, identifiability, coefficients, metamodels, and the response of every run."""
     return (
         Section(f"Run-ups: {result.rotor}", _measured(result)),
         Section("Critical speed and threshold", (speeds_figure(result), *speed_blocks(result), *_cautions(result))),
-        Section("How far the coefficients are determined", _doubt(result)),
+        Section("Identifiability of the coefficients", _doubt(result)),
         Section("Journal coefficients", _coefficients(result)),
         *([Section("Metamodels", _metamodels(result))] if result.metamodels else []),
         Section("Response of every run", tuple(bode_figure(result, run) for run in result.runs)),
@@ -43,28 +43,28 @@ def run_up_sections(result: RunUpResult, _identification: Identification) -> tup
 
 def _measured(result: RunUpResult) -> tuple[Block, ...]:
     method = best_method(result)
-    words = f"{result.rotor}, on its {result.bearing}. {FRAME}"
+    description = f"{result.rotor}, on its {result.bearing}. {FRAME}"
     cascades = [cascade_figure(run, cascade) for run in result.runs for cascade in run.cascades]
-    return (Paragraph(words), measured_table(result), polar_figure(result, method), orbit_figure(result, method), *cascades)
+    return (Paragraph(description), measured_table(result), polar_figure(result, method), orbit_figure(result, method), *cascades)
 
 
 def _cautions(result: RunUpResult) -> tuple[Block, ...]:
-    """What limits a prediction, beside its number; what could not be predicted, and why."""
+    """Limits of predictions and reasons of missing ones."""
     notes = _notes(result.methods)
-    held = {run.name for run in result.runs if run.role == HELD_OUT}
+    held_out = {run.name for run in result.runs if run.role == HELD_OUT}
     return tuple(
-        Paragraph(f"{words} ({', '.join(runs)}).", "warning" if held & set(runs) and "outside the loads" in words else "note")
-        for words, runs in notes.items()
+        Paragraph(f"{text} ({', '.join(runs)}).", "warning" if held_out & set(runs) and "outside the loads" in text else "note")
+        for text, runs in notes.items()
     )
 
 
 def _notes(owners: Sequence[RunUpMethod | MetamodelResult]) -> dict[str, list[str]]:
-    """Every note once, with the runs that it is about."""
+    """Every distinct note with its runs."""
     notes: dict[str, list[str]] = {}
     for owner in owners:
         for prediction in owner.predictions:
-            for words in prediction.notes:
-                notes.setdefault(f"{owner.title}: {words}", []).append(prediction.run)
+            for text in prediction.notes:
+                notes.setdefault(f"{owner.title}: {text}", []).append(prediction.run)
     return notes
 
 
@@ -88,11 +88,11 @@ def _coefficients(result: RunUpResult) -> tuple[Block, ...]:
 
 def _metamodels(result: RunUpResult) -> tuple[Block, ...]:
     basis = (
-        f"Fitted to the coefficients of {result.metamodels_of} at the trained loads; the physical fit is (c) itself. A metamodel is no "
-        "better than what it is made of: a small error at a load left out says that coefficients are smooth, not that they are right."
+        f"Fitted to the coefficients of {result.metamodels_of} at the trained loads; the physical fit is (c). A metamodel is no "
+        "better than these: a small leave-one-out error means that the coefficients are smooth, not that they are right."
     )
-    blocks: list[Block] = [Paragraph(basis), left_out_table(result.metamodels)]
-    blocks += [Paragraph(f"{words} ({', '.join(runs)}).", "note") for words, runs in _notes(result.metamodels).items()]
+    blocks: list[Block] = [Paragraph(basis), validation_table(result.metamodels)]
+    blocks += [Paragraph(f"{text} ({', '.join(runs)}).", "note") for text, runs in _notes(result.metamodels).items()]
     for model in result.metamodels:
         blocks += [Paragraph(f"{model.title}: {' '.join(model.remarks)}")] if model.remarks else []
         blocks += surface_figures(model)

@@ -13,9 +13,9 @@ from labpipe.report.document import Figure
 from labpipe.report.run_up_figures import RPM, SPEED, look, short
 from labpipe.report.run_up_tables import NAMES
 
-# Half the width in which the starts of a search stand beside each other.
+# Half width of the group of starts of a search.
 BESIDE = 0.28
-# Factors that spread by less than this agree.
+# Largest spread of factors that counts as agreement.
 ALIKE = 0.02
 ITERATION = Axis("iteration")
 
@@ -70,10 +70,10 @@ def convergence_figure(method: RunUpMethod, search: Convergence) -> Figure:
         Panel(ITERATION, Axis("evaluations"), (_steps("evaluations", steps, search.evaluations),)),
         _factors((dots("best", np.arange(8), search.best, marker="o", size=6.0),)),
     )
-    end = "a cap on the evaluations ended it" if search.capped else "the mesh ended it"
+    end = "ended by the limit on evaluations" if search.capped else "ended at the smallest mesh"
     caption = (
         f"{method.title}: convergence at {search.where}; {int(sum(search.evaluations))} evaluations, {end}. "
-        "A small objective is no sign that the factors are right."
+        "A small objective does not mean that the factors are right."
     )
     chart = Chart(panels, 2, 2, (WIDTH, 5.2), legend="none")
     return Figure(chart, caption, f"Convergence of the search of {method.title} at {search.where}")
@@ -89,17 +89,17 @@ def _factors(series: tuple[Series, ...]) -> Panel:
 
 
 def spread_figure(method: RunUpMethod, spread: StartSpread) -> Figure:
-    """Where all starts of one search ended: factors on the start values."""
+    """Final factors of all starts of one search."""
     factors = np.array(spread.factors)
     shift = np.linspace(-BESIDE, BESIDE, len(factors))[:, None]
     starts = dots(f"{len(factors)} starts", (np.arange(8) + shift).reshape(-1), factors.reshape(-1), 3, marker="o")
     mean = dots("mean", np.arange(8), factors.mean(axis=0), INK, marker="s", size=4.0)
-    caption = f"{method.title}: where {len(factors)} starts end at {spread.where}; {spread_words(spread)}."
+    caption = f"{method.title}: final factors of {len(factors)} starts at {spread.where}; {spread_text(spread)}."
     return Figure(stacked([_factors((starts, mean))], 2.9), caption, f"Spread of the factors over {len(factors)} starts at {spread.where}")
 
 
-def spread_words(spread: StartSpread) -> str:
-    """What the starts say: all meet the data, and lie how far apart."""
+def spread_text(spread: StartSpread) -> str:
+    """Statement on misfit and spread of the starts."""
     wide = float(np.median(np.ptp(np.array(spread.factors), axis=0)))
     reached = f"all meet the measured amplitudes within {100 * max(spread.objective):.2g} %"
     if wide < ALIKE:
@@ -109,18 +109,18 @@ def spread_words(spread: StartSpread) -> str:
 
 def surface_figures(model: MetamodelResult) -> list[Figure]:
     """Stiffness and damping over load and speed, four surfaces each."""
-    return [_surfaces(model, first, what) for first, what in ((0, "stiffness"), (4, "damping"))]
+    return [_surfaces(model, first, quantity) for first, quantity in ((0, "stiffness"), (4, "damping"))]
 
 
-def _surfaces(model: MetamodelResult, first: int, what: str) -> Figure:
+def _surfaces(model: MetamodelResult, first: int, quantity: str) -> Figure:
     names = NAMES[first : first + 4]
     scales = [_scale(name) for name in names]
     values = np.array([scale * np.array(model.surface.values[first + n]) for n, (scale, _) in enumerate(scales)])
     load = np.array(model.surface.load)
     titles = tuple(f"{name} [{unit}]" for name, (_, unit) in zip(names, scales, strict=True))
     surfaces = CoefficientSurfaces(RPM * np.array(model.surface.speed), load, values, titles)
-    fitted = [left.load for left in model.left_out]
-    beyond = f"; beyond {min(fitted):.3g} to {max(fitted):.3g} N carried on" if fitted and max(fitted) < 0.99 * load.max() else ""
-    caption = f"{model.title[:1].upper()}{model.title[1:]}: {what} coefficients over load and speed{beyond}."
+    fitted = [validation.load for validation in model.left_out]
+    beyond = f"; beyond {min(fitted):.3g} to {max(fitted):.3g} N extrapolated" if fitted and max(fitted) < 0.99 * load.max() else ""
+    caption = f"{model.title[:1].upper()}{model.title[1:]}: {quantity} coefficients over load and speed{beyond}."
     drawing = Drawing("surfaces", surfaces, (WIDTH, 6.2))
-    return Figure(drawing, caption, f"Surfaces of the four {what} coefficients over load and speed by the {model.title}")
+    return Figure(drawing, caption, f"Surfaces of the four {quantity} coefficients over load and speed by the {model.title}")

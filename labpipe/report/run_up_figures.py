@@ -190,9 +190,9 @@ def speeds_figure(result: RunUpResult) -> Figure:
     """Critical and threshold speed over the load: measured, and by every method with its 95 % bars."""
     items = (("critical_speed", "critical speed"), ("threshold", "threshold"))
     panels = [Panel(Axis("static load", "N"), Axis(label, "rpm"), _speed_series(result, item)) for item, label in items]
-    held = ", ".join(f"{run.load:.4g} N" for run in result.runs if run.role == HELD_OUT)
-    seen = f" No fit has seen the run at {held}." if held else ""
-    caption = f"Critical speed and threshold of instability over the load: measured and by every method; bars: 95 % intervals.{seen}"
+    held_out_loads = ", ".join(f"{run.load:.4g} N" for run in result.runs if run.role == HELD_OUT)
+    remark = f" The run at {held_out_loads} is in no fit." if held_out_loads else ""
+    caption = f"Critical speed and threshold of instability over the load: measured and by every method; bars: 95 % intervals.{remark}"
     return Figure(stacked(panels, 5.4), caption, "Critical speed and threshold over the load, measured and by every method")
 
 

@@ -1,4 +1,4 @@
-"""Run-ups as tables: what was measured, critical and threshold speeds of every method beside it, and how far coefficients are known."""
+"""Tables of run-ups: measurements, critical and threshold speeds of every method, identifiability of the coefficients."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from labpipe.report.wording import rounded
 
 RPM = 30 / np.pi
 NAMES = ("k_xx", "k_xy", "k_yx", "k_yy", "c_xx", "c_xy", "c_yx", "c_yy")
-# Names of columns: all of them stand side by side.
+# Short names of columns.
 SHORT = {"start": "original", "amplitudes": "(a) amplitudes", "points": "(b) points", "joint": "(c) joint", "process": "(d) factors"}
 # A space at which no line breaks.
 FIXED = "\N{NO-BREAK SPACE}"
@@ -32,7 +32,7 @@ DIFFERENCES = (
     "* differs from the measurement by more than both standard errors explain (95 %)."
 )
 ADVICE_WORDS = (
-    "A round shaft under any unbalance moves its journal along one and the same vector, so that a second unbalance run adds no rank; a run "
+    "A round shaft under any unbalance moves its journal along the same vector: a second unbalance run adds no rank; a run "
     "under a shaker, whose force does not turn with the shaft, does."
 )
 # Rows of the table of coefficients: as many speeds.
@@ -54,7 +54,7 @@ def error_text(error: float) -> str:
 
 
 def measured_table(result: RunUpResult) -> Table:
-    """Every run with what was set, and what was read off."""
+    """Every run with load, role, excitation, and measured speeds."""
     header = ("run", "load [N]", "role", "known unbalance or force", "speeds [rpm]", "critical speed [rpm]", "threshold [rpm]")
     rows = tuple(_measured_row(run) for run in result.runs)
     caption = f"Run-ups as measured; critical speed: largest displacement at {result.plane}; ± is one standard error"
@@ -63,7 +63,7 @@ def measured_table(result: RunUpResult) -> Table:
 
 def _measured_row(run: MeasuredRun) -> tuple[str, ...]:
     speeds = f"{len(run.speed)} from {RPM * run.speed[0]:.0f} to {RPM * run.speed[-1]:.0f}"
-    excitation = run.excitation + (f"; less '{run.subtracted}'" if run.subtracted else "")
+    excitation = run.excitation + (f"; '{run.subtracted}' subtracted" if run.subtracted else "")
     return (run.name, f"{run.load:.4g}", run.role, excitation, speeds, rpm_text(run.critical_speed), rpm_text(run.threshold))
 
 
@@ -89,25 +89,25 @@ def _speed_table(result: RunUpResult, item: str, caption: str, models: Sequence[
         measured: Amount | None = getattr(run, item)
         cells = (_speed_text(column.prediction(run.name), item, measured) for column in columns)
         rows.append((_run_name(run), _measured_text(measured), *cells))
-    # What holds two numbers is text: it may wrap, so that all methods fit side by side.
+    # Cells of two numbers are text, which may wrap, so that all methods fit side by side.
     return Table(header, tuple(rows), caption)
 
 
 def _runs_with(result: RunUpResult, item: str) -> list[MeasuredRun]:
-    """Runs that have such a speed, by measurement or by a method; a threshold belongs to a load, and stands once."""
-    kept: list[MeasuredRun] = []
+    """Runs with such a speed, by measurement or by a method; one run per load for a threshold."""
+    selected: list[MeasuredRun] = []
     for run in result.runs:
         predictions = [method.prediction(run.name) for method in result.methods]
         predicted = any(getattr(prediction, item) is not None for prediction in predictions if prediction is not None)
-        again = item == "threshold" and any(run.load == other.load for other in kept)
+        again = item == "threshold" and any(run.load == other.load for other in selected)
         if getattr(run, item) is not None or (predicted and not again):
-            kept.append(run)
-    return kept
+            selected.append(run)
+    return selected
 
 
 def _run_name(run: MeasuredRun) -> str:
-    held = f", {HELD_OUT}" if run.role == HELD_OUT and HELD_OUT not in run.name else ""
-    return f"{run.name}, {run.load:.4g} N{held}".replace(" N", f"{FIXED}N")
+    role = f", {HELD_OUT}" if run.role == HELD_OUT and HELD_OUT not in run.name else ""
+    return f"{run.name}, {run.load:.4g} N{role}".replace(" N", f"{FIXED}N")
 
 
 def _measured_text(measured: Amount | None) -> str:
@@ -139,7 +139,7 @@ def both_differences(predicted: float, measured: float) -> str:
 
 
 def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
-    """Columns of the source, in its own figures."""
+    """Values of the source as printed."""
     rows = []
     for run in result.runs:
         printed = getattr(run, f"printed_{item}")
@@ -151,21 +151,21 @@ def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
         rows.append((_run_name(run), f"{measured:.6g}", *shown))
     if not rows:
         return []
-    caption = f"{title} [rpm] as printed in {result.source or 'a source'}: for reference; no targets, since its rig is another one"
-    return [Table(("run", "measured there", "original there", "enhanced there"), tuple(rows), caption, (1, 2, 3))]
+    caption = f"{title} [rpm] as printed in {result.source or 'a source'}: for reference, measured on another rig"
+    return [Table(("run", "measured (source)", "original (source)", "enhanced (source)"), tuple(rows), caption, (1, 2, 3))]
 
 
 def doubt_blocks(result: RunUpResult) -> tuple[Block, ...]:
-    """Rank, condition, bounds and chi-square of every method; what is not seen, in words; what to measure."""
+    """Rank, condition, bounds and chi-square of every method; undetermined combinations; recommended experiment."""
     fitted = [method for method in result.methods if method.rank is not None]
-    header = ("method", "verdict", "rank", "condition", "on a bound", "data", "used up", "chi² per datum")
+    header = ("method", "verdict", "rank", "condition", "at a bound", "data", "effective parameters", "chi² per datum")
     rows = tuple(_doubt_row(method) for method in fitted)
-    caption = "How far the methods are determined by the data; rank and condition of (a) and (b): the worst point of eight unknowns each"
+    caption = "Identifiability by method; rank and condition of (a) and (b): the worst point of eight unknowns each"
     blocks: list[Block] = [Table(header, rows, caption, (3, 4, 5, 6))]
     for method in fitted:
-        words = [*method.remarks, *([f"Held by the priors alone: {'; '.join(method.free)} (logarithms)."] if method.free else [])]
-        if words:
-            blocks.append(Paragraph(f"{method.title}: {' '.join(words)}"))
+        remarks = [*method.remarks, *([f"Determined by the priors alone: {'; '.join(method.free)} (logarithms)."] if method.free else [])]
+        if remarks:
+            blocks.append(Paragraph(f"{method.title}: {' '.join(remarks)}"))
     blocks.extend(_rank_blocks(result))
     return tuple(blocks)
 
@@ -179,27 +179,29 @@ def _doubt_row(method: RunUpMethod) -> tuple[str, ...]:
         "" if method.share_at_bound is None else f"{100 * method.share_at_bound:.0f} %",
         str(method.n_datum),
         "" if method.n_effective is None else f"{method.n_effective:.0f}",
-        "no datum left" if method.chi2_per_datum is None else f"{method.chi2_per_datum:.2f} ({_p_text(method.chi2_p)})",
+        "no redundant datum" if method.chi2_per_datum is None else f"{method.chi2_per_datum:.2f} ({_p_text(method.chi2_p)})",
     )
 
 
 def _p_text(p_value: float | None) -> str:
-    """A probability, and no zero: it would claim too much."""
+    """A probability; a bound instead of zero."""
     return "p unknown" if p_value is None else "p < 1e-6" if p_value < 1e-6 else f"p = {p_value:.2g}"
 
 
 def _rank_blocks(result: RunUpResult) -> list[Block]:
-    """What kinds of data could tell, and which combinations they leave free."""
+    """Rank by kind of data, and undetermined combinations of the measured runs."""
     if not result.ranks:
         return []
-    where = f"{result.rank_load:.3g} N and {RPM * result.rank_speed:.0f} rpm"
+    place = f"{result.rank_load:.3g} N and {RPM * result.rank_speed:.0f} rpm"
     rows = tuple((row.data, f"{row.rank} of 8", f"{row.condition:.3g}", row.words) for row in result.ranks)
-    table = Table(("data", "rank", "condition", "what is seen"), rows, f"What run-ups can tell of eight coefficients, at {where}", (1, 2))
+    table = Table(
+        ("data", "rank", "condition", "measured combinations"), rows, f"Rank of the eight coefficients by kind of data, at {place}", (1, 2)
+    )
     blocks: list[Block] = [table, Paragraph(f"Advice: {ADVICE_WORDS}", "note")]
     rank = result.measured_rank
     if rank is not None and rank.free:
-        free = tuple((str(number), words) for number, words in enumerate(rank.free, 1))
-        caption = f"Combinations that the runs at hand ({rank.data}) leave free at {where}, in parts of the coefficients' own sizes"
+        free = tuple((str(number), combination) for number, combination in enumerate(rank.free, 1))
+        caption = f"Combinations that the runs {rank.data} do not determine at {place}, in parts of the coefficients' sizes"
         blocks.append(Table(("no.", "combination"), free, caption, (0,)))
     return blocks
 
@@ -244,15 +246,15 @@ def _with_deviation(value: float, error: float | None) -> str:
     return f"{rounded(value, error)} ± {error_text(error)}" if math.isfinite(error) else f"{value:.4g} at bound"
 
 
-def left_out_table(models: Sequence[MetamodelResult]) -> Table:
-    """Errors of every metamodel at loads that its fit did not see."""
-    loads = dict.fromkeys(left.load for model in models for left in model.left_out)
+def validation_table(models: Sequence[MetamodelResult]) -> Table:
+    """Leave-one-load-out errors of every metamodel."""
+    loads = dict.fromkeys(validation.load for model in models for validation in model.left_out)
     rows = []
     for model in models:
-        for left in model.left_out:
-            errors = [f"{100 * error:.1f}" for error in left.errors]
-            whole = 100 * float(np.sqrt(np.mean(np.square(left.errors))))
-            where = "outside" if left.outside else "between"
-            rows.append((model.title, f"{left.load:.4g}", where, *errors, f"{whole:.1f}"))
+        for validation in model.left_out:
+            errors = [f"{100 * error:.1f}" for error in validation.errors]
+            whole = 100 * float(np.sqrt(np.mean(np.square(validation.errors))))
+            position = "outside" if validation.outside else "between"
+            rows.append((model.title, f"{validation.load:.4g}", position, *errors, f"{whole:.1f}"))
     caption = f"Leave-one-load-out: rms error over the speeds [%] at each of {len(loads)} loads, of fits to the others"
     return Table(("metamodel", "load [N]", "of the others", *NAMES, "all"), tuple(rows), caption, tuple(range(3, 12)))
