@@ -98,7 +98,7 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
     for column in ("fit", "test", "parameter"):
         pattern = getattr(criteria, column)
         if pattern:
-            _check_known(index, column, pattern)
+            _check_name(index, column, pattern)
             clauses.append(f"v.{column} GLOB ?")
             bound.append(pattern)
     for condition in criteria.where:
@@ -149,7 +149,7 @@ def _where(clauses: Sequence[str]) -> str:
     return f" WHERE {' AND '.join(clauses)}" if clauses else ""
 
 
-def _check_known(index: sqlite3.Connection, column: str, pattern: str) -> None:
+def _check_name(index: sqlite3.Connection, column: str, pattern: str) -> None:
     names = [name for (name,) in index.execute(f"SELECT DISTINCT {column} FROM value ORDER BY {column}")]
     if not index.execute(f"SELECT 1 FROM value WHERE {column} GLOB ?", (pattern,)).fetchone():
         raise ConfigError(f"no result has the {column} '{pattern}'", hint=nearest(pattern, names))

@@ -12,7 +12,7 @@ from labpipe.registry import nearest
 def constrained(model: DynamicModel, settings: FitSettings) -> DynamicModel | ProportionalModel:
     """*model* with its `fixed`, `tied` and `damping` settings applied; ConfigError for names the model does not have."""
     for name, value in settings.fixed:
-        _check_known(model, name, "fixed")
+        _check_names(model, name, "fixed")
         model = model.fixed(name, value)
     for group in settings.tied:
         model = _tied(model, group)
@@ -23,14 +23,14 @@ def constrained(model: DynamicModel, settings: FitSettings) -> DynamicModel | Pr
 
 def _tied(model: DynamicModel, group: tuple[str, ...]) -> DynamicModel:
     for name in group:
-        _check_known(model, name, "tied")
+        _check_names(model, name, "tied")
     units = {term.unit for term in model.terms if term.name in group}
     if len(set(group)) < 2 or len(units) > 1:
         raise ConfigError(f"tied: {', '.join(group)} cannot have one value", hint="name two or more coefficients of one unit")
     return model.tied(group)
 
 
-def _check_known(model: DynamicModel, name: str, key: str) -> None:
+def _check_names(model: DynamicModel, name: str, key: str) -> None:
     if name not in model.names:
         hint = nearest(name, model.names)
         raise ConfigError(f"{key}: {model.name} has no coefficient '{name}' (left to estimate)", hint=hint)

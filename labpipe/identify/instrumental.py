@@ -99,14 +99,14 @@ def weakest_correlation(instruments: FloatArray, columns: FloatArray) -> float:
 
 def _sandwich(measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray) -> FloatArray:
     """Covariance of the estimate from the noise of the FRF or, if it is unknown, from the residual line by line (White)."""
-    scores = _known_scores if has_noise(measured) else _residual_scores
+    scores = _scores if has_noise(measured) else _residual_scores
     middle = scores(measured, model, equation, instruments, values)
     bread = np.linalg.pinv(instruments @ stacked_terms(equation.terms).T)
     covariance: FloatArray = bread @ middle @ bread.T
     return covariance
 
 
-def _known_scores(measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray) -> FloatArray:
+def _scores(measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray) -> FloatArray:
     """V^T Omega V with Omega of the equation's error Z dH, cov(Z dH) = (Z x I) cov(dH) (Z x I)^H, half of it in the real part."""
     assert measured.covariance is not None
     n_line, n_output, n_input = measured.matrix.shape

@@ -10,7 +10,7 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.identify.model import DynamicModel, Term
 from labpipe.identify.settings import ESTIMATE, Mass
-from labpipe.identify.setup import Setup, angle_of, entry_term, given_matrices, labels
+from labpipe.identify.setup import Setup, angle_of, entry_term, fixed_matrices, labels
 from labpipe.records.response import Port
 
 MASS_SCALE = "mass_scale"
@@ -30,14 +30,14 @@ def mdof(setup: Setup) -> DynamicModel:
     force = _forces(setup, dofs)
     kinds = {"k": "stiffness", "c": "damping"}
     terms = [term for letter, kind in kinds.items() for term in _entries(letter, kind, dofs, setup.shape, settings.symmetric)]
-    mass = _known_mass(settings.mass, len(dofs))
+    mass = _fixed_mass(settings.mass, len(dofs))
     if mass is None:
         terms.extend(_mass_entries(setup, dofs))
         mass = np.zeros((len(dofs), len(dofs)))
     elif settings.scale_mass:
         terms.append(_mass_factor(setup, mass))
         mass = np.zeros_like(mass)
-    return DynamicModel("mdof", tuple(terms), given_matrices(mass, force))
+    return DynamicModel("mdof", tuple(terms), fixed_matrices(mass, force))
 
 
 def _entries(letter: str, kind: str, dofs: list[str], shape: tuple[int, int], symmetric: bool, droppable: bool = True) -> list[Term]:
@@ -60,7 +60,7 @@ def _mass_factor(setup: Setup, mass: FloatArray) -> Term:
     return dataclasses.replace(term, unit="1", matrices=dataclasses.replace(term.matrices, mass=mass))
 
 
-def _known_mass(mass: Mass, n_dof: int) -> FloatArray | None:
+def _fixed_mass(mass: Mass, n_dof: int) -> FloatArray | None:
     """The mass matrix [kg], (n_dof, n_dof); None when it is to be estimated."""
     if mass == ESTIMATE:
         return None

@@ -8,7 +8,7 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.identify.model import DynamicModel, Term
 from labpipe.identify.settings import ESTIMATE, Mass
-from labpipe.identify.setup import Setup, angle_of, entry_term, given_matrices, labels
+from labpipe.identify.setup import Setup, angle_of, entry_term, fixed_matrices, labels
 from labpipe.records.response import Port
 from labpipe.records.rig import AXIS_ANGLES
 
@@ -39,7 +39,7 @@ def sdof(setup: Setup) -> DynamicModel:
     terms = [entry_term("k", "stiffness", [(0, 0)], shape), entry_term("c", "damping", [(0, 0)], shape)]
     if mass is None:
         terms.append(entry_term("m", "mass", [(0, 0)], shape, droppable=False))
-    return DynamicModel("sdof", tuple(terms), given_matrices(np.array([[mass or 0.0]]), np.ones(shape)))
+    return DynamicModel("sdof", tuple(terms), fixed_matrices(np.array([[mass or 0.0]]), np.ones(shape)))
 
 
 def rotor_2dof(setup: Setup) -> DynamicModel:
@@ -52,7 +52,7 @@ def rotor_2dof(setup: Setup) -> DynamicModel:
     """
     _need_ports(setup, "rotor-2dof", 2)
     axes = _axes(setup.outputs)
-    mass = _known_mass(setup)
+    mass = _mass_or_error(setup)
     shape = (2, len(setup.inputs))
     terms = [
         entry_term(f"{letter}_{row}{column}", kind, [(r, c)], shape)
@@ -66,7 +66,7 @@ def rotor_2dof(setup: Setup) -> DynamicModel:
         force = _directions(setup.outputs, axes, [angle for angle in angles if angle is not None])
     else:
         terms.extend(_force_factors(setup.inputs, shape, axes))
-    return DynamicModel("rotor-2dof", tuple(terms), given_matrices(mass * np.eye(2), force))
+    return DynamicModel("rotor-2dof", tuple(terms), fixed_matrices(mass * np.eye(2), force))
 
 
 def _force_factors(inputs: tuple[Port, ...], shape: tuple[int, int], axes: list[int]) -> list[Term]:
@@ -86,7 +86,7 @@ def rotor_2dof_direct(setup: Setup) -> DynamicModel:
     """
     if len(setup.outputs) not in (1, 2):
         raise ConfigError(f"rotor-2dof-direct takes one or two responses, found {labels(setup.outputs)}", hint="name them with `output`")
-    mass = _known_mass(setup)
+    mass = _mass_or_error(setup)
     angles = [angle_of(port) for port in setup.inputs]
     if None in angles:
         hint = "give its dof in the rig file as x, y or an angle such as '45 deg'"
@@ -102,10 +102,10 @@ def rotor_2dof_direct(setup: Setup) -> DynamicModel:
         for row, axis in enumerate(axes)
         for letter, kind in (("k", "stiffness"), ("c", "damping"))
     ]
-    return DynamicModel("rotor-2dof-direct", tuple(terms), given_matrices(mass * np.eye(len(axes)), force))
+    return DynamicModel("rotor-2dof-direct", tuple(terms), fixed_matrices(mass * np.eye(len(axes)), force))
 
 
-def _known_mass(setup: Setup) -> float:
+def _mass_or_error(setup: Setup) -> float:
     mass = _scalar_mass(setup.settings.mass)
     if mass is None:
         raise ConfigError(f"{setup.settings.model} needs the known mass", hint="for example mass: 0.92 kg, here or in the rig file")
@@ -131,10 +131,10 @@ def _directions(outputs: tuple[Port, ...], axes: list[int], angles: list[float])
 
     Responses along x and y have (cos, sin) of the force's angle; sensors turned by 45 deg see it in their own directions.
     """
-    own = [port.angle if port.angle is not None else axis * np.pi / 2 for port, axis in zip(outputs, axes, strict=True)]
-    if len(own) == 2 and abs(np.cos(own[0] - own[1])) > PERPENDICULAR:
+    response_angles = [port.angle if port.angle is not None else axis * np.pi / 2 for port, axis in zip(outputs, axes, strict=True)]
+    if len(response_angles) == 2 and abs(np.cos(response_angles[0] - response_angles[1])) > PERPENDICULAR:
         raise ConfigError(f"the responses {labels(outputs)} are not perpendicular", hint="the model needs two directions at 90 deg")
-    force = np.cos(np.subtract.outer(own, angles))
+    force = np.cos(np.subtract.outer(response_angles, angles))
     return np.where(np.abs(force) < 1e-15, 0.0, force)
 
 

@@ -36,7 +36,7 @@ def entry_term(name: str, kind: str, places: list[tuple[int, int]], shape: tuple
     return Term(name, UNITS[kind], replace(empty, **{kind: matrix}), droppable)
 
 
-def given_matrices(mass: FloatArray, force: FloatArray) -> Matrices:
+def fixed_matrices(mass: FloatArray, force: FloatArray) -> Matrices:
     """Fixed mass (n, n) [kg] and force factors (n, n_input); no prior of stiffness and damping."""
     return replace(no_matrices(*force.shape), mass=mass, force=force)
 

@@ -143,7 +143,7 @@ class RunUpMethod:
     remarks: tuple[str, ...] = ()
 
     def prediction(self, run: str) -> RunPrediction | None:
-        return next((one for one in self.predictions if one.run == run), None)
+        return next((prediction for prediction in self.predictions if prediction.run == run), None)
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ class MetamodelResult:
     model: dict[str, Any] = field(default_factory=dict)
 
     def prediction(self, run: str) -> RunPrediction | None:
-        return next((one for one in self.predictions if one.run == run), None)
+        return next((prediction for prediction in self.predictions if prediction.run == run), None)
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ class RunUpResult:
     findings: tuple[Finding, ...] = ()
 
     def method(self, name: str) -> RunUpMethod | None:
-        return next((one for one in self.methods if one.name == name), None)
+        return next((method for method in self.methods if method.name == name), None)
 
     def run(self, name: str) -> MeasuredRun:
         """KeyError with the known names on a miss."""

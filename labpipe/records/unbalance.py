@@ -28,9 +28,9 @@ class UnbalanceRuns:
 
     def values(self, case: UnbalanceCase) -> dict[str, tuple[float, str]]:
         """The largest radii [m] of a case and the speeds [Hz] at which they stand, by name, each with its unit."""
-        found = {}
+        peaks = {}
         for name, radius in (("forward", case.forward), ("backward", case.backward)):
             largest = max(radius)
-            found[f"{name}_peak"] = (largest, "m")
-            found[f"{name}_speed"] = (self.speed[radius.index(largest)], "Hz")
-        return found
+            peaks[f"{name}_peak"] = (largest, "m")
+            peaks[f"{name}_speed"] = (self.speed[radius.index(largest)], "Hz")
+        return peaks

@@ -72,5 +72,5 @@ def to_xarray(response: FrequencyResponse) -> xarray.Dataset:
         "output": [port.label for port in response.outputs],
         "input": [port.label for port in response.inputs],
     }
-    known = {name: (dims, values) for name, values in variables.items() if values is not None}
-    return xarray.Dataset(known, coords, {"form": response.form, "name": response.name, **response.conditions})
+    present = {name: (dims, values) for name, values in variables.items() if values is not None}
+    return xarray.Dataset(present, coords, {"form": response.form, "name": response.name, **response.conditions})
