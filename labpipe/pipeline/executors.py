@@ -28,38 +28,38 @@ def serially(work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
 
 
 def in_processes(count: int) -> Execute:
-    """In *count* processes of this machine; jobs of a process that was ended from outside are done again."""
+    """In *count* processes of this machine; jobs of a killed process are repeated."""
 
     def execute(work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
-        left = {job.test.name: job for job in jobs}
+        open_jobs = {job.test.name: job for job in jobs}
         for _ in range(ATTEMPTS - 1):
-            for done in _pooled(work, tuple(left.values()), count):
-                del left[done.test]
+            for done in _pooled(work, tuple(open_jobs.values()), count):
+                del open_jobs[done.test]
                 yield done
-        # Which job ends its process is not told: what is left gets a process of its own each.
-        for job in tuple(left.values()):
+        # The pool does not report which job ended its process: every open job runs in a separate process.
+        for job in tuple(open_jobs.values()):
             for done in _pooled(work, (job,), 1):
-                del left[done.test]
+                del open_jobs[done.test]
                 yield done
-        for name in left:
-            yield Done(name, failed=Failed(name, "its process was ended from outside, perhaps for lack of memory; use fewer processes"))
+        for name in open_jobs:
+            yield Done(name, failed=Failed(name, "its process was killed, perhaps for lack of memory; use fewer processes"))
 
     return execute
 
 
 def _pooled(work: Work, jobs: Sequence[Job], count: int) -> Iterator[Done]:
-    """The jobs that come to an end before a process is ended from outside."""
+    """Outcomes of the jobs that finish before a process is killed."""
     others = multiprocessing.active_children()
     # Fresh interpreters: forking a process that has threads is not safe.
     if not jobs:
         return
-    pool = ProcessPoolExecutor(min(count, len(jobs)), mp_context=multiprocessing.get_context("spawn"), initializer=_deaf)
+    pool = ProcessPoolExecutor(min(count, len(jobs)), mp_context=multiprocessing.get_context("spawn"), initializer=_ignore_interrupt)
     try:
         for future in as_completed([pool.submit(work, job) for job in jobs]):
             if not isinstance(future.exception(), BrokenProcessPool):
                 yield future.result()
     except BaseException:
-        # What they were making stands in the run's scratch folder, which goes with the run.
+        # Their unfinished files are in the run's scratch folder, which is removed at the end.
         for process in multiprocessing.active_children():
             if process not in others:
                 process.terminate()
@@ -68,8 +68,8 @@ def _pooled(work: Work, jobs: Sequence[Job], count: int) -> Iterator[Done]:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _deaf() -> None:
-    """Ctrl-C reaches all processes of a terminal: only the first one hears it, and ends the others."""
+def _ignore_interrupt() -> None:
+    """Workers ignore SIGINT; the parent terminates them."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

@@ -103,8 +103,8 @@ def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[Source
 
 def responses_of(job: Job, output: OutputFolder) -> list[FrequencyResponse]:
     """The measured response of the test, and its ready ones."""
-    made = [load_response(output.read_path(frf_file_name(job.test.name)))] if job.test.recordings else []
-    return [*made, *(load_response(path, job.test.name or path.stem, job.test.conditions) for path in job.test.frfs)]
+    measured = [load_response(output.read_path(frf_file_name(job.test.name)))] if job.test.recordings else []
+    return [*measured, *(load_response(path, job.test.name or path.stem, job.test.conditions) for path in job.test.frfs)]
 
 
 def response_refs(job: Job, output: OutputFolder) -> list[SourceRef]:
@@ -119,7 +119,7 @@ def fit(job: Job, output: OutputFolder) -> None:
     if has_fresh_fits(output.read_path(job.fits_name), job.fits, inputs):
         return
     responses = responses_of(job, output)
-    fits = [one for settings in job.fits for one in fits_of(responses, settings, job.pipeline_path)]
+    fits = [test_fit for settings in job.fits for test_fit in fits_of(responses, settings, job.pipeline_path)]
     write_fits(output.write_path(job.fits_name), fits, job.fits, inputs)
 
 
@@ -127,4 +127,4 @@ def finished_fits(jobs: Sequence[Job], output: OutputFolder) -> dict[str, list[F
     """The independent fits of finished jobs by their name in the pipeline, each in the order of the tests."""
     read = [read_fits(output.read_path(job.fits_name)) for job in jobs if job.fits]
     names = dict.fromkeys(settings.name for job in jobs for settings in job.fits)
-    return {name: [one for fits in read for one in fits if one.name == name] for name in names}
+    return {name: [test_fit for fits in read for test_fit in fits if test_fit.name == name] for name in names}

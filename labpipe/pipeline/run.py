@@ -79,7 +79,7 @@ def measure_tests(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits
         else:
             done = {job.test.name: Done(job.test.name, measure(job, output, manner.tell)) for job in jobs}
     finished = [job for job in jobs if done[job.test.name].failed is None]
-    failed = tuple(one.failed for one in (done[job.test.name] for job in jobs) if one.failed is not None)
+    failed = tuple(outcome.failed for outcome in (done[job.test.name] for job in jobs) if outcome.failed is not None)
     if failed and not finished:
         raise DataError(f"{failed[0].message} (and none of the other {len(failed) - 1} tests could be evaluated)")
     sources = [source for job in finished for source in done[job.test.name].sources]
@@ -90,13 +90,13 @@ def measure_tests(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits
 
 
 def independent_fits(pipeline: Pipeline) -> list[str]:
-    """The fits that a test can make by itself: all but those that begin with what another fit found."""
+    """Fits of a single test: all except those that start from another fit's result."""
     return [settings.name for settings in pipeline.fits if not settings.kind.earlier(settings)]
 
 
 @contextmanager
 def _scratch(target: Path) -> Iterator[Path]:
-    """A folder beside the output for what is being made; gone at the end, whatever happened to those who used it."""
+    """A folder beside the output for unfinished files, removed at the end in every case."""
     scratch = Path(tempfile.mkdtemp(prefix=".labpipe-", dir=existing_home(target)))
     try:
         yield scratch
@@ -111,9 +111,11 @@ def _jobs(pipeline: Pipeline, target: Path, scratch: Path, fits: Sequence[str]) 
         other = files.setdefault(frf_file_name(test.name), test.name)
         if other != test.name:
             raise ConfigError(f"tests '{other}' and '{test.name}' would write the same file", where=str(pipeline.path), hint="rename one")
-    known = [name for test in pipeline.tests for name in ([test.name] if test.recordings else [test.name or p.stem for p in test.frfs])]
+    test_names = [
+        name for test in pipeline.tests for name in ([test.name] if test.recordings else [test.name or p.stem for p in test.frfs])
+    ]
     for settings in pipeline.fits:
-        check_tested(settings, known)
+        check_tested(settings, test_names)
     names = iter(unique_names([source.path for test in pipeline.tests for source in test.recordings]))
     return [
         Job(
@@ -130,13 +132,13 @@ def _jobs(pipeline: Pipeline, target: Path, scratch: Path, fits: Sequence[str]) 
 
 
 def _worked(jobs: Sequence[Job], manner: Manner) -> dict[str, Done]:
-    """How every job ended, by its test; DataError when the user interrupts it."""
+    """Outcome of every job by its test; DataError when the user interrupts it."""
     done: dict[str, Done] = {}
     try:
-        for one in manner.execute(work, jobs):
-            done[one.test] = one
-            manner.progress(len(done), len(jobs), one.test)
+        for outcome in manner.execute(work, jobs):
+            done[outcome.test] = outcome
+            manner.progress(len(done), len(jobs), outcome.test)
     except KeyboardInterrupt:
-        kept = f"{len(done)} of {len(jobs)} tests are finished and kept"
-        raise DataError(f"interrupted; {kept}", hint="the same command goes on from there") from None
+        remark = f"{len(done)} of {len(jobs)} tests are finished and kept"
+        raise DataError(f"interrupted; {remark}", hint="the same command goes on from there") from None
     return done
