@@ -13,7 +13,7 @@ from labpipe.errors import ConfigError
 from labpipe.quantities import QUANTITIES, UnitError, parse_value, to_display
 from labpipe.records.setting_values import parse_phasor
 from labpipe.spectra.settings import ShaftLines
-from labpipe.stages.orders import Clearance, told, track_run, write_tracked
+from labpipe.stages.orders import Clearance, order_lines, track_run, write_tracked
 from labpipe.stages.orders import save_run_up as table_of
 
 
@@ -72,7 +72,7 @@ def orders(
     click.echo(f"{run.name}: order {order:g}, {run.speeds.size} segments of {revolutions} revolutions, {between}")
     quantity = QUANTITIES.get(run.quantity)
     unit = quantity.display_unit if quantity else "SI"
-    for row in told(run, unit, lambda value: to_display(value, unit) if quantity else value):
+    for row in order_lines(run, unit, lambda value: to_display(value, unit) if quantity else value):
         click.echo(f"  {row}")
     click.echo(f"written to {output}: {', '.join(names)}" + (f"; {save_run_up}, {speeds} speeds" if speeds else ""))
 

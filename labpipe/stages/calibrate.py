@@ -35,14 +35,14 @@ def calibrate(calibrations: Iterable[CalibrationSettings]) -> list[Fit]:
     fits: list[Fit] = []
     for settings in calibrations:
         try:
-            fits.extend(_calibrate_one(settings))
+            fits.extend(_fits_of_table(settings))
         except LabpipeError as error:
             error.where = error.where or str(settings.path)
             raise
     return fits
 
 
-def _calibrate_one(settings: CalibrationSettings) -> list[Fit]:
+def _fits_of_table(settings: CalibrationSettings) -> list[Fit]:
     table = open_table(settings.path)
     names = [settings.x, settings.y, *([settings.group] if settings.group else [])]
     check_columns(table, names)
@@ -67,10 +67,10 @@ def _grouped(settings: CalibrationSettings, x: _Column, y: _Column, group: _Colu
     positions = np.unique(group.values)
     fits = []
     for position in positions:
-        own = group.values == position
-        line = fit_line(x.values[own], y.values[own], through_origin=settings.through_origin)
+        in_group = group.values == position
+        line = fit_line(x.values[in_group], y.values[in_group], through_origin=settings.through_origin)
         test = f"{settings.group.split(' [')[0]} {_shown(position, group.unit)}"
-        fits.append(line_fit(settings.name, test, line, _units(x, y), x.values[own], y.values[own]))
+        fits.append(line_fit(settings.name, test, line, _units(x, y), x.values[in_group], y.values[in_group]))
     if settings.tolerance is not None:
         slopes = np.array([fit.parameter("slope").value for fit in fits])
         reach = Parameter("linear_range", linear_range(positions, slopes, settings.tolerance), group.unit, derived=True)

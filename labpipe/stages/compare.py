@@ -30,15 +30,15 @@ def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparis
     Otherwise LabpipeError names the comparison.
     """
     evidence = Evidence(tuple(work.fits), tuple(work.responses), work.pipeline.fits)
-    made: list[Comparison] = []
+    comparisons: list[Comparison] = []
     for comparison in settings:
         try:
-            made.append(_compared(work.pipeline.path, comparison, evidence))
+            comparisons.append(_compared(work.pipeline.path, comparison, evidence))
         except LabpipeError as error:
             if not work.go_on:
                 raise
             work.failed.append(Failed(COMPARE_PREFIX + comparison.name, str(error)))
-    return tuple(made)
+    return tuple(comparisons)
 
 
 def _compared(path: Path, settings: CompareSettings, evidence: Evidence) -> Comparison:
@@ -46,8 +46,8 @@ def _compared(path: Path, settings: CompareSettings, evidence: Evidence) -> Comp
     try:
         if named is None:
             return compare(settings, evidence)
-        made = magnetic_theory if settings.kind in MAGNETIC_KINDS else theory_of
-        return compare(settings, evidence, made(path.parent, named))
+        make_theory = magnetic_theory if settings.kind in MAGNETIC_KINDS else theory_of
+        return compare(settings, evidence, make_theory(path.parent, named))
     except LabpipeError as error:
         error.where = error.where or f"{path}: compare.{settings.name}"
         raise
@@ -76,8 +76,8 @@ def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
         raise ConfigError(f"is of the kind {file.kind_name}", where=str(file.path), hint=f"a loop is predicted for the kind {MAGNETIC}")
 
     def at(condition: float | None, unit: str) -> MagneticFile:
-        found: MagneticFile = file.settings() if condition is None else _settings_at(file, settings.entry, condition, unit)
-        return found
+        bearing: MagneticFile = file.settings() if condition is None else _settings_at(file, settings.entry, condition, unit)
+        return bearing
 
     return at
 

@@ -24,10 +24,10 @@ def shipped() -> Path:
 
 def examples() -> dict[str, list[Path]]:
     """The pipelines of every rig by the rig's name: that of its recordings, or of what describes it where it has none."""
-    found: dict[str, list[Path]] = {}
+    by_rig: dict[str, list[Path]] = {}
     for path in sorted((shipped() / "pipelines").glob("*.yaml")):
-        found.setdefault(_rig_of(path), []).append(path)
-    return dict(sorted(found.items()))
+        by_rig.setdefault(_rig_of(path), []).append(path)
+    return dict(sorted(by_rig.items()))
 
 
 def _rig_of(path: Path) -> str:
@@ -44,14 +44,14 @@ def copy_example(name: str, output: OutputFolder) -> list[str]:
 
     ConfigError when there is none of that name.
     """
-    known = examples()
-    if name not in known:
-        raise ConfigError(f"no example '{name}'", hint=nearest(name, known))
+    pipelines = examples()
+    if name not in pipelines:
+        raise ConfigError(f"no example '{name}'", hint=nearest(name, pipelines))
     root = shipped()
-    files = [*known[name], *(path for path in (root / "configs").rglob("*") if path.is_file())]
-    samples = {sample for pipeline in known[name] for sample in _SAMPLE.findall(pipeline.read_text(encoding="utf-8"))}
+    files = [*pipelines[name], *(path for path in (root / "configs").rglob("*") if path.is_file())]
+    samples = {sample for pipeline in pipelines[name] for sample in _SAMPLE.findall(pipeline.read_text(encoding="utf-8"))}
     for sample in sorted(samples):
         files.extend(path for path in (root / "sample_data" / sample).rglob("*") if path.is_file())
     for path in files:
         output.write_path(path.relative_to(root).as_posix()).write_bytes(path.read_bytes())
-    return [pipeline.name for pipeline in known[name]]
+    return [pipeline.name for pipeline in pipelines[name]]

@@ -14,9 +14,9 @@ from labpipe.config.rig import DEFAULT_ROLES
 from labpipe.formats.table import Table
 from labpipe.quantities import QUANTITIES, UnitError, parse_unit
 
-# Rows that are looked at; more do not tell more.
+# Largest number of rows read.
 MOST_ROWS = 1 << 21
-# A column whose steps are all alike to this is a time axis.
+# Relative deviation of the steps of a time axis.
 EVEN = 1e-3
 
 _RECORDED = ("force", "displacement", "velocity", "acceleration", "voltage", "current", "pressure", "temperature", "moment")
@@ -48,15 +48,15 @@ class GuessedChannel:
 
     @property
     def decisions(self) -> tuple[str, ...]:
-        """What a person must decide about it, in words."""
-        asked = {
-            "quantity": f"what is measured: {', '.join(_RECORDED[:4])}, ...; a channel that is not needed may go",
+        """Decisions that the user must take, as text."""
+        questions = {
+            "quantity": f"what is measured: {', '.join(_RECORDED[:4])}, ...; delete a channel that is not needed",
             "unit": f"the unit of the recorded numbers, for example {QUANTITIES[self.quantity].si_unit}"
             if self.quantity in QUANTITIES
             else "the unit of the recorded numbers",
             "sensitivity": "recorded volts per quantity, for example 8 V/mm",
         }
-        return tuple(text for name, text in asked.items() if getattr(self, name) == DECIDE)
+        return tuple(text for name, text in questions.items() if getattr(self, name) == DECIDE)
 
 
 def first_rows(table: Table) -> tuple[tuple[str, ...], FloatArray]:
@@ -91,12 +91,12 @@ def guess_channels(names: Sequence[str], units: dict[str, str]) -> list[GuessedC
 
 
 def _guess(name: str, key: str, unit: str) -> GuessedChannel:
-    words = re.sub(r"[_\W]+", " ", _BRACKETS.sub(" ", name).lower())
-    by_name = next((quantity for quantity, pattern in _BY_NAME if re.search(pattern, words)), DECIDE)
+    plain_name = re.sub(r"[_\W]+", " ", _BRACKETS.sub(" ", name).lower())
+    by_name = next((quantity for quantity, pattern in _BY_NAME if re.search(pattern, plain_name)), DECIDE)
     quantity = _measured_in(unit)
     sensitivity = ""
     if quantity in ("voltage", "") and by_name not in (DECIDE, "tacho"):
-        # A sensor's volts, or a number without a unit: the name says what it means.
+        # A sensor's volts, or a number without a unit: the quantity follows from the name.
         sensitivity = DECIDE if quantity == "voltage" else ""
         quantity = by_name
     elif by_name == "tacho":
@@ -114,23 +114,23 @@ def _measured_in(unit: str) -> str:
         dimension = parse_unit(unit).dimension
     except UnitError:
         return ""
-    found = (name for name in _RECORDED if parse_unit(QUANTITIES[name].si_unit).dimension == dimension)
-    return next(found, "")
+    matching = (name for name in _RECORDED if parse_unit(QUANTITIES[name].si_unit).dimension == dimension)
+    return next(matching, "")
 
 
 def _direction(name: str) -> str:
     """x, y or z where the name has one as a word or at its end."""
-    words = _BRACKETS.sub(" ", name)
-    match = re.search(r"(?:^|[_\W\d])([xyz])(?:$|[_\W\d])", words, re.I) or re.search(r"[a-z]([XYZ])\b", words)
+    plain_name = _BRACKETS.sub(" ", name)
+    match = re.search(r"(?:^|[_\W\d])([xyz])(?:$|[_\W\d])", plain_name, re.I) or re.search(r"[a-z]([XYZ])\b", plain_name)
     return match[1].lower() if match else ""
 
 
-def _key(name: str, taken: Sequence[str]) -> str:
+def _key(name: str, used_keys: Sequence[str]) -> str:
     """A short name for a channel: the column's without its unit, in letters, digits and underscores."""
     plain = re.sub(r"\W+", "_", _BRACKETS.sub(" ", name)).strip("_").lower() or "channel"
     key = plain if plain[0].isalpha() else f"ch_{plain}"
     number = 1
-    while key in taken:
+    while key in used_keys:
         number += 1
         key = f"{plain}_{number}"
     return key

@@ -16,7 +16,7 @@ from labpipe.stages.work import Work
 
 
 def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
-    """Every fit on every test that it names; those that were made test by test are taken as they are."""
+    """Every fit on every test that it names; fits already made test by test are reused."""
     fits: list[Fit] = []
     for fit in settings:
         if fit.name in work.made:
@@ -34,17 +34,17 @@ def fits_of(responses: Sequence[FrequencyResponse], settings: FitSettings, pipel
         if settings.test and response.name not in settings.test:
             continue
         try:
-            found = identify(response, settings)
+            response_fits = identify(response, settings)
         except LabpipeError as error:
             test = f", test {response.name}" if response.name else ""
             error.where = error.where or f"{pipeline_path}: identify.{settings.name}{test}"
             raise
-        fits.extend(dataclasses.replace(fit, test=response.name) for fit in found)
+        fits.extend(dataclasses.replace(fit, test=response.name) for fit in response_fits)
     return fits
 
 
-def check_tested(settings: FitSettings, known: Sequence[str]) -> None:
-    """ConfigError when a fit names a test that is not *known*."""
+def check_tested(settings: FitSettings, test_names: Sequence[str]) -> None:
+    """ConfigError when a fit names a test that is not *test_names*."""
     for name in settings.test:
-        if name not in known:
-            raise ConfigError(f"identify.{settings.name}.test: no test '{name}'", hint=nearest(name, known))
+        if name not in test_names:
+            raise ConfigError(f"identify.{settings.name}.test: no test '{name}'", hint=nearest(name, test_names))

@@ -88,9 +88,9 @@ def _run_sections(work: Work) -> dict[str, Any]:
 
 def _same_work(existing: Identification, basis: Identification) -> bool:
     """True if both rest on the same inputs, settings, rig and code, and the same tests failed."""
-    kept = tuple(failure for failure in existing.failed if not failure.name.startswith(COMPARE_PREFIX))
+    failed_tests = tuple(failure for failure in existing.failed if not failure.name.startswith(COMPARE_PREFIX))
     same = all(getattr(existing, name) == getattr(basis, name) for name in BASIS)
-    return same and kept == basis.failed
+    return same and failed_tests == basis.failed
 
 
 def _existing(output: OutputFolder) -> Identification | None:

@@ -82,26 +82,26 @@ def contradictions(table: Table, rig: Rig) -> list[DataError]:
     checks.extend(partial(_check_unit, table, channel) for channel in rig.channels)
     if rig.time is None:
         checks.append(partial(stated_rate, table, rig))
-    found: list[DataError] = []
+    faults: list[DataError] = []
     for check in checks:
         try:
             check()
         except DataError as error:
             error.where = ""
-            found.append(error)
-    return found
+            faults.append(error)
+    return faults
 
 
 def stated_rate(table: Table, rig: Rig) -> float:
     """The sampling rate [Hz] that the rig file or the file itself states; DataError when none does, or both do and differ."""
-    own = table.sample_rate
-    if rig.sample_rate is None and own is None:
-        what = "states no sampling rate, and one of sample_rate and time is needed in the rig file"
-        raise DataError(what, where=str(table.path), hint='write sample_rate: 20 kHz or time: "t [s]"')
-    if rig.sample_rate is not None and own is not None and abs(own / rig.sample_rate - 1) > SAME_RATE:
-        what = f"is sampled at {own:g} Hz by the file itself, at {rig.sample_rate:g} Hz by the rig file"
-        raise DataError(what, where=str(table.path), hint="leave sample_rate out of the rig file, or correct it")
-    return float(rig.sample_rate or own or 0.0)
+    file_rate = table.sample_rate
+    if rig.sample_rate is None and file_rate is None:
+        message = "states no sampling rate, and one of sample_rate and time is needed in the rig file"
+        raise DataError(message, where=str(table.path), hint='write sample_rate: 20 kHz or time: "t [s]"')
+    if rig.sample_rate is not None and file_rate is not None and abs(file_rate / rig.sample_rate - 1) > SAME_RATE:
+        message = f"is sampled at {file_rate:g} Hz by the file itself, at {rig.sample_rate:g} Hz by the rig file"
+        raise DataError(message, where=str(table.path), hint="leave sample_rate out of the rig file, or correct it")
+    return float(rig.sample_rate or file_rate or 0.0)
 
 
 def _check_unit(table: Table, channel: RigChannel) -> None:

@@ -38,12 +38,14 @@ def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse:
     return _of_table(file, rig)
 
 
-def write_card(seen: Overview | FrequencyResponse, file: str, path: Path) -> None:
+def write_card(content_overview: Overview | FrequencyResponse, file: str, path: Path) -> None:
     """The card of a file as a document; the format follows from the ending of *path* (.html, .pdf, .md)."""
     from labpipe.document.render import DOCUMENTS
     from labpipe.report.card import recording_card, response_card
 
-    document = response_card(seen, file) if isinstance(seen, FrequencyResponse) else recording_card(seen)
+    document = (
+        response_card(content_overview, file) if isinstance(content_overview, FrequencyResponse) else recording_card(content_overview)
+    )
     content: bytes = DOCUMENTS.load(format_of(path))(document)
     with output_file(path) as target:
         target.write_bytes(content)
@@ -78,7 +80,7 @@ def _of_recording(recording: StoredRecording) -> Overview:
     for block in recording.blocks(BLOCK):
         look.add(block)
     rate = recording.sample_rate
-    words = f"{rate:g} Hz, {recording.n_sample / rate:g} s"
+    rate_text = f"{rate:g} Hz, {recording.n_sample / rate:g} s"
     about = [f"{channel.role} {channel.dof}" for channel in recording.channels]
     channels = look.channels([channel.unit for channel in recording.channels], about, rate)
     return Overview(
@@ -86,43 +88,43 @@ def _of_recording(recording: StoredRecording) -> Overview:
         "calibrated recording",
         n_sample=recording.n_sample,
         sample_rate=rate,
-        rate=words,
+        rate=rate_text,
         channels=channels,
         findings=recording.findings,
     )
 
 
 def _of_table(file: Path, rig: Rig | None) -> Overview:
-    """A raw file: the rate it states itself, or that of a column which is a time."""
+    """Overview of a raw file; rate from the file itself or from its time column."""
     table = open_table(file)
     names = list(dict.fromkeys(table.columns))
     times = [name for name in names if name.split("[")[0].split("(")[0].strip().lower() in TIME_NAMES]
     look, time = _Look(names), TimeAxisScreen(times[0]) if times else None
-    rate, words = table.sample_rate, "no time column; the rig file gives the rate"
+    rate, rate_text = table.sample_rate, "no time column; the rig file gives the rate"
     try:
         for chunk in table.chunks(names):
             look.add(chunk)
             if time is not None:
                 time.add(chunk[:, names.index(times[0])])
         if rate is not None:
-            words = f"{rate:g} Hz"
+            rate_text = f"{rate:g} Hz"
         elif time is not None:
             per_unit = time.sample_rate()
-            rate, words = per_unit / time_scale(times[0]), f"{per_unit:g} samples per unit of '{times[0]}'"
+            rate, rate_text = per_unit / time_scale(times[0]), f"{per_unit:g} samples per unit of '{times[0]}'"
     except DataError as error:
         error.where = error.where or str(file)
         raise
     if rate is None and rig is not None:
         rate = rig.sample_rate
     channels = look.channels([table.units.get(name, "") for name in names], [_role(name, rig) for name in names], rate)
-    against = None if rig is None else tuple(str(one) for one in contradictions(table, rig))
+    against = None if rig is None else tuple(str(contradiction) for contradiction in contradictions(table, rig))
     time_name = times[0] if times else ""
     return Overview(
         file.name,
         "raw file",
         n_sample=look.screen.n_sample,
         sample_rate=rate,
-        rate=words,
+        rate=rate_text,
         channels=channels,
         findings=look.screen.findings(),
         time=time_name,
@@ -131,6 +133,6 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
 
 
 def _role(column: str, rig: Rig | None) -> str:
-    """What the rig file says of a column: channel, role and dof."""
-    found = [one.channel for one in (rig.channels if rig is not None else ()) if one.column == column]
-    return ", ".join(f"{channel.name}: {channel.role} {channel.dof}" for channel in found)
+    """Channel, role and dof of a column by the rig file."""
+    channels = [channel.channel for channel in (rig.channels if rig is not None else ()) if channel.column == column]
+    return ", ".join(f"{channel.name}: {channel.role} {channel.dof}" for channel in channels)

@@ -54,12 +54,12 @@ def _ruled(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> RuleO
 
 def _addressed(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
     """All fits of the rule's name, or those that stand in brackets: a test's name, a diagonal term or the centre of a band."""
-    found = [fit for fit in fits if fit.name == rule.fit]
+    addressed = [fit for fit in fits if fit.name == rule.fit]
     if rule.which:
-        found = [fit for fit in found if rule.which in (fit.test, fit.term) or _is_centre(rule.which, fit.centre_hz)]
-    if not found:
+        addressed = [fit for fit in addressed if rule.which in (fit.test, fit.term) or _is_centre(rule.which, fit.centre_hz)]
+    if not addressed:
         raise ConfigError(f"{rule.section}.{rule.address}: no such fit in the result", where=rule.place)
-    return found
+    return addressed
 
 
 def _is_centre(text: str, centre: float) -> bool:
@@ -75,37 +75,37 @@ def _outcome(rule: Rule, fits: list[Fit]) -> RuleOutcome:
     if rule.item == "count":
         compared = [compare_number(rule, float(len(fits)), "1")]
     elif rule.item == "warnings":
-        compared = [_warnings_held(rule, fit) for fit in fits]
+        compared = [_compare_warnings(rule, fit) for fit in fits]
     else:
-        compared = [_item_held(rule, fit) for fit in _having(rule, fits)]
+        compared = [_compare_item(rule, fit) for fit in _having(rule, fits)]
     value, passed = next((pair for pair in compared if not pair[1]), compared[0])
     return RuleOutcome(rule.section, rule.text, value, passed)
 
 
-def _warnings_held(rule: Rule, fit: Fit) -> tuple[str, bool]:
+def _compare_warnings(rule: Rule, fit: Fit) -> tuple[str, bool]:
     """ "collinear" must be among the warnings, "not collinear" must not; "none" means no warning at all."""
     codes = [finding.code for finding in of_level(WARNING, fit.findings)]
-    word = rule.bound
-    if word == "none":
+    code = rule.bound
+    if code == "none":
         passed = not codes
-    elif word.startswith("not "):
-        passed = word.removeprefix("not ").strip() not in codes
+    elif code.startswith("not "):
+        passed = code.removeprefix("not ").strip() not in codes
     else:
-        passed = word in codes
+        passed = code in codes
     return ", ".join(codes) or "none", passed
 
 
 def _having(rule: Rule, fits: list[Fit]) -> list[Fit]:
-    """The fits that have what the rule names; a calibration's linear range stands with its first line only."""
+    """The fits that have the parameter of the rule; of a calibration, only the first line has the linear range."""
     name, _ = _split(rule.item, fits)
     if rule.item in _FIT_VALUES:
         return fits
-    found = [fit for fit in fits if name in [parameter.name for parameter in fit.parameters]]
-    if not found:
+    having = [fit for fit in fits if name in [parameter.name for parameter in fit.parameters]]
+    if not having:
         names = dict.fromkeys(parameter.name for fit in fits for parameter in fit.parameters)
         hint = nearest(name, [*names, *_FIT_VALUES, "warnings", "count"])
         raise ConfigError(f"{rule.section}.{rule.address}: the fit has no '{name}'", where=rule.place, hint=hint)
-    return found
+    return having
 
 
 def _split(item: str, fits: Sequence[Fit]) -> tuple[str, str]:
@@ -116,14 +116,14 @@ def _split(item: str, fits: Sequence[Fit]) -> tuple[str, str]:
     return (name, attribute) if name else (item, "")
 
 
-def _item_held(rule: Rule, fit: Fit) -> tuple[float | str | None, bool]:
+def _compare_item(rule: Rule, fit: Fit) -> tuple[float | str | None, bool]:
     if rule.item in _FIT_VALUES:
         return compare_number(rule, _FIT_VALUES[rule.item](fit), "1")
     name, attribute = _split(rule.item, [fit])
     parameter = fit.parameter(name)
     if attribute == "significant":
-        word = str(bool(parameter.significant)).lower()
-        return word, word == rule.bound
+        text = str(bool(parameter.significant)).lower()
+        return text, text == rule.bound
     if attribute == "std_error":
         return compare_number(rule, parameter.std_error, parameter.unit)
     return compare_number(rule, parameter.value, parameter.unit)

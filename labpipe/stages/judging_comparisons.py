@@ -11,23 +11,23 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.identification import Parameter, RuleOutcome
 from labpipe.registry import nearest
 
-# (rule, value, unit) -> (value shown, whether it holds)
-Held = Callable[[Rule, float | None, str], tuple[float | None, bool]]
+# (rule, value, unit) -> (value shown, passed)
+CompareNumber = Callable[[Rule, float | None, str], tuple[float | None, bool]]
 
 
-def comparison_outcome(rule: Rule, comparisons: Sequence[Comparison], held: Held) -> RuleOutcome:
-    """The outcome of a rule on a comparison; *held* compares a number with the rule. ConfigError for what the comparison has not."""
-    comparison = next(each for each in comparisons if each.name == rule.fit)
+def comparison_outcome(rule: Rule, comparisons: Sequence[Comparison], compare_number: CompareNumber) -> RuleOutcome:
+    """The outcome of a rule on a comparison; *compare_number*: of rule, value, unit. ConfigError for an unknown item."""
+    comparison = next(candidate for candidate in comparisons if candidate.name == rule.fit)
     if rule.item == "verdict":
         return RuleOutcome(rule.section, rule.text, comparison.verdict, comparison.verdict == rule.bound)
     if rule.item == "count":
-        return RuleOutcome(rule.section, rule.text, *held(rule, float(len(comparison.points)), "1"))
+        return RuleOutcome(rule.section, rule.text, *compare_number(rule, float(len(comparison.points)), "1"))
     name, _, attribute = rule.item.partition(".")
     amount = _amount(rule, comparison, name)
     if attribute == "covers":
         return _covers(rule, amount)
     value = amount.std_error if attribute == "std_error" else amount.value
-    return RuleOutcome(rule.section, rule.text, *held(rule, value, amount.unit))
+    return RuleOutcome(rule.section, rule.text, *compare_number(rule, value, amount.unit))
 
 
 def _amount(rule: Rule, comparison: Comparison, name: str) -> Parameter:
@@ -39,7 +39,7 @@ def _amount(rule: Rule, comparison: Comparison, name: str) -> Parameter:
 
 
 def _covers(rule: Rule, amount: Parameter) -> RuleOutcome:
-    """Whether the 95 % interval holds the value that the rule names; the interval is what was found."""
+    """True if the 95 % interval covers the value of the rule, with the interval as text."""
     try:
         wanted = parse_value(rule.bound, amount.unit)
     except UnitError as error:

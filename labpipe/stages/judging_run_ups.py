@@ -19,7 +19,7 @@ from labpipe.records.identification import RuleOutcome
 from labpipe.records.run_up_result import Amount, MeasuredRun, MetamodelResult, RunPrediction, RunUpMethod, RunUpResult
 from labpipe.registry import nearest
 
-Held = Callable[[Rule, float | None, str], tuple[float | None, bool]]
+CompareNumber = Callable[[Rule, float | None, str], tuple[float | None, bool]]
 MEASURED = "measured"
 SPEEDS = ("critical_speed", "threshold")
 ATTRIBUTES = ("std_error", "covers", "difference")
@@ -30,33 +30,33 @@ METHOD_VALUES: dict[str, Callable[[RunUpMethod], float | None]] = {
     "chi2_p": lambda method: method.chi2_p,
     "share_at_bound": lambda method: method.share_at_bound,
 }
-_ADDRESS = re.compile(r"^(?P<who>[^.\[\]]+)(?:\[(?P<run>[^\]]*)\])?\.(?P<item>\w+)(?:\.(?P<attribute>\w+))?$")
+_ADDRESS = re.compile(r"^(?P<method>[^.\[\]]+)(?:\[(?P<run>[^\]]*)\])?\.(?P<item>\w+)(?:\.(?P<attribute>\w+))?$")
 HZ = 1 / (2 * np.pi)
 
 
 @dataclass(frozen=True)
 class _Address:
-    """A rule taken apart: whose value, of which run, which item, which attribute of it."""
+    """Parts of a rule's address: method, run, item, attribute."""
 
-    who: str
+    method: str
     run: str
     item: str
     attribute: str
 
 
-def run_up_outcome(rule: Rule, result: RunUpResult, held: Held) -> RuleOutcome:
+def run_up_outcome(rule: Rule, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
     """The outcome of a rule; ConfigError at its place for what the result does not have."""
     if rule.item == "warnings":
         return _warnings(rule, result)
     match = _ADDRESS.match(rule.item)
     if match is None:
         raise _fault(rule, "is no address", "write run_ups.joint[held-out].critical_speed")
-    address = _Address(match["who"], match["run"] or "", match["item"], match["attribute"] or "")
+    address = _Address(match["method"], match["run"] or "", match["item"], match["attribute"] or "")
     if address.run and address.run not in [run.name for run in result.runs]:
         raise _fault(rule, f"there is no run '{address.run}'", nearest(address.run, [run.name for run in result.runs]))
     if address.item in SPEEDS:
-        return _speed(rule, address, result, held)
-    return _of_method(rule, address, result, held)
+        return _speed(rule, address, result, compare_number)
+    return _of_method(rule, address, result, compare_number)
 
 
 def _fault(rule: Rule, what: str, hint: str) -> ConfigError:
@@ -76,65 +76,67 @@ def _predictors(result: RunUpResult) -> dict[str, RunUpMethod | MetamodelResult]
     return {method.name: method for method in methods}
 
 
-def _of_method(rule: Rule, address: _Address, result: RunUpResult, held: Held) -> RuleOutcome:
+def _of_method(rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
     """Rank, condition, chi-square, share at bounds, verdict of a method; the largest left-out error of a metamodel."""
-    known = _predictors(result)
-    if address.who not in known:
-        raise _fault(rule, f"there is no method '{address.who}'", nearest(address.who, [*known, MEASURED]))
-    one = known[address.who]
-    if isinstance(one, MetamodelResult):
+    predictors = _predictors(result)
+    if address.method not in predictors:
+        raise _fault(rule, f"there is no method '{address.method}'", nearest(address.method, [*predictors, MEASURED]))
+    predictor = predictors[address.method]
+    if isinstance(predictor, MetamodelResult):
         if address.item != "left_out":
             raise _fault(rule, f"a metamodel has no '{address.item}'", nearest(address.item, [*SPEEDS, "left_out"]))
-        worst = max((_rms(left.errors) for left in one.left_out), default=None)
-        return RuleOutcome(rule.section, rule.text, *held(rule, worst, "1"))
+        worst = max((_rms(validation.errors) for validation in predictor.left_out), default=None)
+        return RuleOutcome(rule.section, rule.text, *compare_number(rule, worst, "1"))
     if address.item == "verdict":
-        return RuleOutcome(rule.section, rule.text, one.verdict, one.verdict == rule.bound)
+        return RuleOutcome(rule.section, rule.text, predictor.verdict, predictor.verdict == rule.bound)
     if address.item not in METHOD_VALUES:
         hint = nearest(address.item, [*SPEEDS, *METHOD_VALUES, "verdict"])
         raise _fault(rule, f"a method has no '{address.item}'", hint)
-    return RuleOutcome(rule.section, rule.text, *held(rule, METHOD_VALUES[address.item](one), "1"))
+    return RuleOutcome(rule.section, rule.text, *compare_number(rule, METHOD_VALUES[address.item](predictor), "1"))
 
 
 def _rms(errors: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def _speed(rule: Rule, address: _Address, result: RunUpResult, held: Held) -> RuleOutcome:
+def _speed(rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
     """A critical or threshold speed of one run, or of every run that has it; the value shown is the first that fails, or the first."""
     if address.attribute and address.attribute not in ATTRIBUTES:
         raise _fault(rule, f"a speed has no '{address.attribute}'", nearest(address.attribute, ATTRIBUTES))
     runs = [run for run in result.runs if address.run in ("", run.name)]
-    found = [(run, _amount(rule, address, result, run)) for run in runs]
-    kept = [(run, amount) for run, amount in found if amount is not None] or found[:1]
-    outcomes = [_attribute(rule, address, run, amount, held) for run, amount in kept]
+    candidates = [(run, _amount(rule, address, result, run)) for run in runs]
+    selected = [(run, amount) for run, amount in candidates if amount is not None] or candidates[:1]
+    outcomes = [_attribute(rule, address, run, amount, compare_number) for run, amount in selected]
     value, passed = next((pair for pair in outcomes if not pair[1]), outcomes[0])
     return RuleOutcome(rule.section, rule.text, value, passed)
 
 
 def _amount(rule: Rule, address: _Address, result: RunUpResult, run: MeasuredRun) -> Amount | None:
-    if address.who == MEASURED:
+    if address.method == MEASURED:
         return getattr(run, address.item)
-    known = _predictors(result)
-    if address.who not in known:
-        raise _fault(rule, f"there is no method '{address.who}'", nearest(address.who, [*known, MEASURED]))
-    told: RunPrediction | None = known[address.who].prediction(run.name)
-    return None if told is None else getattr(told, address.item)
+    predictors = _predictors(result)
+    if address.method not in predictors:
+        raise _fault(rule, f"there is no method '{address.method}'", nearest(address.method, [*predictors, MEASURED]))
+    prediction: RunPrediction | None = predictors[address.method].prediction(run.name)
+    return None if prediction is None else getattr(prediction, address.item)
 
 
-def _attribute(rule: Rule, address: _Address, run: MeasuredRun, amount: Amount | None, held: Held) -> tuple[float | str | None, bool]:
+def _attribute(
+    rule: Rule, address: _Address, run: MeasuredRun, amount: Amount | None, compare_number: CompareNumber
+) -> tuple[float | str | None, bool]:
     if address.attribute == "covers":
         return _covers(rule, amount)
     if address.attribute == "difference":
         measured: Amount | None = getattr(run, address.item)
-        return held(rule, None if amount is None or measured is None else abs(amount.value / measured.value - 1), "1")
+        return compare_number(rule, None if amount is None or measured is None else abs(amount.value / measured.value - 1), "1")
     if amount is None:
-        return held(rule, None, "Hz")
+        return compare_number(rule, None, "Hz")
     value = amount.std_error if address.attribute == "std_error" else amount.value
-    return held(rule, None if value is None else HZ * value, "Hz")
+    return compare_number(rule, None if value is None else HZ * value, "Hz")
 
 
 def _covers(rule: Rule, amount: Amount | None) -> tuple[str, bool]:
-    """Whether the 95 % interval holds the speed that the rule names; the interval is what was found."""
+    """The 95 % interval as text, and True if it covers the speed of the rule."""
     try:
         wanted = parse_value(rule.bound, "Hz")
     except UnitError as error:

@@ -12,7 +12,7 @@ from labpipe.records.identification import RuleOutcome
 from labpipe.records.study import Studies, StudyCase
 from labpipe.registry import nearest
 
-Held = Callable[[Rule, float | None, str], tuple[float | None, bool]]
+CompareNumber = Callable[[Rule, float | None, str], tuple[float | None, bool]]
 _STUDIED = re.compile(r"^(?P<fit>[^.\[\]]+)(?:\[(?P<noise>[^\]]*)\])?\.(?P<item>\w+)$")
 _CASE_VALUES: dict[str, Callable[[StudyCase], float | None]] = {
     "mean_error": lambda case: case.mean_error,
@@ -24,19 +24,19 @@ _CASE_VALUES: dict[str, Callable[[StudyCase], float | None]] = {
 }
 
 
-def study_outcome(rule: Rule, studies: Studies, held: Held) -> RuleOutcome:
-    """A rule on "fit[noise].item", or "fit.item" for every noise level; threshold is the noise at which success ends."""
+def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -> RuleOutcome:
+    """A rule on "fit[noise].item", or "fit.item" for every noise level; threshold is the noise level of the success limit."""
     match = _STUDIED.match(rule.item)
     if match is None:
         raise ConfigError(f"{rule.section}.{rule.address}: is no address", where=rule.place, hint="write study.fit[1 %].coverage")
     if match["item"] == "threshold":
-        found = [t.noise for study in studies for t in study.thresholds if t.fit == match["fit"]]
+        values = [t.noise for study in studies for t in study.thresholds if t.fit == match["fit"]]
     else:
         cases = [case for study in studies for case in study.cases if case.fit == match["fit"] and _is_noise(match["noise"], case.noise)]
-        found = [_studied(rule, case, match["item"]) for case in cases]
-    if not found:
+        values = [_studied(rule, case, match["item"]) for case in cases]
+    if not values:
         raise ConfigError(f"{rule.section}.{rule.address}: no such case in the study", where=rule.place)
-    outcomes = [held(rule, value, "1") for value in found]
+    outcomes = [compare_number(rule, value, "1") for value in values]
     value, passed = next((pair for pair in outcomes if not pair[1]), outcomes[0])
     return RuleOutcome(rule.section, rule.text, value, passed)
 

@@ -10,10 +10,10 @@ from labpipe.records.identification import RuleOutcome
 from labpipe.records.unbalance import UnbalanceRuns
 from labpipe.registry import nearest
 
-Held = Callable[[Rule, float | None, str], tuple[float | None, bool]]
+CompareNumber = Callable[[Rule, float | None, str], tuple[float | None, bool]]
 
 
-def unbalance_outcome(rule: Rule, runs: UnbalanceRuns, held: Held) -> RuleOutcome:
+def unbalance_outcome(rule: Rule, runs: UnbalanceRuns, compare_number: CompareNumber) -> RuleOutcome:
     """The outcome of a rule on one case; ConfigError at its place when there is no such case or value."""
     name, _, item = rule.item.rpartition(".")
     cases = {case.name: case for case in runs.cases}
@@ -24,4 +24,4 @@ def unbalance_outcome(rule: Rule, runs: UnbalanceRuns, held: Held) -> RuleOutcom
     if item not in values:
         hint = nearest(item, list(values))
         raise ConfigError(f"{rule.section}.{rule.address}: a case of unbalance has no '{item}'", where=rule.place, hint=hint)
-    return RuleOutcome(rule.section, rule.text, *held(rule, *values[item]))
+    return RuleOutcome(rule.section, rule.text, *compare_number(rule, *values[item]))

@@ -24,7 +24,7 @@ Column = tuple[str, FloatArray]
 
 @dataclass(frozen=True)
 class Clearance:
-    """The radial *gap* of the bearings [m], and the share of it beyond which a motion is told."""
+    """The radial *gap* of the bearings [m], and the *limit* of a motion as a share of it."""
 
     gap: float
     limit: float
@@ -34,7 +34,7 @@ class Clearance:
 class TrackedRun:
     """An order over a run, and in forward and backward circles for every plane with two responses in known directions.
 
-    *quantity*: what the responses are, empty where they differ; *clearance*: what orbits are held against, if anything.
+    *quantity*: what the responses are, empty where they differ; *clearance*: gap that orbits are compared with, if any.
     """
 
     name: str
@@ -94,14 +94,14 @@ def save_run_up(run: TrackedRun, path: Path, load: float, unbalance: Mapping[str
     """The order 1 of every plane as a run-up table, complete or absent; the number of its speeds. ConfigError for another order."""
     if run.track.order != 1:
         raise ConfigError(f"a run-up is of order 1, not {run.track.order:g}", hint="leave --order out")
-    found = run_up_of(run.track, run.name, load, unbalance)
+    table = run_up_of(run.track, run.name, load, unbalance)
     with output_file(path) as target:
-        write_run_up_csv(target, found)
-    return found.n_speed
+        write_run_up_csv(target, table)
+    return table.n_speed
 
 
-def told(run: TrackedRun, unit: str, shown: Callable[[float], float]) -> list[str]:
-    """What a person is told of every response, every circle and every plane; *shown*: an SI value in the *unit* people read."""
+def order_lines(run: TrackedRun, unit: str, shown: Callable[[float], float]) -> list[str]:
+    """Terminal lines on every response, circle and plane; *shown*: from an SI value to the display *unit*."""
     rows = []
     for track in (run.track, *run.circles):
         for number, port in enumerate(track.ports):

@@ -1,4 +1,4 @@
-"""run_ups: the run-ups of a rotor -> journal coefficients by several methods, critical and threshold speeds, and their doubt."""
+"""run_ups: the run-ups of a rotor -> journal coefficients by several methods, critical and threshold speeds, uncertainties."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Tell = Callable[[str], None]
 
 
 def run_run_ups(settings: RunUpSettings, work: Work) -> RunUpResult:
-    """The section run_ups: every run read, all methods fitted to the trained runs and held against every run."""
+    """The section run_ups: every run read, all methods fitted to the trained runs and compared on every run."""
     return identify_run_ups(settings, work.output, work.pipeline.folder, work.tell)
 
 
 def identify_run_ups(settings: RunUpSettings, output: OutputFolder, folder: Path, tell: Tell = lambda _: None) -> RunUpResult:
-    """All methods that the section wants, on the trained runs, held against every run. *folder*: of the pipeline file."""
+    """All methods of the section, fitted to the trained runs and compared on every run. *folder*: of the pipeline file."""
     rig = settings.rig
     assert rig is not None
-    return run_up_result(settings, rig, [read_run(one, rig, output, folder) for one in settings.runs], tell)
+    return run_up_result(settings, rig, [read_run(run_settings, rig, output, folder) for run_settings in settings.runs], tell)

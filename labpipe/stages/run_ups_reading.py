@@ -24,16 +24,16 @@ from labpipe.spectra.run_up_orders import at_speeds, difference, run_up_of
 from labpipe.spectra.settings import ShaftLines
 from labpipe.stages.ingest import ingest, is_recording
 
-# Lines of a cascade that are kept: more than a figure can show.
+# Lines of a stored cascade, more than a figure can show.
 MOST_LINES = 240
 
 
 def read_run(settings: RunSettings, rig: RunUpRotor, output: OutputFolder, folder: Path) -> ReadRun:
-    """The run of a pipeline's entry, less its residual where it names one; LabpipeError names the entry."""
+    """The run of a pipeline's entry, its residual run subtracted where named; LabpipeError names the entry."""
     try:
-        found = _recorded(settings, rig, output, folder) if settings.recording else _tabled(settings)
-        rig.excited(found.run)
-        return found
+        read = _recorded(settings, rig, output, folder) if settings.recording else _tabled(settings)
+        rig.excited(read.run)
+        return read
     except LabpipeError as error:
         error.where = error.where or f"run_ups, run '{settings.name}'"
         raise
@@ -47,7 +47,7 @@ def _tabled(settings: RunSettings) -> ReadRun:
 
 
 def _stated(settings: RunSettings, run: RunUp) -> RunUp:
-    """What the pipeline says takes the place of what the table says."""
+    """The run with load, unbalance and threshold of the pipeline instead of the table's."""
     threshold = settings.threshold
     return replace(
         run,
@@ -65,12 +65,12 @@ def _recorded(settings: RunSettings, rig: RunUpRotor, output: OutputFolder, fold
     if settings.subtracted is not None:
         residual = _opened(settings.subtracted, settings, output, folder)
         still = dict.fromkeys(rig.plane_names[:1], 0j)
-        run = _less(run, _tracked(residual, lines, settings, still))
+        run = _without_residual(run, _tracked(residual, lines, settings, still))
     return ReadRun(settings, _stated(settings, run), _cascades(recording, lines))
 
 
-def _less(run: RunUp, residual: RunUp) -> RunUp:
-    """Stretches of two recordings never fall on the same speeds: the residual is read off between its own."""
+def _without_residual(run: RunUp, residual: RunUp) -> RunUp:
+    """Subtract the residual run, interpolated to this run's speeds."""
     inside = run.speed[(run.speed >= residual.speed[0]) & (run.speed <= residual.speed[-1])]
     return difference(run, at_speeds(residual, inside))
 
@@ -88,13 +88,13 @@ def _tracked(recording: StoredRecording, lines: ShaftLines, settings: RunSetting
 
 
 def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[Cascade, ...]:
-    """Of every response; lines are thinned by their largest, so that no peak is lost."""
-    found = cascade_spectra(recording, lines)
-    group = -(-found.frequency.size // MOST_LINES)
-    whole = found.frequency.size // group * group
-    frequency = found.frequency[:whole].reshape(-1, group).mean(axis=1)
-    thinned = found.amplitude[:, :whole].reshape(found.amplitude.shape[0], -1, group, len(found.labels)).max(axis=2)
+    """Cascade of every response; groups of lines are reduced to their maximum, so that no peak is lost."""
+    spectra = cascade_spectra(recording, lines)
+    group = -(-spectra.frequency.size // MOST_LINES)
+    whole = spectra.frequency.size // group * group
+    frequency = spectra.frequency[:whole].reshape(-1, group).mean(axis=1)
+    thinned = spectra.amplitude[:, :whole].reshape(spectra.amplitude.shape[0], -1, group, len(spectra.labels)).max(axis=2)
     return tuple(
-        Cascade(label, column(found.speed), column(frequency), tuple(column(row) for row in thinned[:, :, number]))
-        for number, label in enumerate(found.labels)
+        Cascade(label, column(spectra.speed), column(frequency), tuple(column(row) for row in thinned[:, :, number]))
+        for number, label in enumerate(spectra.labels)
     )

@@ -60,8 +60,8 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     paths = [Path(os.path.relpath(path, folder)).as_posix() for path in files]
     if is_response(files[0]):
         return Scaffold("", _pipeline_of_responses(load_response(files[0]), paths))
-    seen = first_look(open_table(files[0]))
-    return Scaffold(_rig(seen, files[0]), _pipeline(seen, files, paths))
+    first = first_look(open_table(files[0]))
+    return Scaffold(_rig(first, files[0]), _pipeline(first, files, paths))
 
 
 def first_look(table: Table) -> FirstLook:
@@ -70,23 +70,23 @@ def first_look(table: Table) -> FirstLook:
     if rows.shape[0] < 2:
         raise DataError("holds too few samples", where=str(table.path))
     times = time_columns(names, rows)
-    kept = [number for number, name in enumerate(names) if name not in times]
-    if not kept:
+    signal_numbers = [number for number, name in enumerate(names) if name not in times]
+    if not signal_numbers:
         raise DataError("holds no column but time", where=str(table.path))
     time = times[0] if times and table.sample_rate is None else ""
     step = float(np.mean(np.diff(rows[:, names.index(time)]))) * time_scale(time) if time else 0.0
     rate = table.sample_rate or (1 / step if step else 0.0)
-    return FirstLook(tuple(guess_channels([names[n] for n in kept], table.units)), rate, time, rows[:, kept])
+    return FirstLook(tuple(guess_channels([names[n] for n in signal_numbers], table.units)), rate, time, rows[:, signal_numbers])
 
 
-def _rig(seen: FirstLook, path: Path) -> str:
-    lines = [f"# What the rig is, as far as {path.name} says it. Marked lines wait for a person to decide.", "name: My rig"]
-    if seen.time:
-        lines.append(f"time: {json.dumps(seen.time, ensure_ascii=False)}")
-    elif not seen.rate:
-        lines.append(f"sample_rate: {DECIDE}    {MARK} the sampling rate, for example 20 kHz; the file does not say it")
+def _rig(first: FirstLook, path: Path) -> str:
+    lines = [f"# The rig, as far as {path.name} describes it. Marked lines need a decision.", "name: My rig"]
+    if first.time:
+        lines.append(f"time: {json.dumps(first.time, ensure_ascii=False)}")
+    elif not first.rate:
+        lines.append(f"sample_rate: {DECIDE}    {MARK} the sampling rate, for example 20 kHz; the file does not state it")
     lines.append("channels:                      # key = the name used everywhere else")
-    lines.extend(_channel_line(channel) for channel in seen.channels)
+    lines.extend(_channel_line(channel) for channel in first.channels)
     lines.append("# mass: 1 kg                   # that moves with the response; without it the mass is estimated")
     return "\n".join(lines) + "\n"
 
@@ -96,26 +96,26 @@ def _channel_line(channel: GuessedChannel) -> str:
     entries |= {"role": channel.role, "dof": channel.dof} if channel.role else {"dof": channel.dof}
     if channel.sensitivity:
         entries["sensitivity"] = channel.sensitivity
-    asked = f"  {MARK} {'; '.join(channel.decisions)}" if channel.decisions else ""
-    return f"  {channel.key}: {{{', '.join(f'{key}: {text}' for key, text in entries.items())}}}{asked}".replace(f'"{DECIDE}"', DECIDE)
+    decisions = f"  {MARK} {'; '.join(channel.decisions)}" if channel.decisions else ""
+    return f"  {channel.key}: {{{', '.join(f'{key}: {text}' for key, text in entries.items())}}}{decisions}".replace(f'"{DECIDE}"', DECIDE)
 
 
-def _pipeline(seen: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> str:
-    inputs, outputs = seen.column_of("input"), seen.column_of("output")
-    excitation = look(seen.rows[:, inputs[0]], seen.rate or 1.0) if inputs else None
+def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> str:
+    inputs, outputs = first.column_of("input"), first.column_of("output")
+    excitation = look(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
     lines = [
-        f"# What to do with the recording{'s' if len(paths) > 1 else ''}. Paths are relative to this file.",
+        f"# Evaluation of the recording{'s' if len(paths) > 1 else ''}. Paths are relative to this file.",
         "title: Stiffness and damping of my rig",
         "rig: rig.yaml",
         *_sources(files, paths, "recordings"),
-        *_frf_lines(excitation, seen.rate),
+        *_frf_lines(excitation, first.rate),
         "identify:",
     ]
-    peaks = _peaks(seen, inputs[:1], outputs, excitation) if excitation is not None and seen.rate else {}
-    force = seen.channels[inputs[0]].key if inputs else f"{DECIDE}    {MARK} the channel of the force, once rig.yaml knows one"
+    peaks = _peaks(first, inputs[:1], outputs, excitation) if excitation is not None and first.rate else {}
+    force = first.channels[inputs[0]].key if inputs else f"{DECIDE}    {MARK} the channel of the force, once rig.yaml knows one"
     if not outputs:
         lines.extend(_fit_lines("fit", force, f"{DECIDE}    {MARK} the channel of a response, once rig.yaml knows one", None))
-    for output in (seen.channels[number].key for number in outputs):
+    for output in (first.channels[number].key for number in outputs):
         lines.extend(_fit_lines(f"fit_{output}", force, output, peaks.get(output)))
     lines.append("# Coupled responses: model: mdof, with one force after the other. See README, 'Models and estimators'.")
     return "\n".join(lines) + "\n"
@@ -128,20 +128,20 @@ def _sources(files: Sequence[Path], paths: Sequence[str], kind: str) -> list[str
         f"  - {{name: {json.dumps(file.stem, ensure_ascii=False)}, {kind}: {json.dumps(path, ensure_ascii=False)}}}"
         for file, path in zip(files, paths, strict=True)
     )
-    return ["tests:                         # conditions: {speed: 3000 rpm} says what differed", *entries]
+    return ["tests:                         # conditions: {speed: 3000 rpm} states what differed", *entries]
 
 
 def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
     if excitation is None:
         return ["frf:", f"  excitation: {DECIDE}    {MARK} periodic (with period: 1 s), random or impact (with block: 1 s)"]
-    told = {
-        "periodic": f"the force comes again after {excitation.length} samples, {excitation.repeats} times",
-        "random": "the force does not come again",
+    remark = {
+        "periodic": f"period of {excitation.length} samples, {excitation.repeats} times",
+        "random": "force without a period",
         "impact": f"{excitation.repeats} hits",
     }[excitation.kind]
     low, high = excitation.band
     length = f"{excitation.length / rate:.12g} s" if rate else f"{DECIDE}    {MARK} the time that {excitation.length} samples take"
-    lines = ["frf:", f"  excitation: {excitation.kind}".ljust(31) + f"# {told}"]
+    lines = ["frf:", f"  excitation: {excitation.kind}".ljust(31) + f"# {remark}"]
     lines.append(f"  {'period' if excitation.kind == 'periodic' else 'block'}: {length}")
     if excitation.kind == "periodic":
         lines.append(f"  skip: {1 if excitation.repeats > 2 else 0}".ljust(31) + "# transient periods")
@@ -157,14 +157,14 @@ def _fit_lines(name: str, force: str, output: str, band: tuple[float, float] | N
     return lines
 
 
-def _peaks(seen: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excitation: Excitation) -> dict[str, tuple[float, float]]:
+def _peaks(first: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excitation: Excitation) -> dict[str, tuple[float, float]]:
     """A band around the highest peak of the mobility of each response, by its channel; none where nothing can be measured."""
     chosen = [*inputs, *outputs]
-    channels = tuple(_as_channel(seen.channels[number]) for number in chosen)
+    channels = tuple(_as_channel(first.channels[number]) for number in chosen)
     kinds = {channel.quantity for channel in channels if channel.role == "output"}
     if not outputs or len(kinds) > 1:
         return {}
-    length = excitation.length / seen.rate
+    length = excitation.length / first.rate
     periodic = excitation.kind == "periodic"
     settings = FrfSettings(
         excitation=excitation.kind,
@@ -174,7 +174,7 @@ def _peaks(seen: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excit
         band=excitation.band,
     )
     try:
-        response = measure([Recording(channels, seen.rows[:, chosen], seen.rate)], settings)
+        response = measure([Recording(channels, first.rows[:, chosen], first.rate)], settings)
     except DataError:
         return {}
     return {port.label: _around(response.frequency, _mobility(response)[:, row]) for row, port in enumerate(response.outputs)}

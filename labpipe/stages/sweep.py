@@ -72,10 +72,10 @@ def _values(start: float, stop: float, step: float, where: str) -> FloatArray:
 
 def _setting(key: str, owner: type, where: str) -> Setting:
     """The setting of a dotted key; ConfigError with the nearest known key."""
-    known = dict(_swept_keys(owner))
-    if key not in known:
-        raise ConfigError(f"{key}: cannot be swept", where=where, hint=nearest(key, known))
-    return known[key]
+    sweepable = dict(_swept_keys(owner))
+    if key not in sweepable:
+        raise ConfigError(f"{key}: cannot be swept", where=where, hint=nearest(key, sweepable))
+    return sweepable[key]
 
 
 def _swept_keys(owner: type, above: str = "") -> list[tuple[str, Setting]]:
