@@ -1,4 +1,4 @@
-"""One fit as it stands in JSON: in identification.json, and on its own while other tests are still at work."""
+"""JSON entry of one fit: in identification.json, and in a separate file until all tests are done."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def read_fit(entry: dict[str, Any]) -> Fit:
 
 
 def finding_entries(findings: tuple[Finding, ...]) -> dict[str, list[dict[str, str]]]:
-    """Warnings, and apart from them what only informs."""
+    """Warnings and notes, separately."""
     return {
         name: [{"code": finding.code, "message": finding.message} for finding in of_level(level, findings)]
         for name, level in _FINDING_LISTS.items()

@@ -1,4 +1,4 @@
-"""``fits/TEST.json``: the fits of one test among many, so that a run that was interrupted goes on where it stopped."""
+"""``fits/TEST.json``: the fits of one test among many, so that an interrupted run can be resumed."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def write_fits(path: Path, fits: Sequence[Fit], settings: Sequence[FitSettings],
 
 
 def has_fresh_fits(path: Path, settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> bool:
-    """Whether the file holds the fits of these settings and responses by this version."""
+    """True if the file contains the fits of these settings and responses by this version."""
     try:
         entries = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +29,11 @@ class SourceRef:
 
 @dataclass(frozen=True)
 class Header:
-    """What an artefact says of itself; *contents* describes its columns (channels, ports, rate)."""
+    """Header of an artefact; *contents* describes its columns (channels, ports, rate)."""
 
     kind: str
     parameters: dict[str, Any]
+    _: KW_ONLY
     inputs: tuple[SourceRef, ...]
     findings: tuple[Finding, ...] = ()
     contents: dict[str, Any] = field(default_factory=dict)
@@ -41,7 +42,7 @@ class Header:
     code: str = field(default_factory=code_digest)
 
     def to_json(self) -> str:
-        """The header as it stands in the file."""
+        """The header as JSON entries."""
         return json.dumps(dataclasses.asdict(self), allow_nan=False)
 
     def same_work(self, other: Header) -> bool:

@@ -1,4 +1,4 @@
-"""JSON as all of labpipe's files have it: not-a-number has no place in it, what cannot be given is null."""
+"""JSON of labpipe's files: null instead of not-a-number and missing values."""
 
 from __future__ import annotations
 

@@ -35,12 +35,12 @@ def batches(path: Path, columns: Sequence[str], n_row: int) -> Iterator[pa.Recor
 
 
 def has_header(path: Path) -> bool:
-    """Whether the Parquet file is one of labpipe's own."""
+    """True for a Parquet file with a labpipe header."""
     return HEADER_KEY in (open_parquet(path).metadata.metadata or {})
 
 
 def read_header(path: Path, kind: str) -> Header:
-    """The header of one of labpipe's own Parquet files; DataError for any other."""
+    """The labpipe header of a Parquet file; DataError without one."""
     metadata = open_parquet(path).metadata.metadata or {}
     if HEADER_KEY not in metadata:
         hint = "another program may have saved it again and dropped the header; make it again with labpipe"

@@ -1,4 +1,4 @@
-"""The next block of a file is read while the one before is worked on."""
+"""Read the next block of a file in a thread during the work on the current block."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _END = object()
 
 
 def read_ahead(blocks: Iterable[Block]) -> Iterator[Block]:
-    """The same blocks in the same order, one of them read ahead in a thread; what reading raises is raised here."""
+    """The same blocks in the same order, one of them read ahead in a thread; errors of reading are raised here."""
     iterator = iter(blocks)
     with ThreadPoolExecutor(1, thread_name_prefix="read-ahead") as reader:
         coming = reader.submit(next, iterator, _END)

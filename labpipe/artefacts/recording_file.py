@@ -53,7 +53,7 @@ def recording_contents(channels: tuple[Channel, ...], sample_rate: float, name: 
 
 @dataclasses.dataclass(frozen=True)
 class StoredRecording:
-    """A recording on disk. Satisfies SampleSource: its blocks are read when they are asked for."""
+    """A recording on disk. Satisfies SampleSource: its blocks are read on request."""
 
     path: Path
     channels: tuple[Channel, ...]

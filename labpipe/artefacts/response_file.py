@@ -1,4 +1,4 @@
-"""``*.frf.parquet``: a frequency response with its covariance, real and imaginary parts in their own columns."""
+"""``*.frf.parquet``: a frequency response with its covariance, real and imaginary parts in separate columns."""
 
 from __future__ import annotations
 

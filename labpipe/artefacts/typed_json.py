@@ -20,7 +20,7 @@ from labpipe.records.settings import Settings, settings_of
 
 
 def entry_of(record: Any) -> Any:
-    """What JSON holds of a record; TypeError for a type that has no place in it."""
+    """JSON entries of a record; TypeError for a type without a JSON form."""
     if dataclasses.is_dataclass(record) and not isinstance(record, type):
         skipped = _contents_elsewhere(record)
         return {name: entry_of(getattr(record, name)) for name in _stored_fields(type(record)) if name not in skipped}
@@ -45,7 +45,7 @@ def _stored_fields(owner: type) -> tuple[str, ...]:
 
 
 def _contents_elsewhere(record: Any) -> set[str]:
-    """Fields that only hold the full path of a file that the settings name already."""
+    """Fields with the full path of a file that another setting names."""
     if not isinstance(record, Settings):
         return set()
     named = [setting.into for setting, _ in settings_of(type(record)).values() if setting.into]
@@ -99,7 +99,7 @@ def _tuple(entry: Any, kinds: tuple[Any, ...]) -> tuple[Any, ...]:
     if kinds[-1] is not Ellipsis:
         return tuple(record_of(item, kind) for item, kind in zip(items, kinds, strict=True))
     if kinds[0] is float:
-        # Columns are long, and their numbers are what they are.
+        # Long columns of numbers need no conversion item by item.
         return tuple(math.nan if item is None else float(item) for item in items)
     return tuple(record_of(item, kinds[0]) for item in items)
 
@@ -111,7 +111,7 @@ def _array(entry: Any, kind: Any) -> Any:
     if issubclass(element, np.complexfloating):
         real, imaginary = (entry["re"], entry["im"]) if isinstance(entry, dict) else (_need(entry, list), 0.0)
         values = np.empty(np.shape(real), np.complex128)
-        # A sum re + 1j im would lose the sign of a zero, and what is read would not be written the same again.
+        # A sum re + 1j im would lose the sign of a zero, and the written file would differ.
         values.real, values.imag = real, imaginary
         return values
     return np.array(entry, {np.floating: np.float64, np.bool_: np.bool_, np.intp: np.intp}.get(element, np.float64))

@@ -1,4 +1,4 @@
-"""Whole or nothing: files appear complete under their name, or not at all."""
+"""Atomic writing: files appear complete under their name, or not at all."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class OutputFolder:
 
 
 def existing_home(target: Path) -> Path:
-    """The folder itself, or the nearest one above it that is there; DataError when *target* is a file."""
+    """The folder itself or its nearest existing parent; DataError when *target* is a file."""
     if target.exists() and not target.is_dir():
         raise DataError("is a file, a folder is needed", where=str(target))
     while not target.exists():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -53,6 +53,7 @@ class BearingKind:
 
     settings: type
     coefficients: Callable[[Sequence[Any]], list[BearingCoefficients]]
+    _: KW_ONLY
     bare_units: Mapping[str, str] = field(default_factory=dict)
     response: Callable[[Any, BearingCoefficients], FrequencyResponse | None] | None = None
     operating: Mapping[str, Callable[[OperatingPoint], float]] = field(default_factory=dict)

@@ -163,5 +163,9 @@ def _mounted(settings: RollingSettings) -> Bearing:
     return RollingOnRotor(settings)
 
 
-BALL = BearingKind(BallBearingSettings, rolling_coefficients, {"stiffness_constant": "N/m^1.5"}, rolling_response, mount=_mounted)
-ROLLER = BearingKind(RollerBearingSettings, rolling_coefficients, {"stiffness_constant": "N/m^(10/9)"}, rolling_response, mount=_mounted)
+BALL = BearingKind(
+    BallBearingSettings, rolling_coefficients, bare_units={"stiffness_constant": "N/m^1.5"}, response=rolling_response, mount=_mounted
+)
+ROLLER = BearingKind(
+    RollerBearingSettings, rolling_coefficients, bare_units={"stiffness_constant": "N/m^(10/9)"}, response=rolling_response, mount=_mounted
+)

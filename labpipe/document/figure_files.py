@@ -1,4 +1,4 @@
-"""The figures of a report as files of their own: drawing as SVG and PNG, numbers as CSV."""
+"""The figures of a report as separate files: drawing as SVG and PNG, numbers as CSV."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _short(caption: str) -> str:
 
 
 def figure_csv(chart: Chart, caption: str) -> str:
-    """One row per point, in the units of the axes, which stand beside it; low and high are the ends of its interval."""
+    """One row per point with the units of the axes; low and high: ends of its interval."""
     stream = io.StringIO()
     stream.write("# " + caption.replace("\n", " ") + "\n")
     writer = csv.writer(stream, lineterminator="\n")
@@ -47,7 +47,7 @@ def figure_csv(chart: Chart, caption: str) -> str:
 
 
 def _rows(panel: Panel, name: str, series: Series) -> list[list[str]]:
-    """The rows of one series; an arrow only says the sense of a curve, and has none."""
+    """The rows of one series; none for an arrow, which shows a sense of rotation only."""
     if series.kind == "arrow":
         return []
     return _cell_rows(panel, name, series) if series.kind == "cells" else _point_rows(panel, name, series)

@@ -14,7 +14,7 @@ from labpipe.document.palette import PALETTE
 
 BAR, MM, UM = 1e-5, 1e3, 1e6
 N_CONTOUR = 14
-# Where the film is torn its pressure is one level, but for rounding; contours must not leave it blank.
+# In the cavitated film the pressure is constant except for rounding; contours must not leave it blank.
 TORN = 1e-6
 BOTTOM = 270.0
 
@@ -39,7 +39,7 @@ def film_canvas(film: PressureField, size: tuple[float, float]) -> Canvas:
 
 
 def _mid_width(axes: Axes, film: PressureField, angle: FloatArray, pressure: FloatArray, order: IntArray) -> None:
-    """Pressure at mid width [bar] and, on an ordinate of its own, the thickness [um] over the angle [deg]."""
+    """Pressure at mid width [bar] and, on a second ordinate, the thickness [um] over the angle [deg]."""
     axes.plot(angle, mid_width_pressure(film, pressure), color=PALETTE[0])
     axes.set_ylabel("pressure at mid width [bar]", color=PALETTE[0])
     beside = axes.twinx()

@@ -29,7 +29,7 @@ def page_part(name: str) -> str:
 
 @cache
 def script_text() -> str:
-    """The page's script: its parts in one function, so that nothing of it is seen from outside."""
+    """The page's script: its parts in one function without global names."""
     return '(() => {\n"use strict";\n' + "\n".join(page_part(name) for name in SCRIPTS) + "})();\n"
 
 
@@ -106,7 +106,7 @@ def _block(block: Block, counter: _Figures) -> str:
 
 
 def _table(table: Table) -> str:
-    """Rows under a header; the first cell names its row where it says something."""
+    """Rows under a header; a first cell with text is the row's header."""
     caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
     heads = "".join(f'<th scope="col"{_mark(table, n)}>{escape(cell)}</th>' for n, cell in enumerate(table.header))
     body = "\n".join("<tr>" + "".join(_cell(table, n, cell) for n, cell in enumerate(cells)) + "</tr>" for cells in table.rows)

@@ -85,7 +85,7 @@ def _axis(axes: Axes, which: str, chart: Chart, number: int) -> None:
 
 
 def _titles(canvas: Canvas, places: list[Axes], chart: Chart) -> None:
-    """Labels of the axes: along a shared abscissa the lowest panel has it; what is the same in all panels of a grid is said once."""
+    """Labels of the axes: along a shared abscissa the lowest panel has it; a label common to all panels of a grid is written once."""
     wide = chart.columns > 1
     for which, once in (("x", wide and chart.rows > 1), ("y", wide)):
         labels = [(panel.x if which == "x" else panel.y).label for panel in chart.panels]
@@ -99,7 +99,7 @@ def _titles(canvas: Canvas, places: list[Axes], chart: Chart) -> None:
 
 
 def _wrapped(label: str, chart: Chart, number: int) -> str:
-    """A title of an ordinate that is longer than its panel is high has its unit on a line of its own."""
+    """A title of an ordinate that is longer than its panel is high has its unit on a second line."""
     room = LETTERS_UPWARDS * chart.size[1] * chart.heights[number // chart.columns]
     return label.replace(" [", "\n[") if len(label) > room else label
 
@@ -126,7 +126,7 @@ def _legend_above(canvas: Canvas, entries: dict[Entry, Artist], by_rule: bool) -
 
 
 def _entries(axes: Axes, panel: Panel) -> dict[Entry, Artist]:
-    """(name, colour) -> what stands for it in a legend, the first of each; matplotlib lists them as they were drawn, kind by kind."""
+    """(name, colour) -> its legend handle, the first of each; matplotlib lists them as they were drawn, kind by kind."""
     handles: dict[str, list[Artist]] = {}
     for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
         handles.setdefault(name, []).append(handle)
@@ -141,7 +141,7 @@ def _entries(axes: Axes, panel: Panel) -> dict[Entry, Artist]:
 
 
 def _columns(names: list[str], side_by_side: int) -> int:
-    """How many names stand side by side: as many as the width holds."""
+    """Number of names per row of the legend, by the width."""
     longest = max((len(name) for name in names), default=0) + SAMPLE
     return max(1, min(len(names), MOST_COLUMNS, int(LETTERS / side_by_side / longest)))
 

@@ -6,7 +6,7 @@ import math
 
 from labpipe.report.chart import PALETTE_SIZE
 
-# Okabe and Ito's colours: told apart by colour-blind readers and in grey print.
+# Okabe and Ito's colours: distinguishable for colour-blind readers and in grey print.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 GREY_TONE = "#808080"
 # From -1 to 1 in equal steps: orange, white, violet, of one lightness at both ends (ColorBrewer's PuOr).

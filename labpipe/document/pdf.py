@@ -59,7 +59,7 @@ def pdf_report(identification: Identification) -> bytes:
 
 def render_pdf(document: Document) -> bytes:
     """The document as PDF: a cover to sign (or just its title), then every section; headings are the file's bookmarks."""
-    # The reader of drawings tells what it leaves out, which is nothing that is seen.
+    # The SVG reader warns of elements that it skips; none of them is visible.
     logging.getLogger("fpdf.svg").setLevel(logging.ERROR)
     pages = _Pages(document)
     pages.add_page()
@@ -82,20 +82,20 @@ def render_pdf(document: Document) -> bytes:
 
 
 def _height_of(section: Section) -> float:
-    """The height [mm] of a figure that a section begins with: a heading does not stand alone at the foot of a page."""
+    """The height [mm] of a figure that a section begins with: a heading needs room for it on the same page."""
     first = section.blocks[0] if section.blocks else None
     return _size(first)[1] if isinstance(first, Figure) else 0.0
 
 
 def _size(figure: Figure) -> tuple[float, float]:
-    """Width and height [mm] of a drawing in its own size, at most as wide as the text."""
+    """Width and height [mm] of a drawing in its natural size, at most as wide as the text."""
     inches_wide, inches_high = figure.graphic.size
     width = min(25.4 * inches_wide, WIDEST_FIGURE)
     return width, width * inches_high / inches_wide
 
 
 def _cover(pages: _Pages, document: Document) -> None:
-    """Title, what was tested, the verdict, and a place to sign."""
+    """Title, object of the test, verdict, and place to sign."""
     pages.set_y(45)
     _title(pages, document)
     pages.ln(10)
@@ -158,7 +158,7 @@ def _put(pages: _Pages, block: Block) -> None:
 
 
 def _figure(pages: _Pages, figure: Figure) -> None:
-    """A drawing in its own size, at most as wide as the text; caption below it on the same page."""
+    """A drawing in its natural size, at most as wide as the text; caption below it on the same page."""
     width, height = _size(figure)
     if pages.will_page_break(height + 10):
         pages.add_page()

@@ -118,7 +118,7 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
         parameters, note = bootstrapped(parameters, measured, fitted, refit, settings.bootstrap, settings.name)
         notes = (*notes, note)
     notes = (*notes, *motion_notes(measured))
-    # Whether proportional damping is justified is part of the answer.
+    # Candidates show whether proportional damping is justified.
     found = candidates(measured, setup) if settings.compare or settings.damping == "proportional" else ()
     fit = Fit(
         name=settings.name,

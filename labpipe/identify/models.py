@@ -12,7 +12,7 @@ from labpipe.identify.setup import Setup, angle_of, entry_term, fixed_matrices, 
 from labpipe.records.response import Port
 from labpipe.records.rig import AXIS_ANGLES
 
-# A force that acts on a direction with less than this share of its size does not excite it.
+# Least share of a force along a direction that excites it.
 SMALLEST_SHARE = 1e-3
 # Responses count as perpendicular when the cosine of the angle between them is below this (0.06 deg).
 PERPENDICULAR = 1e-3
@@ -80,7 +80,7 @@ def _force_factors(inputs: tuple[Port, ...], shape: tuple[int, int], axes: list[
 
 
 def rotor_2dof_direct(setup: Setup) -> DynamicModel:
-    """Direct coefficients only: each axis its own spring and damper under its share of the force (Lim et al. 2009, eq. 21-22).
+    """Direct coefficients only: one spring and damper per axis, under the force's component (Lim et al. 2009, eq. 21-22).
 
     F_x = F cos(a), F_y = F sin(a). ConfigError when the force's direction is not known, or has no part along a response.
     """
@@ -90,7 +90,7 @@ def rotor_2dof_direct(setup: Setup) -> DynamicModel:
     angles = [angle_of(port) for port in setup.inputs]
     if None in angles:
         hint = "give its dof in the rig file as x, y or an angle such as '45 deg'"
-        raise ConfigError(f"the direction of the force {labels(setup.inputs)} is not known", hint=hint)
+        raise ConfigError(f"the direction of the force {labels(setup.inputs)} is unknown", hint=hint)
     axes = _axes(setup.outputs)
     force = _directions(setup.outputs, axes, [angle for angle in angles if angle is not None])
     shape = (len(axes), len(setup.inputs))

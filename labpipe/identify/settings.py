@@ -1,4 +1,4 @@
-"""The parameters of one fit: response -> parameters with their doubt."""
+"""Settings of one fit: from a response to parameters with uncertainties."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from labpipe.records.setting_values import ESTIMATE as ESTIMATE
 from labpipe.records.settings import Settings, Uncertain, setting
 from labpipe.registry import Registry
 
-# From the setup of a fit (ports, mass) to a model linear in its parameters, or a ModelKind that fits a response in its own way.
+# From the setup of a fit (ports, mass) to a model linear in its parameters, or a ModelKind with its own fit function.
 MODELS = Registry(
     "model",
     {
@@ -94,14 +94,14 @@ class FitSettings(Settings):
         if self.damping == "proportional" and self.estimator != "ml":
             raise ConfigError(f"proportional damping is not linear in its parameters, {self.estimator} cannot fit it", hint="estimator: ml")
         if self.damping == "proportional" and self.eliminate:
-            raise ConfigError("'eliminate' does not go with proportional damping", hint="leave one of them out")
+            raise ConfigError("'eliminate' cannot be combined with proportional damping", hint="leave one of them out")
         if self.estimator == "amplitude" and self.model != "sdof":
             raise ConfigError("the amplitude fit is for sdof only", hint="estimator: ml")
         if self.model != "mdof" and (self.symmetric or self.lumped_mass or self.scale_mass):
             raise ConfigError("'symmetric', 'lumped_mass' and 'scale_mass' are for mdof only", hint="leave them out")
         kind = self.kind
         if kind.settings is None and self.model_settings is not None:
-            raise ConfigError(f"model {self.model} has no settings of its own", hint="leave model_settings out")
+            raise ConfigError(f"model {self.model} has no settings", hint="leave model_settings out")
         if kind.settings is not None and not isinstance(self.model_settings, kind.settings):
             raise ConfigError(f"model {self.model} needs the section '{kind.section}'", hint=kind.example)
         if self.scale_mass and self.mass == ESTIMATE:
@@ -109,11 +109,11 @@ class FitSettings(Settings):
 
     @property
     def kind(self) -> ModelKind:
-        """How a fit of the settings' model is made; ConfigError for a model that is not known."""
+        """The ModelKind of the settings' model; ConfigError for an unknown model."""
         return model_kind(self.model)
 
     def _check_bands(self) -> None:
-        """ConfigError for settings that say twice which bands or ports are fitted."""
+        """ConfigError for bands or ports that are set twice."""
         if self.bands and (self.band or self.sliding):
             raise ConfigError("'bands' goes with neither 'band' nor 'sliding'", hint="name all bands under bands")
         if self.peaks and (self.band or self.bands or self.sliding or self.input or self.output):

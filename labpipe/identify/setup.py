@@ -42,10 +42,10 @@ def fixed_matrices(mass: FloatArray, force: FloatArray) -> Matrices:
 
 
 def labels(ports: tuple[Port, ...]) -> str:
-    """The ports as a message names them."""
+    """Labels of the ports, for messages."""
     return ", ".join(port.label for port in ports)
 
 
 def angle_of(port: Port) -> float | None:
-    """Direction [rad] from x towards y, where it is known."""
+    """Direction [rad] from x towards y, None if unknown."""
     return port.angle if port.angle is not None else AXIS_ANGLES.get(port.dof)

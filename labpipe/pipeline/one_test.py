@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
 from labpipe.artefacts.fits_file import has_fresh_fits, read_fits, write_fits
@@ -38,6 +38,7 @@ class Job:
 
     test: Test
     names: tuple[str, ...]
+    _: KW_ONLY
     frf: FrfSettings | None
     fits: tuple[FitSettings, ...]
     pipeline_path: Path

@@ -121,11 +121,13 @@ def _jobs(pipeline: Pipeline, target: Path, scratch: Path, fits: Sequence[str]) 
         Job(
             test,
             tuple(next(names) for _ in test.recordings),
-            pipeline.frf,
-            tuple(settings for settings in pipeline.fits if settings.name in fits and (not settings.test or test.name in settings.test)),
-            pipeline.path,
-            target,
-            scratch,
+            frf=pipeline.frf,
+            fits=tuple(
+                settings for settings in pipeline.fits if settings.name in fits and (not settings.test or test.name in settings.test)
+            ),
+            pipeline_path=pipeline.path,
+            target=target,
+            scratch=scratch,
         )
         for test in pipeline.tests
     ]

@@ -1,1 +1,1 @@
-"""The things that flow: frozen, read-only, checked at birth, computing nothing."""
+"""Records between the stages: frozen, read-only, checked at construction, without computations."""

@@ -33,7 +33,7 @@ class ComparedPoint:
 
 @dataclass(frozen=True)
 class ComparedBand:
-    """One parameter of one band of a sliding fit beside *other*: the prediction for it, or the same band of another test; SI units.
+    """One parameter of one band of a sliding fit and *other*: its prediction, or the same band of another test; SI units.
 
     *ratio* value / other with its 95 % interval; *p_value* of the difference, corrected for the number of bands.
     """
@@ -57,13 +57,13 @@ class ComparedBand:
 
     @property
     def holds(self) -> bool:
-        """Whether the 95 % interval holds the other value."""
+        """True if the 95 % interval covers the other value."""
         return self.ci95[0] <= self.other <= self.ci95[1]
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A quantity over frequency [Hz], (n_frequency,) each, SI; what is not there is empty.
+    """A quantity over frequency [Hz], (n_frequency,) each, SI; empty where missing.
 
     *measured* with *low* and *high* of its 95 % intervals; the *theory*; the theory *matched* to the measurement.
     """
@@ -82,7 +82,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Overlay:
-    """|H| of one test measured, of the theory, and of the theory changed until it fits; (n_frequency,) each, *form* in SI."""
+    """|H| of one test measured, of the theory, and of the fitted theory; (n_frequency,) each, *form* in SI."""
 
     test: str
     form: str
@@ -94,7 +94,7 @@ class Overlay:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Tests held against each other: *kind*, what was compared over which *condition*, and what came out.
+    """Comparison of tests: its *kind*, quantity, *condition* and result.
 
     *verdict* is one word or two for rules ("no difference"), *statement* the same as a sentence for people. *line*: condition and value
     of the fitted trend, for drawing; *overlays*: measured curves and the theory's, at the first and the last condition. *bands* and

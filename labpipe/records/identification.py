@@ -17,7 +17,7 @@ from labpipe.records.views import VIEWS
 
 @dataclass(frozen=True)
 class Goodness:
-    """R^2, adjusted R^2 ("G.o.F"), and the residual test where the FRF covariance is known."""
+    """R^2, adjusted R^2 ("G.o.F"), and the chi-square test where the FRF has a covariance."""
 
     r2: float
     r2_adjusted: float
@@ -27,7 +27,7 @@ class Goodness:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A model held against others on the same lines: *parameters* estimated, chi-square of its residual, and what it would cost.
+    """A candidate model on the same lines: number of estimated *parameters*, chi-square of its residual, information criteria.
 
     aic = chi-square + 2 parameters, less is better; p_value: chance of so large an improvement by the richest model if this one,
     which it contains, is right (None for the richest one, and where it does not contain this one).
@@ -136,7 +136,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class RuleOutcome:
-    """One rule of ``accept`` or ``expect`` (*section*), what it was held against, and whether it holds."""
+    """One rule of ``accept`` or ``expect`` (*section*), the compared value, and whether it passed."""
 
     section: str
     rule: str
@@ -154,7 +154,7 @@ class Failed:
 
 @dataclass(frozen=True, repr=False)
 class Identification:
-    """All fits of a pipeline with what they came from: the measured responses, the source files, the settings used.
+    """All fits of a pipeline with their measured responses, source files and settings.
 
     *inputs*: digests of the responses that the fits were made from, *code*: of the program that made them. *sections*: the records of the
     pipeline's other sections by their key (compare, study, run_ups, ...).
@@ -187,7 +187,7 @@ class Identification:
 
     @property
     def accepted(self) -> bool:
-        """Whether every test could be evaluated and every rule holds (true without rules)."""
+        """True if every test was evaluated and every rule passed (true without rules)."""
         return not self.failed and all(outcome.passed for outcome in self.outcomes)
 
     @property

@@ -1,4 +1,4 @@
-"""What a first look at a file shows: its channels with levels, an envelope over time and a spectrum each, and what is wrong with it."""
+"""Overview of a file: channels with levels, envelope over time and spectrum, and findings."""
 
 from __future__ import annotations
 

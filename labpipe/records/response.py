@@ -19,7 +19,7 @@ FORMS = {"receptance": "m/N", "mobility": "m/(N.s)", "accelerance": "m/(N.s^2)",
 
 @dataclass(frozen=True)
 class Port:
-    """Where a response is measured or a force acts: channel name, dof label and, if known, direction [rad] from x towards y.
+    """Place and direction of a response or force: channel name, dof label and, if known, direction [rad] from x towards y.
 
     *label* is unique within the outputs or the inputs of a matrix and names rows and columns everywhere.
     """

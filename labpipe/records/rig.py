@@ -28,7 +28,7 @@ class RigChannel:
 
 @dataclass(frozen=True)
 class Rig:
-    """The rig file: *sample_rate* [Hz] or the *time* column with its unit in seconds; *mass* [kg] where it is known."""
+    """The rig file: *sample_rate* [Hz] or the *time* column with its unit in seconds; *mass* [kg] or None."""
 
     name: str
     channels: tuple[RigChannel, ...]

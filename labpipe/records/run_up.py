@@ -1,4 +1,4 @@
-"""A run-up: the 1x response of a rotor over speed at several planes, with what excited it and the static load on its bearing."""
+"""A run-up: the 1x response of a rotor over speed at several planes, its excitation and the static load on its bearing."""
 
 from __future__ import annotations
 

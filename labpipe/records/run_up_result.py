@@ -1,4 +1,4 @@
-"""What run-ups gave: what was measured, what every method makes of it at every load, and how far its coefficients are determined."""
+"""Results of run-ups: measurements, predictions of every method at every load, identifiability of its coefficients."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from labpipe.records.finding import Finding
 from labpipe.records.parameter import Parameter
 
 TRAINED, HELD_OUT = "trained", "held-out"
-# Name of the model that nothing was fitted to: the rotor file's own bearing.
+# Name of the model without a fit: the rotor file's bearing.
 START = "start"
 # Two-sided 95 % of a normal distribution.
 TWO_SIDED = 1.959964
@@ -54,7 +54,7 @@ class Cascade:
 
 @dataclass(frozen=True)
 class MeasuredRun:
-    """One run-up: *load* [N], *role* (TRAINED or HELD_OUT), speed (n_speed,) [rad/s]; *excitation* and *subtracted* in words.
+    """One run-up: *load* [N], *role* (TRAINED or HELD_OUT), speed (n_speed,) [rad/s]; *excitation* and *subtracted* as text.
 
     critical_speed, threshold [rad/s]: measured. printed_...: what a source prints (measured, original, enhanced) [Hz].
     """
@@ -79,7 +79,7 @@ class RunPrediction:
     """A method at the load of one *run*: critical speed and threshold [rad/s], motions over *speed* (n,) [rad/s], and coefficients.
 
     coefficients, std_errors: eight per speed of `coefficient_speed` [rad/s] (k_xx ... c_yy); std_errors is empty where the method gives
-    none, null at a bound. *notes*: why something is missing, what a reader must know.
+    none, null at a bound. *notes*: reasons of missing values, warnings.
     """
 
     run: str
@@ -96,7 +96,7 @@ class RunPrediction:
 
 @dataclass(frozen=True)
 class Convergence:
-    """One search: objective, mesh size and evaluations by iteration, (n_iteration,) each; *capped*: whether a limit ended it."""
+    """One search: objective, mesh size and evaluations by iteration, (n_iteration,) each; *capped*: True if ended by a limit."""
 
     where: str
     objective: Column
@@ -108,7 +108,7 @@ class Convergence:
 
 @dataclass(frozen=True)
 class StartSpread:
-    """Where several starts of one search ended: eight factors on the start values for each, and its objective."""
+    """Final points of several starts of one search: eight factors on the start values per start, and its objective."""
 
     where: str
     factors: tuple[Column, ...]
@@ -117,7 +117,7 @@ class StartSpread:
 
 @dataclass(frozen=True)
 class RunUpMethod:
-    """One way to the coefficients: its doubt, and its predictions. None where a method has no such number.
+    """One identification method: uncertainty and predictions. None where a method has no such number.
 
     rank: unknowns that the data determine, of *unknowns*; condition: within that rank, the worst; free: combinations that no datum
     holds, in words; parameters: what was estimated, where they are few.
@@ -148,7 +148,7 @@ class RunUpMethod:
 
 @dataclass(frozen=True)
 class RankRow:
-    """What a set of *data* can tell of eight coefficients at one load and speed."""
+    """Rank of the eight coefficients from a set of *data* at one load and speed; *words*: statement."""
 
     data: str
     rank: int
@@ -169,9 +169,9 @@ class Surface:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Errors of a metamodel at a load that its fit did not see: rms over its speeds of every coefficient, relative [-] (8,).
+    """Errors of a metamodel at a load outside its fit: rms over its speeds of every coefficient, relative [-] (8,).
 
-    outside: the load lies beyond the others; *failed*: why there was no fit.
+    outside: the load lies beyond the others; *failed*: reason of a failed fit.
     """
 
     load: float
@@ -182,9 +182,9 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class MetamodelResult:
-    """Coefficients over load and speed from one method's points: surface, leave-one-load-out errors, predictions, statistics in words.
+    """Coefficients over load and speed from one method's points: surface, leave-one-load-out errors, predictions, statistics as text.
 
-    *model*: entries that make it anew.
+    *model*: entries from which it is read back.
     """
 
     name: str
@@ -201,7 +201,7 @@ class MetamodelResult:
 
 @dataclass(frozen=True)
 class RunUpResult:
-    """All of it for one rotor; *plane*: where critical speeds are read; *source*: of the printed columns.
+    """Run-ups of one rotor, all methods; *plane*: of the critical speeds; *source*: of the printed columns.
 
     metamodels_of: the method whose coefficients they were fitted to; ranks: at rank_load [N] and rank_speed [rad/s]; measured_rank: of the
     runs there.
@@ -234,5 +234,5 @@ class RunUpResult:
 
 
 def findings(result: RunUpResult) -> tuple[tuple[str, Finding], ...]:
-    """Every finding, its origin named."""
+    """Every finding with its origin."""
     return tuple(("run-ups", finding) for finding in result.findings)

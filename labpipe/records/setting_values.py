@@ -1,4 +1,4 @@
-"""Values of settings: from what people write ("60-70 Hz", 0.79, [1 kg, 2 kg]) to SI numbers of the declared type.
+"""Values of settings: from text of a file ("60-70 Hz", 0.79, [1 kg, 2 kg]) to SI numbers of the declared type.
 
 One converter for each kind of setting; texts carry their unit, bare numbers are SI. UnitError says what is wrong. Files and Python
 scripts go through the same converters.
@@ -37,7 +37,7 @@ class Uncertain:
 
 @dataclass(frozen=True)
 class Setting:
-    """What a settings field means to people: its kind, SI unit, choices, and one line of help.
+    """Declaration of a settings field: its kind, SI unit, choices, and one line of help.
 
     A file: *file_kind* says what it holds ("rotor"), and its content is read into the field *into* of the same dataclass.
     *needed*: a file must give it, although the dataclass has a default.
@@ -198,7 +198,7 @@ def to_matrix(value: Any, setting: Setting) -> tuple[tuple[float, ...], ...]:
 
 
 def to_coefficients(value: Any, setting: Setting) -> tuple[tuple[str, float], ...]:
-    """{k_1_2: 0 N/m, c_1_2: 0 N.s/m} -> (("k_1_2", 0.0), ...); the first letter of a name says its unit."""
+    """{k_1_2: 0 N/m, c_1_2: 0 N.s/m} -> (("k_1_2", 0.0), ...); the unit follows from the first letter of a name."""
     if not isinstance(value, Mapping) and not _is_pairs(value):
         raise UnitError(f"'{_shown(value)}' is not a mapping of coefficients", "write for example {k_1_3: 0 N/m}")
     coefficients = []

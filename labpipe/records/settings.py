@@ -21,7 +21,7 @@ class Settings:
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Conversion comes before the checks of the class itself, which see SI numbers only."""
+        """Convert to SI before the checks of the class."""
         super().__init_subclass__(**options)
         check = cls.__dict__.get("__post_init__")
         if check is None:

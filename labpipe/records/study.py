@@ -1,4 +1,4 @@
-"""The result of a Monte Carlo study: every fit's errors over many repeats, with what chance alone does to them."""
+"""The result of a Monte Carlo study: errors of every fit over many repeats, with their statistical scatter."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class StudyThreshold:
 
 @dataclass(frozen=True)
 class Study:
-    """All cases of a study. *limits*: relative deviations that count as success; *share*: the success rate asked for.
+    """All cases of a study. *limits*: relative deviations that count as success; *share*: the required success rate.
     *printed*: mean errors published elsewhere, by fit, one for each noise level.
     """
 

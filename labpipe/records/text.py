@@ -1,4 +1,4 @@
-"""Records as people read them: one line for a list, a table for a console, a table for a notebook."""
+"""Records as text: one line for a list, a table for a console, a table for a notebook."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from labpipe.records.recording import Recording
     from labpipe.records.response import FrequencyResponse
 
-# Parameters that one line names.
+# Largest number of parameters in one line.
 MOST_NAMED = 4
 HEADER = ("parameter", "value", "std. error", "95 % interval", "unit", "")
 
@@ -66,7 +66,7 @@ def fit_html(fit: Fit) -> str:
 
 
 def parameter_cells(parameter: Parameter) -> tuple[str, ...]:
-    """Name, value, standard error, interval, unit, and what limits it; in the unit in which people read it."""
+    """Name, value, standard error, interval, unit and limits, in the display unit."""
     unit = display_unit(parameter.unit, parameter.value)
     limits = "at bound" if parameter.at_bound else "not significant" if parameter.significant is False else ""
     error = "" if parameter.std_error is None else f"{_difference(parameter.std_error, unit):.2g}"

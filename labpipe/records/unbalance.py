@@ -18,7 +18,7 @@ class UnbalanceCase:
 
 @dataclass(frozen=True)
 class UnbalanceRuns:
-    """All cases of one rotor over the same *speed* [Hz]; *node*: where displacements are taken; *bearing*: the worn one."""
+    """All cases of one rotor over the same *speed* [Hz]; *node*: of the displacements; *bearing*: the worn bearing."""
 
     rotor: str
     bearing: str
@@ -27,7 +27,7 @@ class UnbalanceRuns:
     cases: tuple[UnbalanceCase, ...]
 
     def values(self, case: UnbalanceCase) -> dict[str, tuple[float, str]]:
-        """The largest radii [m] of a case and the speeds [Hz] at which they stand, by name, each with its unit."""
+        """The largest radii [m] of a case and their speeds [Hz], by name, each with its unit."""
         peaks = {}
         for name, radius in (("forward", case.forward), ("backward", case.backward)):
             largest = max(radius)

@@ -1,4 +1,4 @@
-"""Other libraries' views of a record, made above the records and loaded when they are asked for. VIEWS by name."""
+"""Views of a record for other libraries, loaded on first use. VIEWS by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which structure the data ask for: the models a fit was held against, as a table."""
+"""Model selection: candidate models of a fit as a table."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ HEADER = ("model", "parameters", "chi²", "dof", "AIC - best", "p")
 
 
 def candidate_blocks(fit: Fit) -> tuple[Block, ...]:
-    """The models that the fit was held against, the best first; nothing where none were."""
+    """Candidate models of the fit, the best first; nothing where there are none."""
     if not fit.candidates:
         return ()
     best = fit.candidates[0].aic

@@ -1,4 +1,4 @@
-"""The card of a file: what it says of itself, levels, what is wrong with it, and a small plot of every channel."""
+"""The card of a file: its entries, levels, findings, and a small plot of every channel."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ Ends = tuple[ArrayLike, ArrayLike]
 Ticks = tuple[tuple[float, str], ...]
 
 KINDS = ("line", "area", "hline", "vline", "hspan", "vspan", "cells", "arrow")
-# Numbers of the palette for series; INK is that of the text, GREY that of what values are held against.
+# Numbers of the palette for series; INK is that of the text, GREY that of reference values.
 PALETTE_SIZE, INK, GREY = 7, 6, -1
 LINES = ("-", "--", ":")
 # Width of a figure [in]: that of a page's text.
@@ -136,7 +136,7 @@ def cells(values: ArrayLike, texts: Sequence[Sequence[str]], name: str = "") -> 
 
 
 def arrow(tail: ArrayLike, head: ArrayLike, colour: int) -> Series:
-    """The sense of a motion: an arrow from one point (2,) to another."""
+    """An arrow from one point (2,) to another, for the sense of a motion."""
     across, along = np.array([tail, head], float).T
     return Series("arrow", "", x=across, y=along, colour=colour)
 
@@ -170,7 +170,7 @@ def named_ticks(names: Sequence[str], first: float = 0.0) -> Ticks:
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes; *equal*: both have one scale; *share* of the height among the rows; *note*: words where there is no series."""
+    """One pair of axes; *equal*: both have one scale; *share* of the height among the rows; *note*: text where there is no series."""
 
     x: Axis
     y: Axis
@@ -232,7 +232,7 @@ def stacked(panels: Sequence[Panel], height: float, legend: str = "panels") -> C
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """What is not numbers over axes: *kind* says who draws it (a table of those who show documents), *subject* what it is of.
+    """A drawing without axes: *kind* selects the drawing function in the tables of `document`, *subject* is its data.
 
     size: (width, height) [in].
     """

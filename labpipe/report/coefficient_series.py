@@ -21,7 +21,7 @@ from labpipe.report.wording import unit_text
 
 @dataclass(frozen=True)
 class Value:
-    """A parameter of a fit in one result; *label* tells the test from the others, *day* is None where no condition gives it."""
+    """A parameter of a fit in one result; *label*: distinct label of the test, *day* is None where no condition gives it."""
 
     label: str
     parameter: Parameter
@@ -101,7 +101,7 @@ def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[Co
 
 
 def single_parameters(identification: Identification) -> list[ListedParameter]:
-    """Parameters that stand once for their fit, test and term."""
+    """Parameters that occur once for their fit, test and term."""
     rows = [listed for listed in listed_parameters(identification) if listed.model != "straight-line"]
     counts = Counter((listed.fit, listed.test, listed.term, listed.parameter.name) for listed in rows)
     return [listed for listed in rows if counts[listed.fit, listed.test, listed.term, listed.parameter.name] == 1]

@@ -1,4 +1,4 @@
-"""The figures of a comparison: what a person would draw to see what the numbers say. FIGURES by kind."""
+"""The figures of a comparison. FIGURES by kind."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from labpipe.report.loop_figures import band_figures, prediction_figures, sensit
 from labpipe.report.wording import unit_text
 
 SHOWN_PAIRS = 3
-# Half the width in which the tests of a setting stand beside each other, and that of the bar of their mean.
+# Half width of the group of tests of a setting, and of the bar of their mean.
 BESIDE, BAR = 0.15, 0.3
 
 

@@ -1,4 +1,4 @@
-"""What the cover of a report says beside its title and verdict."""
+"""Entries of the cover of a report beside title and verdict."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
 
 
 def section_facts(identification: Identification) -> list[dict[str, str]]:
-    """What the sections of a result say of themselves, those that say something."""
+    """Cover entries of the sections of a result."""
     facts = (section(name).call("cover", record, default={}) for name, record in identification.sections.items())
     return [entry for entry in facts if entry]
 

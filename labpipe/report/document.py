@@ -17,7 +17,7 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under a header; *caption* says what they are, *numeric* which columns are aligned as numbers."""
+    """Rows of text under a header; with a *caption*; *numeric*: columns aligned as numbers."""
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -46,7 +46,7 @@ Block = Paragraph | Table | Figure | Code
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and what stands below it."""
+    """A heading and its blocks."""
 
     heading: str
     blocks: tuple[Block, ...]
@@ -57,7 +57,7 @@ SIGNATURE = Table(("tested by", "date", "signature"), (("\n\n", "\n\n", "\n\n"),
 
 @dataclass(frozen=True)
 class Document:
-    """The whole report; *cover*: what a first page says, (what, which) in its order. It ends with a place to sign, where *to_sign*."""
+    """The whole report; *cover*: entries of the first page, (what, which) in order. It ends with a place to sign, where *to_sign*."""
 
     title: str
     subtitle: str

@@ -63,7 +63,7 @@ def phase_degrees(values: ComplexArray) -> FloatArray:
 
 
 def fitted_curve_figure(fit: Fit, fitted: FittedCurve) -> Figure:
-    """Amplitude, phase and residual of measured against fitted FRF; the residual with its 95 % band where the doubt is known."""
+    """Amplitude, phase and residual of measured against fitted FRF; the residual with its 95 % band where the covariance is known."""
     pairs = [(o, i) for o in range(len(fitted.outputs)) for i in range(len(fitted.inputs))]
     amplitude, phase, residual = [], [], []
     for number, (o, i) in enumerate(pairs):
@@ -102,7 +102,7 @@ def correlation_figure(fit: Fit) -> Figure:
     side = max(LEAST_SIDE, 0.42 * len(names) + 1.2)
     axis = Axis(ticks=named_ticks(names))
     chart = Chart((Panel(axis, axis, (cells(fit.correlation, texts),)),), size=(side + 0.9, side))
-    caption = f"{fit_title(fit)}: correlation between the estimates. Near +1 or -1 two parameters cannot be told apart."
+    caption = f"{fit_title(fit)}: correlation between the estimates. Near +1 or -1 only one combination of two parameters is determined."
     return Figure(chart, caption, f"Correlation matrix of fit {fit_title(fit)}")
 
 
@@ -173,12 +173,12 @@ def _elements(response: FrequencyResponse, values: FloatArray) -> list[Series]:
 
 
 def _quality(response: FrequencyResponse) -> tuple[Panel, str]:
-    """The panel that says how far the FRF can be trusted, and what it shows."""
+    """The panel on the quality of the FRF (coherence, standard deviation), and its description."""
     several = response.partial_coherence is not None
     coherence = response.partial_coherence if several else response.coherence
     if coherence is not None:
         axis = Axis("partial coherence" if several else "coherence", low=0.0, high=HIGHEST_COHERENCE)
-        what = "the partial coherence of each response and force, the other forces taken out" if several else "its coherence"
+        what = "the partial coherence of each response and force, the other forces removed" if several else "its coherence"
         return over_frequency(axis, _elements(response, coherence), 2.0), what
     if response.snr is not None:
         ratio = np.maximum(response.snr, LEAST_SNR)

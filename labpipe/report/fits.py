@@ -24,7 +24,7 @@ def fit_sections(identification: Identification) -> tuple[Section, ...]:
 
 
 def fit_figures(fit: Fit) -> list[Figure]:
-    """The figures of a single fit: measured and fitted FRF, what a worn-bearing fit shows, correlation of the estimates."""
+    """The figures of a single fit: measured and fitted FRF, figures of a worn-bearing fit, correlation of the estimates."""
     shown: list[Figure] = []
     if fit.curve is not None:
         many = len(fit.curve.outputs) * len(fit.curve.inputs) > MOST_TOGETHER
@@ -44,7 +44,7 @@ def _groups(fits: Sequence[Fit]) -> list[list[Fit]]:
 
 
 def _title(fits: list[Fit]) -> str:
-    """A calibration's lines stand under one heading, whatever group they belong to."""
+    """One heading for all lines of a calibration, in every group."""
     return fits[0].name if fits[0].model == "straight-line" else fit_title(fits[0])
 
 
@@ -89,7 +89,7 @@ def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
     header = ("band", "centre [Hz]", "G.o.F", *(f"{name} [{unit}]" for name, unit in units.items()), "warnings")
     rows = tuple(_band_row(fit, names) for fit in fits)
     first = f"{len(fits)} bands from {fits[0].band_hz[0]:g} to {fits[-1].band_hz[1]:g} Hz; model {fits[0].model}, {fits[0].estimator}. "
-    meaning = "Each value belongs to the centre of its band; ± is one standard error, n.s. marks values that cannot be told from zero."
+    meaning = "Each value belongs to the centre of its band; ± is one standard error, n.s.: not significantly different from zero."
     table = Table(header, rows, f"Bands of {fit_title(fits[0])}", tuple(range(1, 3 + len(names))))
     return (Paragraph(first + meaning), *figures.sliding_figures(fits), table)
 
@@ -112,7 +112,7 @@ def _with_error(fit: Fit, name: str) -> str:
 
 
 def _calibration(fits: list[Fit]) -> tuple[Block, ...]:
-    """Straight lines: slope, intercept and linear range of each; inflation factors say nothing here."""
+    """Straight lines: slope, intercept and linear range of each; without inflation factors."""
     rows = tuple((fit.test or fit.name, *parameter_row(parameter, fit.dof)[:-1]) for fit in fits for parameter in fit.parameters)
     table = Table(("line", *PARAMETER_HEADER[:-1]), rows, f"Straight lines of {fits[0].name}", tuple(n + 1 for n in NUMERIC[:-1]))
     goodness = tuple((fit.test or fit.name, f"{fit.gof.r2:.5f}", str(fit.lines), "; ".join(fit.notes)) for fit in fits)

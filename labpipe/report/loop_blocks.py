@@ -1,4 +1,4 @@
-"""Tables of what is compared band by band, and of what fitted unknowns have to do with each other."""
+"""Tables of comparisons band by band, and of correlations between fitted unknowns."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def loop_blocks(comparison: Comparison) -> list[Block]:
 
 
 def _band_table(comparison: Comparison, name: str) -> Table:
-    """A row for every band and test: value, interval, what it is held against, ratio; * where they differ."""
+    """A row for every band and test: value, interval, reference value, ratio; * where they differ."""
     bands = [band for band in comparison.bands if band.parameter == name]
     several = not bands[0].p_value and len({band.test for band in bands}) > 1
     tested = bands[0].p_value is not None

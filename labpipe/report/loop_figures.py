@@ -1,4 +1,4 @@
-"""Figures of what is compared over frequency: predicted stiffness and damping of a control loop, two tests band by band, sensitivity."""
+"""Figures of comparisons over frequency: predicted stiffness and damping of a control loop, two tests band by band, sensitivity."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _coefficient_panel(comparison: Comparison, name: str, tests: Sequence[str]) 
 
 
 def _aside(comparison: Comparison, number: int, tests: int) -> float:
-    """How far the dots of a test stand beside the centre of their band [Hz], so that tests do not hide each other."""
+    """Offset of a test's dots from the centre of their band [Hz], so that tests do not hide each other."""
     if tests == 1:
         return 0.0
     centres = np.unique([band.centre_hz for band in comparison.bands])
@@ -68,7 +68,7 @@ def _of(bands: Sequence[ComparedBand], name: str, test: str) -> list[ComparedBan
 
 
 def _coefficient(comparison: Comparison, bands: Sequence[ComparedBand], label: str, colour: int, aside: float) -> list[Series]:
-    """The bands of one test, the prediction for them, and the loop's own values at each frequency."""
+    """The bands of one test, their prediction, and the loop's values at each frequency."""
     factor = scale_of(bands[0].unit)
     centres = np.array([band.centre_hz for band in bands])
     ends = factor * np.array([band.ci95 for band in bands]).T
@@ -124,7 +124,7 @@ def band_figures(comparison: Comparison) -> list[Figure]:
 
 
 def _band_panel(comparison: Comparison, bands: Sequence[ComparedBand]) -> Panel:
-    """The ratios of one coefficient, those that differ in a colour of their own."""
+    """The ratios of one coefficient, those that differ in another colour."""
     low, high = _ratio_range(bands)
     alike = [band for band in bands if not _differs(comparison, band)]
     different = [band for band in bands if _differs(comparison, band)]

@@ -1,4 +1,4 @@
-"""A fitted FRF matrix of many elements: one small panel for each, as they stand in the matrix."""
+"""A fitted FRF matrix of many elements: one small panel per element, in matrix order."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from labpipe.report.document import Figure
 from labpipe.report.figures import FREQUENCY, form_axis, form_unit
 from labpipe.report.wording import fit_title
 
-# More elements than this cannot be told apart in one pair of axes.
+# Largest number of elements in one pair of axes.
 MOST_TOGETHER = 4
 # Part of the amplitude at which a band ends that would reach below zero, for which a logarithmic axis has no place.
 LEAST_SHARE = 0.05

@@ -1,4 +1,4 @@
-"""The section of what was measured: every response with its quality and what it shows beyond its curves."""
+"""The section on measurements: every response with its quality and spectral figures."""
 
 from __future__ import annotations
 

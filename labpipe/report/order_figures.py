@@ -17,7 +17,7 @@ MOST_ORBITS = 8
 MOST_COLUMNS = 4
 # Room above the amplitudes for their names, and above the limit of a gap.
 LEGEND_ROOM, LIMIT_ROOM = 1.3, 1.15
-# A speed that changes by less than this part of itself stays what it is.
+# Relative change below which a speed counts as constant.
 STEADY = 1e-3
 
 

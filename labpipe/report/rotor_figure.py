@@ -20,7 +20,7 @@ BEARING_WALL = 0.4
 
 @dataclass(frozen=True)
 class Ring:
-    """A tube along the shaft [mm]: *part* says what it is of ('shaft', 'sleeve', 'disc', 'bearing'), *left* its left end."""
+    """A tube along the shaft [mm]: *part*: 'shaft', 'sleeve', 'disc' or 'bearing', *left* its left end."""
 
     part: str
     left: float
@@ -49,7 +49,7 @@ class RotorSketch:
 
 
 def rotor_sections(identification: Identification) -> tuple[Section, ...]:
-    """The section of the rotors that the fits stand on, if any."""
+    """The section on the rotors of the fits, if any."""
     figures = tuple(rotor_figures(identification.settings))
     return (Section("Rotor", figures),) if figures else ()
 

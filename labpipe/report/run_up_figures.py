@@ -102,7 +102,7 @@ def _method_bode(method: RunUpMethod, run: MeasuredRun, number: int) -> tuple[Se
 
 
 def best_method(result: RunUpResult) -> RunUpMethod | None:
-    """The method whose curves stand beside the measurement where one must do: (d) where chi-square rejects (c), else (c), (b), (a)."""
+    """The method drawn with the measurement in figures of one method: (d) where chi-square rejects (c), else (c), (b), (a)."""
     joint = result.method("joint")
     order = ["process", "joint"] if joint is not None and joint.verdict == "rejected" else ["joint", "process"]
     return next((method for name in [*order, "points", "amplitudes"] if (method := result.method(name)) is not None), None)
@@ -138,7 +138,7 @@ def _polar(result: RunUpResult, method: RunUpMethod | None, number: int, motion:
 
 
 def orbit_figure(result: RunUpResult, method: RunUpMethod | None) -> Figure:
-    """Orbits at speeds spread about the critical one: solid measured, dashed by a method; a dot where the keyphasor passes."""
+    """Orbits at speeds about the critical speed: solid measured, dashed by a method; a dot where the keyphasor passes."""
     panels = tuple(_orbits(run, place, method) for run in result.runs for place in orbit_places(run))
     chart = Chart(panels, len(result.runs), ORBITS, (WIDTH, 1.75 * len(result.runs) + 1.0), legend="above")
     dashed = "" if method is None else f"; dashed: {method.title}"

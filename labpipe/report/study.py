@@ -93,20 +93,20 @@ def _means_table(study: Study, fit: str) -> Table:
 
 
 def _noise_figure(study: Study) -> Figure:
-    """Median error, RMSE over the bound, coverage and success over the noise; grey: what is asked for."""
+    """Median error, RMSE over the bound, coverage and success over the noise; grey: required."""
     fits = list(dict.fromkeys(case.fit for case in study.cases))
     panels = []
     for title, unit, logarithmic, value, goal in _quantities(study):
         series = [_curve([case for case in study.cases if case.fit == fit], value, number) for number, fit in enumerate(fits)]
         goals = [] if goal is None else [level(goal)]
         panels.append(Panel(Axis("noise", "%"), Axis(title, unit, logarithmic=logarithmic), (*series, *goals)))
-    caption = "Errors against the Cramer-Rao bound, coverage of the 95 % intervals, and success over the noise; grey: what is asked for."
+    caption = "Errors against the Cramer-Rao bound, coverage of the 95 % intervals, and success over the noise; grey: required."
     alternative = f"Study on {study.rig}: error, efficiency, coverage and success of {', '.join(fits)} over the noise"
     return Figure(stacked(panels, 7.4), caption, alternative)
 
 
 def _quantities(study: Study) -> tuple[tuple[str, str, bool, Callable[[StudyCase], float | None], float | None], ...]:
-    """(title, unit, logarithmic axis, value of a case, what is asked for) of every panel."""
+    """(title, unit, logarithmic axis, value of a case, required value) of every panel."""
     return (
         ("median error", "", True, lambda case: case.median_error, None),
         ("RMSE / CRLB", "", True, lambda case: case.rmse_over_bound, 1.0),

@@ -9,7 +9,7 @@ from labpipe.report.wording import fit_title
 from labpipe.sections import section
 
 MOST_NOTES = 12
-# Codes of findings for which a result must not be used as it stands.
+# Codes of findings with which a result must not be used.
 SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch", "unstable-loop")
 
 
@@ -30,7 +30,7 @@ def _verdict(identification: Identification) -> tuple[Block, ...]:
 
 
 def _failed(identification: Identification) -> tuple[Block, ...]:
-    """What is missing, and why: it stands before all results."""
+    """Missing results with their reasons, before all results."""
     rows = tuple((failed.name, failed.message) for failed in identification.failed)
     lead = Paragraph(f"INCOMPLETE: {len(rows)} test(s) or comparison(s) could not be evaluated. What follows is the rest.", "failed")
     return (lead, Table(("test", "why"), rows, "What could not be evaluated"))
@@ -53,7 +53,7 @@ def _judged(identification: Identification) -> tuple[Block, ...]:
 
 
 def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
-    """Fits and comparisons that must not be used as they stand, named beside the verdict: a rule can hold for the wrong reason."""
+    """Fits and comparisons that must not be used, named beside the verdict: a rule can pass for the wrong reason."""
     serious: dict[str, list[str]] = {}
     for origin, finding in (*_of_fits(identification), *_of_sections(identification)):
         if finding.code in SERIOUS:
@@ -74,7 +74,7 @@ def _of_fits(identification: Identification) -> list[tuple[str, Finding]]:
 
 
 def _of_sections(identification: Identification) -> list[tuple[str, Finding]]:
-    """The findings of the sections beside the fits, each with what it is of."""
+    """The findings of the sections other than fits, with their origin."""
     return [pair for name, record in identification.sections.items() for pair in section(name).call("findings", record)]
 
 
@@ -100,7 +100,7 @@ def _warnings(identification: Identification) -> tuple[Block, ...]:
 
 
 def _notes(identification: Identification) -> tuple[Block, ...]:
-    """Each kind of note in one box, every note in full up to a number: they tell what was done, test by test."""
+    """Each kind of note in one box, every note in full up to a number: they describe the processing test by test."""
     blocks: list[Block] = []
     for code, entries in _by_code(identification, NOTE).items():
         notes = list(dict.fromkeys(f"{origin}: {finding.message}" for origin, finding in entries))

@@ -12,7 +12,7 @@ from labpipe.records.study import StudyThreshold
 STARS = ((0.001, "***"), (0.01, "**"), (0.05, "*"))
 STARS_EXPLAINED = (
     "Significance of the difference from zero: *** p < 0.001, ** p < 0.01, * p < 0.05, n.s. not significant "
-    "(the value cannot be told from zero). Derived values are computed from the estimated ones. "
+    "(the value does not differ significantly from zero). Derived values are computed from the estimated ones. "
     "VIF: variance inflation, 1 when no other parameter resembles this one."
 )
 LEGIBLE = {"1": "", "N.s/m": "N s/m"}
@@ -93,7 +93,7 @@ def threshold_text(threshold: StudyThreshold, share: float) -> str:
 
 
 def inflated_text(fit: Fit) -> str:
-    """What the standard errors are when the excess of the residual is taken for noise; nothing where there is none."""
+    """Sentence on standard errors with the residual's excess taken as noise; empty without an excess."""
     inflated = [p for p in fit.parameters if p.std_error_inflated is not None and not p.derived]
     if not inflated:
         return ""

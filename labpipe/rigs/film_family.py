@@ -6,7 +6,7 @@ All twelve are natural logarithms, zero for the rotor file's own bearing. With O
     K_ij = W / c  k_ij(S) exp(f_ij),   C_ij = W / (c Omega)  c_ij(S) exp(f'_ij),   S from mu and c.
 
 A larger clearance with more viscosity (mu / c^2 kept) only lowers all eight coefficients alike: clearance, viscosity and the common
-factor cannot be told apart by any run-up. Priors hold such combinations; `PRIOR` states them.
+factor are not identifiable separately by any run-up. Priors determine such combinations (`PRIOR`).
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from labpipe.rotors.threshold import CoefficientsAtSpeed
 
 COEFFICIENTS = ("k_xx", "k_xy", "k_yx", "k_yy", "c_xx", "c_xy", "c_yx", "c_yy")
 PARAMETERS = ("viscosity", "viscosity_speed", "viscosity_load", "clearance", *(f"factor_{name}" for name in COEFFICIENTS))
-# Standard deviations of the logarithms before any run-up is seen.
+# Prior standard deviations of the logarithms.
 PRIOR = np.array([0.5, 0.3, 0.3, 0.1, *[0.1] * 8])
-# Largest departure of a logarithm: beyond, the rotor file describes another bearing.
+# Bound of a logarithm; at the bound the rotor file describes another bearing.
 BOUND = np.array([1.5, 1.0, 1.0, 0.4, *[0.5] * 8])
 
 

@@ -1,4 +1,4 @@
-"""Largest radii of a response to unbalance as lists of results show them."""
+"""Largest radii of a response to unbalance for lists of results."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from labpipe.rotors.parts import Rotor, Support
 
 @dataclass(frozen=True)
 class BearingPlace:
-    """A bearing on a node of the rotor; *name* as people call it, *kind* as its file does."""
+    """A bearing on a node of the rotor; *kind*: that of its file."""
 
     name: str
     node: int
@@ -75,7 +75,7 @@ class RotorRig:
             self.rotor.check_node(node, label)
 
     def _places(self) -> list[tuple[str, int]]:
-        """Everything that sits on a node, as a message names it."""
+        """Label and node of every part on a node, for messages."""
         places = [(f"bearing '{place.name}'", place.node) for place in self.bearings]
         places += [("a load", node) for node, _, _ in self.loads] + [("an unbalance", part.node) for part in self.unbalances]
         return [*places, ("the force", self.force), ("the response", self.response)]
@@ -101,7 +101,7 @@ class RotorRig:
             before = forces.get(node, (0.0, 0.0))
             forces[node] = (before[0] + y, before[1] + z)
         reactions = bearing_loads(self.rotor, [place.node for place in self.bearings], forces)
-        # Rounding would turn a vertical load by 1e-13 rad and make every rotor's table of coefficients its own.
+        # Rounding would turn a vertical load by 1e-13 rad, and tables of coefficients could not be shared.
         scale = 1e-9 * float(np.abs(reactions).max())
         return {
             place.name: (float(y) if abs(y) > scale else 0.0, float(z) if abs(z) > scale else 0.0)
@@ -109,7 +109,7 @@ class RotorRig:
         }
 
     def equilibria(self, mesh: FilmMesh = DEFAULT_MESH) -> dict[str, JournalEquilibrium]:
-        """Where the journal of every oil film runs at the rig's speed, by bearing."""
+        """Equilibrium of the journal of every oil film at the rig's speed, by bearing."""
         loads = self.static_loads()
         return {
             place.name: journal_equilibrium(place.film("an equilibrium"), loads[place.name], self.omega, mesh)

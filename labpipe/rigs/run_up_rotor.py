@@ -1,4 +1,4 @@
-"""The rotor behind run-ups: a pinned shaft on one loaded bearing, what its planes show, and its critical and threshold speeds.
+"""The rotor of run-ups: a pinned shaft on one loaded bearing, response of its planes, critical and threshold speeds.
 
 Frame: x along the static load, y a quarter turn further with the spin (the rotor's y and z; a round rotor has no direction of its own).
 """
@@ -26,7 +26,7 @@ from labpipe.rotors.pinned import CondensedRotor, PinnedRotor, condensed_rotor, 
 from labpipe.rotors.threshold import CoefficientsAtSpeed, Stability, resonance_speed, threshold_speed
 
 RPM = np.pi / 30
-# Speeds at which a peak, and a threshold, is looked for; a threshold up to a multiple of the highest speed.
+# Number of speeds in the search for peaks and thresholds; range of thresholds relative to the highest speed.
 N_CRITICAL, N_THRESHOLD, BEYOND = 131, 29, 2.0
 # From the bearing's frame (y, z; load along -z) to x along the load and y a quarter turn further with the spin.
 ALONG_LOAD = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -47,7 +47,7 @@ class TabulatedCoefficients(Protocol):
 
 @dataclass(frozen=True)
 class SpeedSearch:
-    """Where critical speeds are looked for: between *low* and *high* [rad/s]; thresholds of instability up to *highest*."""
+    """Range of the search: critical speeds between *low* and *high* [rad/s], thresholds of instability up to *highest*."""
 
     low: float
     high: float
@@ -58,12 +58,12 @@ class SpeedSearch:
 
     @property
     def critical(self) -> FloatArray:
-        """Speeds (n_speed,) [rad/s] at which a peak is looked for."""
+        """Speeds (n_speed,) [rad/s] of the search for a peak."""
         return np.linspace(self.low, self.high, N_CRITICAL)
 
     @property
     def threshold(self) -> FloatArray:
-        """Speeds (n_speed,) [rad/s] at which the sign of the growth rate is looked at."""
+        """Speeds (n_speed,) [rad/s] of the search for a sign change of the growth rate."""
         return np.linspace(self.low, self.highest, N_THRESHOLD)
 
     @property
@@ -103,7 +103,7 @@ class RunUpRotor:
 
     @property
     def search(self) -> SpeedSearch:
-        """The speeds to look at; ConfigError where neither the rotor file nor a run-up says them."""
+        """Range of the search; ConfigError where neither the rotor file nor a run-up gives one."""
         if self.speeds is None:
             raise ConfigError("speeds: are missing, and there is no run-up to take them from", hint="for example speeds: 400-3000 rpm")
         return SpeedSearch(*self.speeds)
@@ -176,13 +176,13 @@ class RunUpRotor:
         return curve_values.stiffness * scale, curve_values.damping * scale / speed[..., None, None]
 
     def _by_speed(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """K and C (n_speed, 2, 2) of a bearing that is asked speed by speed, in the frame of the load."""
+        """K and C (n_speed, 2, 2) of a bearing computed speed by speed, in the frame of the load."""
         points = [self.place.bearing.at(OperatingPoint((0.0, -load), omega, omega)) for omega in speed.tolist()]
         stiffness, damping = (np.stack([getattr(point, name) for point in points]) for name in ("stiffness", "damping"))
         return ALONG_LOAD @ stiffness @ ALONG_LOAD.T, ALONG_LOAD @ damping @ ALONG_LOAD.T
 
     def start(self, load: float) -> CoefficientsAtSpeed:
-        """The same as a function of speed alone."""
+        """`start_coefficients` as a function of speed."""
         return lambda speed: self.start_coefficients(load, speed)
 
     def response(self, speed: FloatArray, coefficients: CoefficientsAtSpeed) -> ComplexArray:

@@ -19,7 +19,7 @@ MOST_SPEEDS = 2000
 
 @dataclass(frozen=True)
 class UnbalanceSettings(Settings):
-    """The ``unbalance:`` section of a pipeline; *rig* is what `rotor` names."""
+    """The ``unbalance:`` section of a pipeline; *rig*: contents of `rotor`."""
 
     rotor: str = setting("file", "rotor file with its unbalances, relative to the pipeline file", file_kind="rotor", into="rig")
     speeds: tuple[float, float] = setting("band", "range of speeds", unit="Hz")

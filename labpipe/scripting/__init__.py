@@ -1,1 +1,1 @@
-"""What scripts and notebooks call: files read and pipelines run through one door, things by name, results as tables."""
+"""Interface for scripts and notebooks: read files, run pipelines, bearings and rotors by name, results as tables."""

@@ -1,4 +1,4 @@
-"""One door for every file that holds measured data or a result."""
+"""Read every file of measurements or results by one function."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _calibrated(path: Path, rig: Rig) -> Recording:
 
 
 def _by_itself(path: Path) -> Recording:
-    """The recording by what the file states; DataError for channels whose quantity or unit it does not state."""
+    """The recording as the file describes it; DataError for channels without quantity or unit."""
     table = open_table(path)
     names, rows = first_rows(table)
     time = time_columns(names, rows)[:1] if table.sample_rate is None else []

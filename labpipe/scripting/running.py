@@ -16,7 +16,7 @@ from labpipe.stages.report import write_report
 
 
 def run(pipeline: str | Path, output: str | Path | None = None, overrides: Iterable[str] = (), jobs: int = 1) -> Identification:
-    """The result of a pipeline file; with an *output* folder also its files and reports, where what is up to date is not made again.
+    """The result of a pipeline file; with an *output* folder also its files and reports, where fresh results are reused.
 
     *overrides*: as --set takes them, "identify.support.band=60-70 Hz". *jobs*: processes for several tests; a script that asks for more
     than one needs the usual ``if __name__ == "__main__"``. LabpipeError as on the command line; rules that fail are in the result.

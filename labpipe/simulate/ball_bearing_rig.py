@@ -62,7 +62,7 @@ class Sampling(Settings):
 
 @dataclass(frozen=True)
 class RigNoise(Settings):
-    """Standard deviations of what is not the same twice."""
+    """Standard deviations of measuring noise and of settings."""
 
     acceleration: float = setting("value", "accelerometers", unit="m/s^2", default=0.3)
     force: float = setting("value", "force transducer", unit="N", default=0.1)
@@ -73,7 +73,7 @@ class RigNoise(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualBallBearingRig(Settings):
-    """Bearings, shaft, sensors, and what the theory does not know: how much stiffer the bearings are than it says."""
+    """Bearings, shaft, sensors, and the deviation from theory: ratio of true to theoretical stiffness."""
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     deep_groove: TestedBearing = setting("section", "first bearing: tested up and down and repeatedly", section=TestedBearing)
@@ -99,7 +99,7 @@ class VirtualBallBearingRig(Settings):
 
 @dataclass(frozen=True)
 class ShakerTest:
-    """One run: a bearing at one nominal *preload* [N]; *setting* names how often it was set before, *way* is up or down."""
+    """One run: a bearing at one nominal *preload* [N]; *setting*: name of the setting of the preload, *way*: up or down."""
 
     tested: TestedBearing
     preload: float
@@ -142,7 +142,7 @@ def _generator(seed: int, name: str) -> np.random.Generator:
 
 
 def true_preload(rig: VirtualBallBearingRig, test: ShakerTest, seed: int) -> float:
-    """The preload [N] that was really set: one draw for all runs of a setting."""
+    """True preload [N]: one draw for all runs of a setting."""
     return test.preload * (1 + rig.noise.preload * float(_generator(seed, test.setting).standard_normal()))
 
 

@@ -1,6 +1,6 @@
 """A virtual rotor in journal bearings, healthy or worn: white noise in y, then in z, with noise and an unbalance line.
 
-The rig differs from what its rotor file says, as a real one does: other viscosity and clearance, and oil films on a finer mesh than
+The rig differs from its rotor file, as a real one does: other viscosity and clearance, and oil films on a finer mesh than
 an identification uses.
 """
 
@@ -43,7 +43,7 @@ class JournalNoise(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualJournalRig(Settings):
-    """The rotor of a rotor file with a model error, its shaker and its sensors; *rig* is what `rotor` names."""
+    """The rotor of a rotor file with a model error, its shaker and its sensors; *rig*: contents of `rotor`."""
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
@@ -98,7 +98,7 @@ class VirtualJournalRig(Settings):
 
 
 def true_rig(virtual: VirtualJournalRig, depth: float, angle: float) -> RotorRig:
-    """The rotor as it truly is, with a wear of *depth* [m] at *angle* [rad]; ConfigError without a rotor."""
+    """The true rotor, with a wear of *depth* [m] at *angle* [rad]; ConfigError without a rotor."""
     if virtual.rig is None:
         raise ConfigError("no rotor was read for this virtual rig", hint="name it with rotor:")
     nominal = worn_place(virtual.rig, virtual.bearing)
@@ -121,7 +121,7 @@ def receptance(rig: RotorRig, frequency: FloatArray, mesh: FilmMesh) -> ComplexA
 
 
 def journal_runs(virtual: VirtualJournalRig, seed: int, names: Sequence[str]) -> tuple[Recording, ...]:
-    """The named runs: force f along one axis, displacements y and z [SI]; each with noise of its own.
+    """The named runs: force f along one axis, displacements y and z [SI]; with independent noise.
 
     The force is periodic in the whole run and band-limited, so the motion is the exact steady state.
     """
@@ -167,7 +167,7 @@ def _unbalance_motion(virtual: VirtualJournalRig, response: ComplexArray, phase:
 
 
 def truth(virtual: VirtualJournalRig) -> dict[str, Any]:
-    """The bearings as they truly are, and wear depth [m] and angle [rad] of every state."""
+    """True parameters of the bearings, and wear depth [m] and angle [rad] of every state."""
     rig = true_rig(virtual, 0.0, 0.0)
     bearing = rig.place(virtual.bearing).bearing
     states = {state: {"wear_depth": wear.depth, "wear_angle": wear.angle} for state, wear in virtual.states}

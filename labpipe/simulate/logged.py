@@ -1,4 +1,4 @@
-"""Recordings as virtual loggers store them: units, whole numbers, and the packing that serves them best."""
+"""Recordings in the format of virtual loggers: units, whole numbers, and packing."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from labpipe.simulate.sampled_loop import CONTROL_RATE, OUTPUTS, Suspended, samp
 
 READING, BEFORE, AFTER, OUTPUT, CURRENT = range(len(OUTPUTS))
 HOVER_CORNER = 5.0
-# The logger's filter looks this far to either side [s].
+# Half length of the logger's filter [s].
 MARGIN = 0.05
 SETTLING = 3.0
 GAINS = {"gain-1.0": 1.0, "gain-1.1": 1.1, "gain-1.2": 1.2}
@@ -32,7 +32,7 @@ AXIAL_SHARE = 0.15
 
 @dataclass(frozen=True)
 class LoopRun:
-    """A recording that holds the loop's signals, and the truth behind it."""
+    """A recording of the loop's signals, and its true parameters."""
 
     name: str
     truth: dict[str, Any]

@@ -1,4 +1,4 @@
-"""The parameters of the virtual magnetic-bearing rig: what it IS; the runs made on it are the table RUNS."""
+"""The parameters of the virtual magnetic-bearing rig; its runs are in the table RUNS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs of one force and one displacement: what is excited, how long, and how well k and c can be known from it. ONE_DOF by name."""
+"""Runs of one force and one displacement: excitation, duration, Cramer-Rao errors of k and c. ONE_DOF by name."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ OUTPUTS = ("reading", "before", "after", "output", "current")
 
 @dataclass(frozen=True)
 class Suspended:
-    """What moves in one direction: *mass* [kg] on *bearings* equal bearings, and springs [N/m] and guides [N.s/m] beside them."""
+    """Moving parts in one direction: *mass* [kg] on *bearings* equal bearings, and springs [N/m] and guides [N.s/m] in parallel."""
 
     loop: ControlLoop
     negative_stiffness: float
@@ -158,7 +158,7 @@ def _plant(plant: Suspended, late: float, interval: float) -> _Plant:
 
 
 def _integrals(slope: FloatArray, input_column: FloatArray, time: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """e^{A t}, and what a constant 1 and a ramp t of the input have done after *time* [s] (Van Loan, 1978)."""
+    """e^{A t}, and the response to a constant 1 and to a ramp t of the input after *time* [s] (Van Loan, 1978)."""
     n = slope.shape[0]
     joint = np.zeros((n + 2, n + 2))
     joint[:n, :n], joint[:n, n], joint[n, n + 1] = slope, input_column, 1.0

@@ -1,6 +1,6 @@
 """A virtual rig of two discs on a flexible shaft in pinned ends, one loaded journal bearing at mid span: run-ups under known unbalances.
 
-Falah and Khorshid print the bearing, the span, the shaft and the loads. What they leave out is chosen here: discs of 4.3 kg and 50 mm
+Falah and Khorshid print the bearing, the span, the shaft and the loads. The other parameters are chosen here: discs of 4.3 kg and 50 mm
 radius at 190 mm from the pinned ends, two axial grooves of 20 deg at the horizontal split, 50 and 30 g.mm of unbalance, 27 speeds, 1 %
 and 1 deg of noise, thresholds within .2 %; the bearing differs from the rotor file's in one of three ways (TRUTHS). Where a rotor is
 unstable it has no steady amplitude, and the table has no row.
@@ -38,7 +38,7 @@ MOST_SPEEDS = 1000
 
 @dataclass(frozen=True)
 class RunUpNoise(Settings):
-    """Standard deviations of what is read off: relative for amplitude and threshold."""
+    """Standard deviations of readings: relative for amplitude and threshold."""
 
     amplitude: float = setting("value", "of the amplitude itself", unit="1", default=0.01)
     phase: float = setting("value", "of the phase", unit="rad", default=float(np.deg2rad(1)))
@@ -51,7 +51,7 @@ class RunUpNoise(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualUnbalanceRig(Settings):
-    """The rotor of a rotor file with a model error, its loads and its noise; *rig* is what `rotor` names.
+    """The rotor of a rotor file with a model error, its loads and its noise; *rig*: contents of `rotor`.
 
     Entries marked 'outside' belong to the truth of that name, the others to all. The virtual rotor has the known unbalances of the file.
     """
@@ -111,7 +111,7 @@ class VirtualUnbalanceRig(Settings):
 
 
 def true_coefficients(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
-    """K and C (n_speed, 2, 2) of the bearing as it truly is, over speed [rad/s] under a *load* [N]."""
+    """K and C (n_speed, 2, 2) of the true bearing, over speed [rad/s] under a *load* [N]."""
     if virtual.truth == "factors":
         return _with_factors(virtual, load)
     if virtual.truth == "inside":
@@ -148,7 +148,7 @@ def _with_factors(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSp
 
 
 def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
-    """Other grooves, and a viscosity that falls with the square of the speed: no parameter of the family says so."""
+    """Other grooves, and a viscosity that falls with the square of the speed, which no parameter of the family describes."""
     film = virtual.nominal.place.film("a virtual run-up")
     clearance = film.clearance * (1 + virtual.clearance_error)
     highest = 2 * np.pi * virtual.speeds[1]
@@ -165,7 +165,7 @@ def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
 
 
 def run_ups(virtual: VirtualUnbalanceRig, seed: int, names: Sequence[str] | None = None) -> tuple[RunUp, ...]:
-    """The named runs (all unless named); each with noise of its own, at the speeds where the rotor is stable."""
+    """The named runs (all unless named); with independent noise, at the speeds where the rotor is stable."""
     chosen = chosen_runs(virtual, names)
     return tuple(_run(virtual, name, np.random.default_rng([seed, zlib.crc32(name.encode())])) for name in chosen)
 

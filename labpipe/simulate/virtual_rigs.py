@@ -1,4 +1,4 @@
-"""Virtual rigs whose truth is known. VIRTUAL_RIGS by kind: the settings of a rig file, its runs, their files, and responses for studies."""
+"""Virtual rigs with true parameters. VIRTUAL_RIGS by kind: the settings of a rig file, its runs, their files, and responses for studies."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Truth = dict[str, float]
 
 
 class VirtualRig(Protocol):
-    """The settings of a virtual rig, of whatever kind."""
+    """The settings of a virtual rig of any kind."""
 
     @property
     def kind(self) -> str: ...
@@ -57,7 +57,7 @@ class LoggedTable:
 
 @dataclass(frozen=True)
 class Simulation:
-    """*files* by the name of their run, and the *truth* behind them as truth.json holds it."""
+    """*files* by the name of their run, and the *truth*: entries of truth.json."""
 
     files: Mapping[str, LoggedTable | FrequencyResponse | RunUp]
     truth: Mapping[str, Any]
@@ -99,7 +99,7 @@ def simulate(rig: VirtualRig, seed: int, runs: Iterable[str] | None = None) -> S
 
 
 def recordings(rig: VirtualRig, seed: int, runs: Iterable[str] | None = None) -> tuple[Recording, ...]:
-    """The recordings of the named runs in SI units; ConfigError for a rig that gives none."""
+    """The recordings of the named runs in SI units; ConfigError for a rig without recordings."""
     kind = kind_of(rig)
     if kind.recordings is None:
         raise ConfigError(f"a {rig.kind} gives no recordings", hint="labpipe simulate says what it gives")

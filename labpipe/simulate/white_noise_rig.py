@@ -77,7 +77,7 @@ def receptance(rig: WhiteNoiseRig, frequency: FloatArray) -> ComplexArray:
 
 
 def white_noise_runs(rig: WhiteNoiseRig, seed: int, names: Sequence[str] = tuple(RUNS)) -> tuple[Recording, ...]:
-    """The named runs: force f, displacements x and y [SI]; each has noise of its own.
+    """The named runs: force f, displacements x and y [SI]; with independent noise.
 
     The force is periodic in the whole run and band-limited, so x = H f line by line is the exact steady state, without aliasing.
     """

@@ -39,7 +39,7 @@ def frf(
     """The response of one test, made unless the one on disk is fresh; LabpipeError names the recording."""
     inputs = tuple(source_ref(recording.path, recording.path.parent) for recording in recordings)
     parameters = {"frf": dataclasses.asdict(settings), "test": test, "conditions": conditions or {}}
-    header = Header("frf", parameters, inputs)
+    header = Header("frf", parameters, inputs=inputs)
     name = frf_file_name(test)
     existing = output.read_path(name)
     if existing.exists() and read_header(existing, "frf").same_work(header):

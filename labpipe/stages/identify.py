@@ -57,7 +57,7 @@ def identify_stage(
     existing = _existing(output)
     if existing is not None and _same_work(existing, basis):
         return existing
-    work = Work(pipeline, responses, output, tell, jobs, made, failed=list(failed))
+    work = Work(pipeline, responses, output, tell=tell, jobs=jobs, made=made, failed=list(failed))
     records = _run_sections(work)
     identification = dataclasses.replace(
         basis,

@@ -37,7 +37,7 @@ def ingest(source: Path, rig: Rig, output: OutputFolder, name: str, base: Path) 
     if is_recording(source):
         return open_recording(source)
     table = open_table(source)
-    header = Header("recording", dataclasses.asdict(rig), (source_ref(source, base),))
+    header = Header("recording", dataclasses.asdict(rig), inputs=(source_ref(source, base),))
     fresh = output.read_path(name + SUFFIX)
     if fresh.exists() and read_header(fresh, "recording").same_work(header):
         return open_recording(fresh)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.config.pipeline import Pipeline
@@ -24,6 +24,7 @@ class Work:
     pipeline: Pipeline
     responses: Sequence[FrequencyResponse]
     output: OutputFolder
+    _: KW_ONLY
     tell: Tell = lambda _: None
     jobs: int = 0
     made: Mapping[str, Sequence[Fit]] = field(default_factory=dict)

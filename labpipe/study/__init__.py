@@ -1,1 +1,1 @@
-"""Monte Carlo studies: how near to the truth, and how sure of it, a pipeline's fits are on a virtual rig."""
+"""Monte Carlo studies: errors and coverage of a pipeline's fits on a virtual rig."""

@@ -1,4 +1,4 @@
-"""Figures of a study as lists of results show them."""
+"""Results of a study for lists of results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Many repeats of all fits on fresh noise, on several processors; the same seeds give the same outcomes on any number of them."""
+"""Repeats of all fits with different noise, on several processors; outcomes depend on the seeds only."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from labpipe.records.identification import Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.study.sources import Source
 
-# Fewer repeats than this are not worth a process of their own.
+# Least number of repeats for separate processes.
 WORTH_SHARING = 100
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One fit of one repeat: whether it ended in a result, and its parameters (also of the last step of one that did not)."""
+    """One fit of one repeat: converged or not, and its parameters (of the last step where not converged)."""
 
     converged: bool
     parameters: tuple[Parameter, ...]
@@ -70,7 +70,7 @@ def _repeated(
 
 
 def _outcome(response: FrequencyResponse, settings: FitSettings) -> Outcome:
-    """A fit that is refused counts as one without a result."""
+    """A fit with FitError counts as not converged."""
     try:
         (fit,) = identify(response, settings)
     except FitError:

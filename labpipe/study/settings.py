@@ -13,7 +13,7 @@ FEWEST_REPEATS = 10
 
 @dataclass(frozen=True, kw_only=True)
 class StudySettings(Settings):
-    """Which virtual rig, how noisy, how often; *virtual_rig* is what `rig` names."""
+    """Virtual rig, noise levels and repeats of a study; *virtual_rig*: contents of `rig`."""
 
     rig: str = setting("file", "virtual rig file, relative to the pipeline file", file_kind="virtual-rig", into="virtual_rig")
     noise: tuple[float, ...] = setting(

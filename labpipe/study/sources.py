@@ -1,4 +1,4 @@
-"""Where a study's responses come from: any virtual rig at a noise level, a seed; and the truth behind them."""
+"""Responses of a study from a virtual rig, noise level and seed, and their true parameters."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from labpipe.spectra.settings import FrfSettings
 
 @dataclass(frozen=True)
 class Source:
-    """Responses of a virtual *rig* from its *runs*, as many as wanted, all with one truth; *frf*: how recordings are measured."""
+    """Responses of a virtual *rig* from its *runs*, with the same true parameters; *frf*: how recordings are measured."""
 
     rig: VirtualRig
     runs: tuple[str, ...]
@@ -44,7 +44,7 @@ class Source:
         return simulated_response(self.rig, seed, self.runs or None, self.frf)
 
     def bounds(self, settings: FitSettings) -> Truth:
-        """Cramer-Rao standard deviations of a fit's parameters by name, as far as the rig knows them."""
+        """Cramer-Rao standard deviations of a fit's parameters by name, as far as the rig provides them."""
         kind = kind_of(self.rig)
         if kind.response is not None:
             return _bounds_of_response(kind.response(self.rig, None), self.truth, settings)
@@ -55,7 +55,7 @@ class Source:
 
 
 def _bounds_of_response(exact: FrequencyResponse, truth: Truth, settings: FitSettings) -> Truth:
-    """sqrt(diag((J^T J)^-1)) of the weighted output error at the truth; none where the fit's parameters are not the rig's."""
+    """sqrt(diag((J^T J)^-1)) of the weighted output error at the truth; empty where the fit's parameters differ from the rig's."""
     rows, columns = select_ports(exact, settings.input, settings.output)
     setup = Setup(tuple(exact.outputs[row] for row in rows), tuple(exact.inputs[column] for column in columns), settings)
     model = constrained(MODELS[settings.model](setup), settings)
@@ -73,7 +73,7 @@ def _lines(frequency: FloatArray, settings: FitSettings) -> BoolArray:
 
 
 def source_of(rig: VirtualRig, noise: float, lines: int | None, runs: tuple[str, ...], frf: FrfSettings | None) -> Source:
-    """The source of a virtual rig at a noise level; ConfigError where the study asks what the rig cannot give."""
+    """The source of a virtual rig at a noise level; ConfigError for lines or runs that the rig does not have."""
     kind = kind_of(rig)
     if kind.response is None and kind.recordings is None:
         raise ConfigError(f"a {rig.kind} gives no frequency response", hint="studies repeat fits of frequency responses")

@@ -19,10 +19,10 @@ from labpipe.study.summary import success_rate, summarised
 
 Tell = Callable[[str], None]
 
-# The search for a threshold looks between these multiples of the lowest and the highest noise level, to this precision.
+# Range of the search for a threshold, in multiples of the lowest and highest noise level, and its precision.
 SEARCHED_BELOW, SEARCHED_ABOVE = 0.05, 20.0
 SEARCH_RATIO = 1.05
-# Repeats of one step of the search; a success rate of 95 % is known to 1.5 % by them.
+# Repeats of one step of the search; the standard error of a success rate of 95 % is 1.5 %.
 SEARCH_REPEATS = 200
 
 
@@ -31,7 +31,7 @@ def run_study(rig: Any, settings: StudySettings, fits: Sequence[FitSettings], fr
 
     The noise of a repeat depends on the seed and the repeat's number alone, so all levels and fits see the same draws.
     *jobs*: processes, 0 for one per processor; a script that asks for several needs the usual `if __name__ == "__main__"`.
-    ConfigError where the rig cannot give what the study asks.
+    ConfigError for lines or runs that the rig does not have.
     """
     plain = [replace(fit, compare=False, sliding=None) for fit in fits]
     with workers(jobs) as crew:

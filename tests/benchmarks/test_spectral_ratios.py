@@ -100,7 +100,7 @@ def test_from_parquet_against_bare_read_and_bare_ffts(samples: np.ndarray, tmp_p
     with RecordingWriter(path, CHANNELS) as writer:
         for start in range(0, samples.shape[0], 1 << 16):
             writer.write(samples[start : start + (1 << 16)])
-        writer.finish(Header("recording", {}, (), contents=recording_contents(CHANNELS, RATE, "run")))
+        writer.finish(Header("recording", {}, inputs=(), contents=recording_contents(CHANNELS, RATE, "run")))
     recording, columns = open_recording(path), np.ascontiguousarray(samples.T)
 
     def bare() -> None:

@@ -41,7 +41,7 @@ def receptance(form: str = "receptance") -> FrequencyResponse:
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with a rig, an artefact of an FRF and nothing else."""
     (tmp_path / "rig.yaml").write_text(RIG)
-    write_response(tmp_path / "h.frf.parquet", receptance(), Header("frf", {}, ()))
+    write_response(tmp_path / "h.frf.parquet", receptance(), Header("frf", {}, inputs=()))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -50,7 +50,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize("form", ["receptance", "accelerance"])
 def test_an_exported_response_is_identified_as_it_was_made(project: Path, labpipe, target: str, suffix: str, form: str) -> None:
     """Closed form: the coefficients from which the FRF was made."""
-    write_response(project / "h.frf.parquet", receptance(form), Header("frf", {}, ()))
+    write_response(project / "h.frf.parquet", receptance(form), Header("frf", {}, inputs=()))
     assert labpipe("export", "h.frf.parquet", "--to", target, "-o", f"h{suffix}").code == 0
     np.testing.assert_allclose(read_frf_file(project / f"h{suffix}").matrix, read_response(project / "h.frf.parquet").matrix, rtol=1e-11)
     (project / "p.yaml").write_text(PIPELINE.replace("FILE", f"h{suffix}") + "accept: {support.k: 80 kN/m +- 0.0001 %}\n")

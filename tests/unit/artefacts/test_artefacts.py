@@ -22,7 +22,7 @@ from labpipe.records.identification import Fit, FittedCurve, Goodness, Identific
 from labpipe.records.recording import Channel
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 
-HEADER = Header("frf", {"period": 1.0}, (SourceRef("a.csv", "00"),))
+HEADER = Header("frf", {"period": 1.0}, inputs=(SourceRef("a.csv", "00"),))
 
 
 def response(rng: np.random.Generator) -> FrequencyResponse:
@@ -93,7 +93,7 @@ def test_recording_round_trip_in_blocks(tmp_path: Path, rng: np.random.Generator
     with RecordingWriter(tmp_path / "a.recording.parquet", channels) as writer:
         for start in range(0, 1000, 300):
             writer.write(samples[start : start + 300])
-        writer.finish(Header("recording", {}, (), (Finding("gap", "g"),), recording_contents(channels, 50.0, "a")))
+        writer.finish(Header("recording", {}, inputs=(), findings=(Finding("gap", "g"),), contents=recording_contents(channels, 50.0, "a")))
     stored = open_recording(tmp_path / "a.recording.parquet")
     assert (stored.channels, stored.sample_rate, stored.n_sample, stored.findings) == (channels, 50.0, 1000, (Finding("gap", "g"),))
     np.testing.assert_array_equal(np.concatenate(list(stored.blocks(64))), samples)

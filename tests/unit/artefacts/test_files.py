@@ -29,7 +29,7 @@ from labpipe.records.response import FrequencyResponse, Port
 from tests.unit.artefacts.any_record import complex_arrays, fits, responses, same
 
 CHECKS = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large]
-HEADER = Header("frf", {"period": 1.0}, (SourceRef("a.csv", "00"),))
+HEADER = Header("frf", {"period": 1.0}, inputs=(SourceRef("a.csv", "00"),))
 
 
 # recordings
@@ -47,7 +47,11 @@ def written(folder: Path, samples: np.ndarray, block: int, *findings: Finding) -
     with RecordingWriter(path, CHANNELS) as writer:
         for start in range(0, len(samples), block):
             writer.write(samples[start : start + block])
-        writer.finish(Header("recording", {"name": "rig"}, HEADER.inputs, findings, recording_contents(CHANNELS, 200.0, "run 7")))
+        writer.finish(
+            Header(
+                "recording", {"name": "rig"}, inputs=HEADER.inputs, findings=findings, contents=recording_contents(CHANNELS, 200.0, "run 7")
+            )
+        )
     return path
 
 

@@ -20,7 +20,7 @@ from labpipe.artefacts.parquet import HEADER_KEY, batches, has_header, open_parq
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 
-HEADER = Header("frf", {"period": 1.0, "band": [1.0, 250.0]}, (SourceRef("a.csv", "00"), SourceRef("b.csv", "11")))
+HEADER = Header("frf", {"period": 1.0, "band": [1.0, 250.0]}, inputs=(SourceRef("a.csv", "00"), SourceRef("b.csv", "11")))
 PATH = Path("x.frf.parquet")
 
 
@@ -59,7 +59,7 @@ def test_what_came_out_is_no_part_of_the_work(change: dict) -> None:
 
 def test_tuples_and_lists_are_the_same_parameters() -> None:
     """A header that is asked for has tuples, one from a file has lists."""
-    assert Header("frf", {"band": (1.0, 250.0)}, ()).same_work(Header("frf", {"band": [1.0, 250.0]}, ()))
+    assert Header("frf", {"band": (1.0, 250.0)}, inputs=()).same_work(Header("frf", {"band": [1.0, 250.0]}, inputs=()))
 
 
 PARAMETERS = st.recursive(
@@ -77,7 +77,7 @@ REFS = st.lists(st.builds(SourceRef, st.text(max_size=5), st.text(max_size=5)), 
 @settings(max_examples=60)
 @given(st.dictionaries(st.text(max_size=4), PARAMETERS, max_size=3), REFS)
 def test_a_header_read_back_is_the_same_work(parameters: dict, inputs: tuple[SourceRef, ...]) -> None:
-    header = Header("frf", parameters, inputs, (Finding("gap", "3 s"), note("masked", "50 Hz")), {"name": "a"})
+    header = Header("frf", parameters, inputs=inputs, findings=(Finding("gap", "3 s"), note("masked", "50 Hz")), contents={"name": "a"})
     again = header_from_json(header.to_json(), PATH, "frf")
     assert again == header and again.same_work(header)
 
@@ -92,7 +92,7 @@ def test_a_header_names_the_version_that_made_it_and_no_time() -> None:
 def test_a_parameter_that_is_no_number_is_refused(number: float) -> None:
     """Not-a-number is no JSON, and never equals itself: the artefact would never be fresh."""
     with pytest.raises(ValueError, match="JSON"):
-        Header("frf", {"period": number}, ()).to_json()
+        Header("frf", {"period": number}, inputs=()).to_json()
 
 
 # what is not ours

@@ -89,7 +89,10 @@ def test_serial_work_is_done_when_it_is_asked_for() -> None:
         order.append(job.test.name)
         return Done(job.test.name)
 
-    jobs = [Job(Measured(name), (), None, (), Path("p.yaml"), Path("out"), Path("scratch")) for name in ("a", "b")]
+    jobs = [
+        Job(Measured(name), (), frf=None, fits=(), pipeline_path=Path("p.yaml"), target=Path("out"), scratch=Path("scratch"))
+        for name in ("a", "b")
+    ]
     outcomes = serially(noted, jobs)
     assert order == []
     assert next(outcomes).test == "a" and order == ["a"]
@@ -153,7 +156,7 @@ def test_an_error_of_the_operating_system_is_the_outcome_of_its_test(lab: Path, 
         raise OSError(28, "No space left on device", "disk")
 
     monkeypatch.setattr("labpipe.pipeline.one_test.measure", full)
-    job = Job(Measured("soft"), (), None, (), lab / "pipeline.yaml", lab / "out", lab)
+    job = Job(Measured("soft"), (), frf=None, fits=(), pipeline_path=lab / "pipeline.yaml", target=lab / "out", scratch=lab)
     assert work(job) == Done("soft", failed=Failed("soft", "disk: no space left on device"))
 
 
@@ -186,14 +189,24 @@ def test_what_was_finished_before_an_interruption_is_kept(lab: Path, after: int)
 
 
 def test_a_job_says_where_its_fits_stand() -> None:
-    job = Job(Measured("427 N, up/down"), (), None, (), Path("lab/p.yaml"), Path("out"), Path("scratch"))
+    job = Job(
+        Measured("427 N, up/down"), (), frf=None, fits=(), pipeline_path=Path("lab/p.yaml"), target=Path("out"), scratch=Path("scratch")
+    )
     assert job.fits_name == "fits/427-N-up-down.json" and job.folder == Path("lab")
 
 
 def test_a_job_for_another_place_has_no_relative_path(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(lab)
     test = load_pipeline(Path("pipeline.yaml")).tests[0]
-    job = Job(replace(test, frfs=(Path("h.csv"),)), ("soft",), None, (), Path("pipeline.yaml"), Path("out"), Path("scratch")).absolute()
+    job = Job(
+        replace(test, frfs=(Path("h.csv"),)),
+        ("soft",),
+        frf=None,
+        fits=(),
+        pipeline_path=Path("pipeline.yaml"),
+        target=Path("out"),
+        scratch=Path("scratch"),
+    ).absolute()
     paths = [job.pipeline_path, job.target, job.scratch, *job.test.frfs, *(source.path for source in job.test.recordings)]
     assert all(path.is_absolute() for path in paths) and job.test.recordings[0].rig == test.recordings[0].rig
 

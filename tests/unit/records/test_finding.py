@@ -52,7 +52,7 @@ def test_a_finding_is_a_note_or_a_warning() -> None:
 
 def test_the_level_survives_files(response: FrequencyResponse, tmp_path: Path) -> None:
     both = replace(response, findings=(MASKED, CLIPPED))
-    write_response(tmp_path / "a.frf.parquet", both, Header("frf", {}, ()))
+    write_response(tmp_path / "a.frf.parquet", both, Header("frf", {}, inputs=()))
     assert read_response(tmp_path / "a.frf.parquet").findings == (MASKED, CLIPPED)
     write_identification(tmp_path / "identification.json", identification(both, MASKED, CLIPPED))
     again = read_identification(tmp_path / "identification.json")

@@ -181,7 +181,7 @@ def test_all_methods_stand_beside_the_measurement() -> None:
         "1400.14 ± 0.30: +0.01 % (0.01 %)",
     )
     assert held[3] == "none" and held[4] == "1386.00 ± 0.80*: -1.00 % (1.00 %)"
-    printed = [block for block in blocks if isinstance(block, Table) and "for reference; no targets" in block.caption]
+    printed = [block for block in blocks if isinstance(block, Table) and "for reference, measured on another rig" in block.caption]
     assert [text_of(table)[0][1:] for table in printed] == [
         ("1317", "1450: +10.10 % (9.17 %)", "1317: +0.00 % (0.00 %)"),
         ("2838.37", "2475: -12.80 % (12.80 %)", "2955: +4.11 % (3.95 %)"),
@@ -206,7 +206,7 @@ def test_doubt_is_told_for_every_method() -> None:
     blocks = doubt_blocks(RESULT)
     table, *_ = (block for block in blocks if isinstance(block, Table))
     assert text_of(table)[0][:5] == ("(a) amplitudes", "not determined", "2 of 8", "120", "25 %")
-    assert table.rows[0][5:] == ("14", "14", "no datum left")
+    assert table.rows[0][5:] == ("14", "14", "no redundant datum")
     assert text_of(table)[1][2] == "11 of 12" and table.rows[1][7] == "1.09 (p = 0.04)"
     words = " ".join(block.text for block in blocks if isinstance(block, Paragraph))
     assert "viscosity +1.00, clearance +0.50" in words and "second unbalance run adds no rank" in words and "shaker" in words
@@ -272,7 +272,7 @@ def test_coefficients_over_speed_have_bands() -> None:
 def test_searches_are_shown_with_what_they_do_not_say() -> None:
     (search,), (spread,) = AMPLITUDES.convergence, AMPLITUDES.spreads
     figure = convergence_figure(AMPLITUDES, search)
-    assert "33 evaluations, a cap on the evaluations ended it" in figure.caption
+    assert "33 evaluations, ended by the limit on evaluations" in figure.caption
     assert figure.graphic.panels[0].series[0].y == pytest.approx([1.0, 0.01, 0.001]) and figure.graphic.panels[0].y.logarithmic
     drawn = spread_figure(AMPLITUDES, spread)
     assert "the coefficients are not determined" in drawn.caption and "0.57 (median)" in drawn.caption
@@ -284,7 +284,7 @@ def test_surfaces_stand_as_drawings_with_a_text() -> None:
     stiffness, damping = surface_figures(MODEL)
     assert isinstance(stiffness.graphic, Drawing) and stiffness.graphic.subject.titles[1] == "k_xy [kN/m]"
     np.testing.assert_allclose(stiffness.graphic.subject.values[0], [[100, 200], [100, 300], [100, 400]])
-    assert "stiffness" in stiffness.caption and "3.66 to 3.66 N carried on" in damping.caption and "damping" in damping.alternative
+    assert "stiffness" in stiffness.caption and "3.66 to 3.66 N extrapolated" in damping.caption and "damping" in damping.alternative
 
 
 def test_a_cascade_raises_every_spectrum_by_its_speed() -> None:

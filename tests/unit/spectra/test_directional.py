@@ -78,7 +78,7 @@ def test_the_covariance_goes_along(rng: np.random.Generator) -> None:
 
 def test_the_artefact_carries_the_directional_response(rng: np.random.Generator, tmp_path: Path) -> None:
     response = measured(ANISOTROPIC, rng, noise=0.01)
-    write_response(tmp_path / "a.frf.parquet", response, Header("frf", {}, ()))
+    write_response(tmp_path / "a.frf.parquet", response, Header("frf", {}, inputs=()))
     stored = read_response(tmp_path / "a.frf.parquet")
     assert [port.label for port in (*stored.outputs, *stored.inputs)] == ["f", "b", "f", "b"]
     np.testing.assert_array_equal(stored.matrix, response.matrix)

@@ -82,13 +82,13 @@ def test_what_are_no_realisations_is_refused(rng: np.random.Generator) -> None:
 
 def test_distortion_and_partial_coherence_survive_the_file(rng: np.random.Generator, tmp_path: Path) -> None:
     response = measure([recording(rng, 0.05, 1e-3) for _ in range(2)], SETTINGS)
-    write_response(tmp_path / "a.frf.parquet", response, Header("frf", {}, ()))
+    write_response(tmp_path / "a.frf.parquet", response, Header("frf", {}, inputs=()))
     again = read_response(tmp_path / "a.frf.parquet")
     np.testing.assert_array_equal(again.distortion, response.distortion)
     assert again.partial_coherence is None and again.line_correlation == ()
     runs = [recording(rng, 0.0, 0.1, force, (X, Y)) for force in FORCES]
     response = measure(runs, FrfSettings(excitation="random", block=0.5))
-    write_response(tmp_path / "b.frf.parquet", response, Header("frf", {}, ()))
+    write_response(tmp_path / "b.frf.parquet", response, Header("frf", {}, inputs=()))
     again = read_response(tmp_path / "b.frf.parquet")
     np.testing.assert_array_equal(again.partial_coherence, response.partial_coherence)
     assert again.line_correlation == response.line_correlation and len(again.line_correlation) >= 2

@@ -42,7 +42,7 @@ def stored(folder: Path, n_sample: int = 400, name: str = "a", gain: float = 1.0
     path = folder / f"{name}.recording.parquet"
     with RecordingWriter(path, CHANNELS) as writer:
         writer.write(samples)
-        writer.finish(Header("recording", {}, (), contents=recording_contents(CHANNELS, 100.0, name)))
+        writer.finish(Header("recording", {}, inputs=(), contents=recording_contents(CHANNELS, 100.0, name)))
     return open_recording(path)
 
 
@@ -129,7 +129,7 @@ def response() -> FrequencyResponse:
 def files(tmp_path: Path, response: FrequencyResponse) -> dict[str, Path]:
     """A response in several kinds of files, and recordings beside them."""
     write_frf_csv(tmp_path / "h.csv", response)
-    write_response(tmp_path / "h.frf.parquet", response, Header("frf", {}, ()))
+    write_response(tmp_path / "h.frf.parquet", response, Header("frf", {}, inputs=()))
     (tmp_path / "run.csv").write_text("t [s],f\n0,1\n1,2\n")
     pq.write_table(pa.table({"f": [1.0, 2.0]}), tmp_path / "run.parquet")
     stored(tmp_path, name="run")

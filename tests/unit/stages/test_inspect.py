@@ -103,7 +103,7 @@ def test_a_calibrated_recording_shows_its_channels(tmp_path: Path) -> None:
     path = tmp_path / "a.recording.parquet"
     with RecordingWriter(path, channels) as writer:
         writer.write(np.column_stack([np.arange(10.0), np.full(10, 2e-6)]))
-        writer.finish(Header("recording", {}, (), contents=recording_contents(channels, 5.0, "run 7")))
+        writer.finish(Header("recording", {}, inputs=(), contents=recording_contents(channels, 5.0, "run 7")))
     overview = seen(path)
     assert (overview.file, overview.kind, overview.n_sample, overview.sample_rate) == ("run 7", "calibrated recording", 10, 5.0)
     assert overview.rate == "5 Hz, 2 s" and [channel.about for channel in overview.channels] == ["input y", "output y"]
