@@ -119,7 +119,7 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
         notes = (*notes, note)
     notes = (*notes, *motion_notes(measured))
     # Candidates show whether proportional damping is justified.
-    found = candidates(measured, setup) if settings.compare or settings.damping == "proportional" else ()
+    compared_models = candidates(measured, setup) if settings.compare or settings.damping == "proportional" else ()
     fit = Fit(
         name=settings.name,
         model=settings.model,
@@ -137,10 +137,10 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
         findings=(
             *estimate_findings(estimate, model.names, measured.omega.size, settings.estimator, model.units),
             *parameter_findings(parameters),
-            *comparison_findings(found),
+            *comparison_findings(compared_models),
         ),
         notes=notes,
-        candidates=found,
+        candidates=compared_models,
     )
     return _BandFit(fit, fitted, model, estimate.values)
 

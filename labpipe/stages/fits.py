@@ -19,8 +19,8 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
     """Every fit on every test that it names; fits already made test by test are reused."""
     fits: list[Fit] = []
     for fit in settings:
-        if fit.name in work.made:
-            fits.extend(work.made[fit.name])
+        if fit.name in work.test_fits:
+            fits.extend(work.test_fits[fit.name])
         else:
             check_tested(fit, [response.name for response in work.responses])
             fits.extend(fits_of(work.responses, fit.kind.begin(fit, fits), work.pipeline.path))

@@ -34,13 +34,13 @@ def identify_stage(
     output: OutputFolder,
     tell: Callable[[str], None] = lambda _: None,
     jobs: int = 0,
-    made: Mapping[str, Sequence[Fit]] = MappingProxyType({}),
+    test_fits: Mapping[str, Sequence[Fit]] = MappingProxyType({}),
     failed: Sequence[Failed] = (),
     inputs: Sequence[SourceRef] = (),
 ) -> Identification:
     """The identification of all tests and all sections of a pipeline, made unless the one on disk is fresh.
 
-    *jobs*: processes of the study, 0 for one per processor. *made*: fits that were made test by test, by their name in the
+    *jobs*: processes of the study, 0 for one per processor. *test_fits*: fits already made test by test, by their name in the
     pipeline. *failed*: the tests that are missing; a comparison that cannot do without them is missing as well.
     *inputs*: the digests of the responses themselves, by which a change of a rig, a sensor or a recording reaches the result.
     """
@@ -57,7 +57,7 @@ def identify_stage(
     existing = _existing(output)
     if existing is not None and _same_work(existing, basis):
         return existing
-    work = Work(pipeline, responses, output, tell=tell, jobs=jobs, made=made, failed=list(failed))
+    work = Work(pipeline, responses, output, tell=tell, jobs=jobs, test_fits=test_fits, failed=list(failed))
     records = _run_sections(work)
     identification = dataclasses.replace(
         basis,

@@ -17,7 +17,7 @@ Tell = Callable[[str], None]
 class Work:
     """A pipeline whose recordings have been measured.
 
-    made: fits that were made test by test, by their name in the pipeline. fits: those of the sections so far. failed: tests that are
+    test_fits: fits already made test by test, by their name in the pipeline. fits: those of the sections so far. failed: tests that are
     missing, and comparisons that cannot do without them; *go_on* then. *jobs*: processes of a study, 0 for one per processor.
     """
 
@@ -27,7 +27,7 @@ class Work:
     _: KW_ONLY
     tell: Tell = lambda _: None
     jobs: int = 0
-    made: Mapping[str, Sequence[Fit]] = field(default_factory=dict)
+    test_fits: Mapping[str, Sequence[Fit]] = field(default_factory=dict)
     fits: list[Fit] = field(default_factory=list)
     failed: list[Failed] = field(default_factory=list)
 
