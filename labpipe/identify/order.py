@@ -82,7 +82,7 @@ class RationalFit:
         for _ in range(PASSES):
             right_side = self._whitened(self.elements * (self.powers[:, -1] * weight)[:, None])
             columns = self._equation(self.elements, weight)
-            triangle = np.linalg.qr(np.column_stack([columns, right_side]), mode="r")
+            triangle = np.asarray(np.linalg.qr(np.column_stack([columns, right_side]), mode="r"))
             values = np.linalg.lstsq(triangle[:, :-1], triangle[:, -1], rcond=None)[0]
             denominator, _ = self._polynomials(values)
             if np.any(denominator == 0):

@@ -74,7 +74,7 @@ def minimise(problem: SquareSum, start: FloatArray, near: float = 0.0, most_step
         residual, jacobian = problem.residual(values), problem.jacobian(values)
         scale = np.linalg.norm(jacobian, axis=0)
         # With J = Q R every step of this iteration needs R and Q^T r only; both are in the triangle of [J r].
-        joint = np.linalg.qr(np.column_stack([jacobian / scale, residual]), mode="r")
+        joint = np.asarray(np.linalg.qr(np.column_stack([jacobian / scale, residual]), mode="r"))
         triangle, projected = joint[: scale.size, : scale.size], joint[: scale.size, -1]
         # Unlike the length of the last step, the gain of a further full step does not become small through large damping.
         before = float(residual @ residual)

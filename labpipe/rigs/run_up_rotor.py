@@ -122,7 +122,7 @@ class RunUpRotor:
         return tuple(name for name, _ in self.planes)
 
     @property
-    def unbalance_by_plane(self) -> dict[str, complex]:
+    def known_unbalance(self) -> dict[str, complex]:
         """Unbalance [kg m] by plane, complex with its angle."""
         amounts: dict[str, complex] = {}
         for unbalance in self.unbalances:
@@ -187,7 +187,7 @@ class RunUpRotor:
 
     def response(self, speed: FloatArray, coefficients: CoefficientsAtSpeed) -> ComplexArray:
         """Phasors (n_speed, n_plane, 2) [m] under the known unbalance."""
-        outputs = self.under_unbalance(speed, self.unbalance_by_plane).response(*coefficients(speed))
+        outputs = self.under_unbalance(speed, self.known_unbalance).response(*coefficients(speed))
         return outputs.reshape(np.size(speed), len(self.planes), 2)
 
     def critical_speed(self, coefficients: CoefficientsAtSpeed, plane: str = "", direction: str = "") -> float:

@@ -41,7 +41,7 @@ class AtLoad:
 
 def with_unbalance_of(rig: RunUpRotor, run: RunUp) -> RunUpRotor:
     """The rotor with a run's unbalance; unchanged where it is the rotor file's."""
-    file_unbalance = rig.unbalance_by_plane
+    file_unbalance = rig.known_unbalance
     same = run.shaker is not None or (
         run.unbalance.keys() == file_unbalance.keys()
         and all(abs(size - file_unbalance[plane]) <= 1e-9 * abs(size) for plane, size in run.unbalance.items())

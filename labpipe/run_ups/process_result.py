@@ -92,7 +92,7 @@ class ProcessFit:
         around = speed + step * np.array([-1.0, 0.0, 1.0])
         number = self.rig.plane_names.index(plane) if plane else -1
         eight = self.family.coefficients(self.values, load, around)
-        response, slopes = self.rig.under_unbalance(around, self.rig.unbalance_by_plane).response_and_slopes(*as_matrices(eight))
+        response, slopes = self.rig.under_unbalance(around, self.rig.known_unbalance).response_and_slopes(*as_matrices(eight))
         size = largest_displacement(response.reshape(3, -1, 2))[:, number]
         bend = (size[0] - 2 * size[1] + size[2]) / step**2
         by_eight = displacement_slopes(response, slopes)[:, number] * np.array([1.0, 0.0, -1.0])[:, None] / (2 * step * bend)

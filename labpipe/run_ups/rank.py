@@ -54,9 +54,9 @@ def rank_statements(rig: RunUpRotor, load: float, speed: float, coefficients: Fl
     place = np.array([speed])
     eight = as_eight(*rig.start_coefficients(load, place)) if coefficients is None else np.asarray(coefficients, np.float64)[None]
     unit = scales(eight)[0]
-    first = _slopes(rig, place, eight, rig.unbalance_by_plane) * unit
+    first = _slopes(rig, place, eight, rig.known_unbalance) * unit
     other = rig.plane_names[-1]
-    second = _slopes(rig, place, eight, {other: 1j * max(abs(size) for size in rig.unbalance_by_plane.values())}) * unit
+    second = _slopes(rig, place, eight, {other: 1j * max(abs(size) for size in rig.known_unbalance.values())}) * unit
     shaker = _slopes(rig, place, eight, None) * unit
     both = np.concatenate([first, second])
     return (
@@ -118,7 +118,7 @@ def _response(
 
 def _amplitude_slopes(rig: RunUpRotor, speed: FloatArray, eight: FloatArray) -> FloatArray:
     """Of the largest displacement of every plane, (n_plane, 8): d |f| = Re(f* df) / |f| for both circles of the orbit."""
-    response, slopes = _response(rig, speed, eight, rig.unbalance_by_plane)
+    response, slopes = _response(rig, speed, eight, rig.known_unbalance)
     response, slopes = response.reshape(-1, 2), slopes.reshape(-1, 2, 8)
     derivatives = np.zeros((response.shape[0], 8))
     for turn in (1j, -1j):

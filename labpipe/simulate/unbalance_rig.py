@@ -193,8 +193,8 @@ def _excitation(virtual: VirtualUnbalanceRig, name: str) -> tuple[dict[str, comp
     if name.endswith("-shaker"):
         return {}, Shaker(rig.plane_names[0], virtual.shaker_force, 0.0, virtual.shaker_ratio)
     if name.endswith("-second"):
-        return {rig.plane_names[-1]: max(np.abs(list(rig.unbalance_by_plane.values()))) + 0j}, None
-    return rig.unbalance_by_plane, None
+        return {rig.plane_names[-1]: max(np.abs(list(rig.known_unbalance.values()))) + 0j}, None
+    return rig.known_unbalance, None
 
 
 def _threshold(virtual: VirtualUnbalanceRig, name: str, coefficients: CoefficientsAtSpeed, rng: np.random.Generator) -> Uncertain | None:

@@ -169,8 +169,8 @@ def run_up(rig: RunUpRotor, load: float, factors: np.ndarray, rng: np.random.Gen
     exact = rig.under_unbalance(speed, rig.known_unbalance).response(split[0] * stiffness, split[1] * damping).reshape(30, 2, 2)
     turn = 0.0 if rng is None else rng.normal(0, np.radians(1), exact.shape)
     size = 1.0 if rng is None else 1 + rng.normal(0, 0.01, exact.shape)
-    errors = (0.01 * np.abs(exact), np.full(exact.shape, np.radians(1)))
-    return RunUp(f"{load:g} N", load, speed, rig.plane_names, exact * size * np.exp(1j * turn), *errors, unbalance=rig.known_unbalance)
+    errors = {"amplitude_error": 0.01 * np.abs(exact), "phase_error": np.full(exact.shape, np.radians(1))}
+    return RunUp(f"{load:g} N", load, speed, rig.plane_names, exact * size * np.exp(1j * turn), **errors, unbalance=rig.known_unbalance)
 
 
 @pytest.mark.parametrize("true", [0.6, 1.0, 1.7])
@@ -235,8 +235,25 @@ def fit_of(name: str, *modes: tuple[float, float], test: str = "") -> Fit:
     """A fit with modes (natural frequency [Hz], damping ratio), the frequencies known to 0.5 Hz."""
     many = len(modes) > 1
     pairs = [(f"_{n}" if many else "", *mode) for n, mode in enumerate(modes, 1)]
-    parameters = [p for end, f, zeta in pairs for p in (Parameter(f"f_n{end}", f, "Hz", 0.5), Parameter(f"zeta{end}", zeta, "1", 0.001))]
-    return Fit(name, "sdof", "ml", (1.0, 2.0), 1, 1, 1, Goodness(1.0, 1.0), tuple(parameters), 1.0, np.eye(1), test=test)
+    parameters = [
+        parameter
+        for end, f, zeta in pairs
+        for parameter in (Parameter(f"f_n{end}", f, "Hz", std_error=0.5), Parameter(f"zeta{end}", zeta, "1", std_error=0.001))
+    ]
+    return Fit(
+        name,
+        "sdof",
+        "ml",
+        band_hz=(1.0, 2.0),
+        lines=1,
+        equations=1,
+        dof=1,
+        gof=Goodness(1.0, 1.0),
+        parameters=tuple(parameters),
+        condition_number=1.0,
+        correlation=np.eye(1),
+        test=test,
+    )
 
 
 def margin(module: ModuleType, frequency: float, ratio: float, order: float):
@@ -310,7 +327,9 @@ def two_tests(part):
 )
 def test_a_rule_holds_for_every_test_or_for_the_one_in_brackets(two_tests, which, item, bound, found, passed) -> None:
     module, record = two_tests
-    outcome = module.outcome(Rule("expect", f"separation.{item}", "separation", which, item, ">=", bound, "p.yaml:1:1"), record, compare)
+    address, place = f"separation.{item}", "p.yaml:1:1"
+    rule = Rule(section="expect", address=address, fit="separation", which=which, item=item, kind=">=", bound=bound, place=place)
+    outcome = module.outcome(rule, record, compare)
     assert (outcome.value, outcome.passed) == (pytest.approx(found), passed)
 
 

@@ -18,5 +18,6 @@ exact = exact.reshape(speed.size, len(rig.planes), 2)
 rng = np.random.default_rng(1)
 relative, phase = 0.01, np.radians(1)
 measured = exact * (1 + relative * rng.standard_normal(exact.shape)) * np.exp(1j * phase * rng.standard_normal(exact.shape))
-errors = (relative * np.abs(measured), np.full(exact.shape, phase))
-write_run_up_csv(Path(sys.argv[1]), RunUp("damper", LOAD, speed, rig.plane_names, measured, *errors, unbalance=rig.known_unbalance))
+errors = {"amplitude_error": relative * np.abs(measured), "phase_error": np.full(exact.shape, phase)}
+run = RunUp("damper", LOAD, speed, rig.plane_names, measured, **errors, unbalance=rig.known_unbalance)
+write_run_up_csv(Path(sys.argv[1]), run)

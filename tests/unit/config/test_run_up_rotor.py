@@ -30,7 +30,7 @@ def test_the_shipped_rotor(root: Path) -> None:
     bearing = rig.place.bearing
     assert (bearing.diameter, bearing.length, bearing.clearance, bearing.viscosity) == (0.0165, 0.00825, 0.0002, 0.55)
     assert np.degrees(bearing.groove_width) == pytest.approx(20)
-    assert rig.unbalance_by_plane["disc 2"] == pytest.approx(30e-6 * np.exp(1j * np.pi / 3))
+    assert rig.known_unbalance["disc 2"] == pytest.approx(30e-6 * np.exp(1j * np.pi / 3))
 
 
 def test_an_entry_may_be_set_from_outside(root: Path) -> None:

@@ -174,7 +174,7 @@ def small_run(rig: RunUpRotor, change: float) -> RunUp:
         np.ones((9, 2, 2)) + 0j,
         amplitude_error=np.ones((9, 2, 2)),
         phase_error=np.ones((9, 2, 2)),
-        unbalance=rig.unbalance_by_plane,
+        unbalance=rig.known_unbalance,
     )
     stiffness, damping = rig.start_coefficients(20.0, speed)
     response = rig.excited(bare).response(change * stiffness, change * damping).reshape(9, 2, 2)

@@ -110,7 +110,7 @@ def test_unknown_planes_get_the_nearest_name() -> None:
 
 def test_unbalances_on_one_node_add() -> None:
     twice = dataclasses.replace(RIG, unbalances=(*RIG.unbalances, Unbalance(2, 10e-6, np.pi / 2)))
-    assert twice.unbalance_by_plane["disc 1"] == pytest.approx(50e-6 + 10e-6j)
+    assert twice.known_unbalance["disc 1"] == pytest.approx(50e-6 + 10e-6j)
 
 
 def test_both_rules_of_the_difference() -> None:

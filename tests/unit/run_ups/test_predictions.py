@@ -74,7 +74,7 @@ def test_the_rotor_takes_the_runs_unbalance() -> None:
     assert with_unbalance_of(RIG, RUN) is RIG
     other = replace(RUN, unbalance={"disc 2": 1e-5 * np.exp(1j)})
     own = with_unbalance_of(RIG, other)
-    assert own.unbalance_by_plane == {"disc 2": pytest.approx(1e-5 * np.exp(1j))}
+    assert own.known_unbalance == {"disc 2": pytest.approx(1e-5 * np.exp(1j))}
     np.testing.assert_allclose(
         own.response(RUN.speed, RIG.start(RUN.load)).reshape(RUN.n_speed, -1),
         RIG.under_unbalance(RUN.speed, other.unbalance).response(*RIG.start_coefficients(RUN.load, RUN.speed)),

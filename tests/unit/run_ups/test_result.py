@@ -53,7 +53,7 @@ def test_a_rejected_fit_has_values_and_no_interval(joint: JointFit, runs: list[R
 def test_a_rotor_file_without_unbalances_takes_those_of_the_run_ups(runs: list[RunUp]) -> None:
     """The shipped rotor's own unbalances stand in the tables: the same result either way."""
     bare = replace(RIG, unbalances=())
-    assert excited_as(bare, runs).unbalance_by_plane == pytest.approx(RIG.unbalance_by_plane)
+    assert excited_as(bare, runs).known_unbalance == pytest.approx(RIG.known_unbalance)
     assert excited_as(RIG, runs) is RIG and excited_as(bare, []) is bare
     entries = tuple(RunSettings(file=f"{run.name}.csv") for run in runs)
     settings = RunUpSettings(rotor="falah.yaml", runs=entries, methods=("points",), starts=1)

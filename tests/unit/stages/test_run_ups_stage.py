@@ -244,7 +244,7 @@ def recorded(path: Path, unbalance: dict[str, complex]) -> None:
 
 
 def test_a_recording_with_its_residual_gives_the_run_and_its_cascade(tmp_path: Path) -> None:
-    known = RIG.unbalance_by_plane
+    known = RIG.known_unbalance
     left = {"disc 2": 2e-5j}
     recorded(tmp_path / "run.parquet", {"disc 1": known["disc 1"], "disc 2": known["disc 2"] + left["disc 2"]})
     recorded(tmp_path / "left.parquet", left)

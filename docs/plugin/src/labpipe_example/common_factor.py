@@ -94,7 +94,7 @@ def solve_common_factor(rig: RunUpRotor, trained: Sequence[RunUp], settings: Run
         NAME,
         "common factor",
         "rejected" if fit.rejected else "not rejected",
-        (),
+        predictions=(),
         unknowns=1,
         rank=1,
         condition=1.0,
@@ -113,7 +113,7 @@ def _parameter(fit: CommonFactor) -> Parameter:
     if fit.rejected:
         return Parameter("factor", fit.factor, "1")
     interval = (fit.factor - TWO_SIDED * fit.std_error, fit.factor + TWO_SIDED * fit.std_error)
-    return Parameter("factor", fit.factor, "1", fit.std_error, None, interval)
+    return Parameter("factor", fit.factor, "1", std_error=fit.std_error, ci95=interval)
 
 
 def _at(fit: CommonFactor, rotor: RunUpRotor, run: RunUp) -> AtLoad:

@@ -138,7 +138,7 @@ def findings(record: Separation) -> Iterator[tuple[str, Finding]]:
 def parameters(record: Separation) -> Iterator[ListedParameter]:
     """The margins as `labpipe list -p` shows them."""
     for margin in record.margins:
-        parameter = Parameter(f"margin_{margin.order:g}x", margin.margin, "1", margin.std_error, derived=True)
+        parameter = Parameter(f"margin_{margin.order:g}x", margin.margin, "1", std_error=margin.std_error, derived=True)
         fit = f"separation.{margin.name.partition('.')[0]}"
         yield ListedParameter(fit=fit, parameter=parameter, test=margin.test, model="separation")
 
