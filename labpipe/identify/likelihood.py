@@ -57,26 +57,15 @@ def maximum_likelihood(
     reduced = float(residual @ residual) / dof
     r2, adjusted = determination(measured.matrix, measured.matrix - model.receptance(values, measured.omega), n_parameter)
     notes: tuple[str, ...] = (f"ml: started from {start.name}.",)
-    if not weighted:
+    if weighted:
+        reduced /= doubt.excess
+        covariance, gof = doubt.inflation * inverse, Goodness(r2, adjusted, reduced, doubt.p_value(reduced, dof))
+    else:
         notes = (*notes, UNWEIGHTED_NOTE)
-        inverse = measured.shared_noise * inverse
-        covariance, gof = reduced * inverse, Goodness(r2, adjusted)
-        return Estimate(
-            values=values,
-            covariance=covariance,
-            scaled_design=design,
-            gof=gof,
-            dof=dof,
-            converged=converged,
-            iterations=iterations,
-            notes=notes,
-            amplification=amplification,
-        )
-    reduced /= doubt.excess
-    gof = Goodness(r2, adjusted, reduced, doubt.p_value(reduced, dof))
+        covariance, gof = reduced * (measured.shared_noise * inverse), Goodness(r2, adjusted)
     return Estimate(
         values=values,
-        covariance=doubt.inflation * inverse,
+        covariance=covariance,
         scaled_design=design,
         gof=gof,
         dof=dof,

@@ -101,7 +101,7 @@ class FitSettings(Settings):
             raise ConfigError("'symmetric', 'lumped_mass' and 'scale_mass' are for mdof only", hint="leave them out")
         kind = self.kind
         if kind.settings is None and self.model_settings is not None:
-            raise ConfigError(f"model {self.model} has no settings", hint="leave model_settings out")
+            raise ConfigError(f"model {self.model} has no settings of its own", hint="leave model_settings out")
         if kind.settings is not None and not isinstance(self.model_settings, kind.settings):
             raise ConfigError(f"model {self.model} needs the section '{kind.section}'", hint=kind.example)
         if self.scale_mass and self.mass == ESTIMATE:

@@ -211,7 +211,7 @@ def test_what_a_fit_cannot_do_is_said(sdof_response, symmetric_response, coupled
     with pytest.raises(ConfigError, match="needs the known mass"):
         identify(coupled_response(), FitSettings("rotor-2dof"))
     unknown = replace(symmetric_response(), inputs=(replace(symmetric_response().inputs[0], angle=None, dof="shaker"),))
-    with pytest.raises(ConfigError, match="direction of the force f is not known"):
+    with pytest.raises(ConfigError, match="direction of the force f is unknown"):
         identify(unknown, FitSettings("rotor-2dof-direct", mass=0.92))
     axis = replace(symmetric_response(), inputs=(replace(symmetric_response().inputs[0], angle=0.0, dof="x"),))
     with pytest.raises(ConfigError, match="no force acts in direction y"):
