@@ -9,7 +9,7 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.identify.constraints import constrained
 from labpipe.identify.likelihood import maximum_likelihood
 from labpipe.identify.measured import Measured
-from labpipe.identify.order import modal_chi2
+from labpipe.identify.order import MOST_STEPS, modal_chi2
 from labpipe.identify.settings import ESTIMATE, MODELS, FitSettings
 from labpipe.identify.setup import Setup
 from labpipe.identify.weights import has_noise, weight_doubt, whitener
@@ -18,8 +18,6 @@ from labpipe.records.identification import Candidate
 
 # Difference in AIC to the best model beyond which a model has practically no support (Burnham and Anderson 2002, sec. 2.6).
 NO_SUPPORT = 10.0
-# Bound of the descent from each start: a structure that contradicts the data may have no minimum to reach.
-MOST_STEPS = 40
 
 
 @dataclass(frozen=True)

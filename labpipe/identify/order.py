@@ -16,7 +16,7 @@ PASSES = 8
 # The descent ends where a further full step would lower chi-square by a small part of its expectation per equation only: differences
 # in AIC count from 10, and a surplus mode creeps long through noise before it converges.
 NEAR = 0.2
-# Bound of each descent: a mode count that the data do not determine has no minimum to reach.
+# Bound of each descent of a comparison: a structure that contradicts the data, or surplus modes, may have no minimum to reach.
 MOST_STEPS = 40
 # Least ratio of a motion's singular value to the largest one of noise alone.
 STANDS_OUT = 1.5

@@ -148,7 +148,10 @@ class RunUpMethod:
 
 @dataclass(frozen=True)
 class RankRow:
-    """Rank of the eight coefficients from a set of *data* at one load and speed; *words*: statement."""
+    """Rank [1] of the eight coefficients from a set of *data* at one load and speed, *condition* [1] within the rank.
+
+    *words*: statement; *free*: each undetermined combination, in parts of the coefficients' sizes; *advice* on the experiment, if any.
+    """
 
     data: str
     rank: int

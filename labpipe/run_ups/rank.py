@@ -7,12 +7,12 @@ alone give one number per disc. Only a force that does not turn with the shaft m
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.records.run_up import RunUp, Shaker
+from labpipe.records.run_up_result import RankRow
 from labpipe.rigs.film_family import as_eight
 from labpipe.rigs.run_up_rotor import RunUpRotor
 from labpipe.run_ups.misfit import rank_of, scales, unseen_combinations
@@ -33,20 +33,7 @@ WORDS = {
 ADVICE = "a second unbalance run adds no rank, a non-rotating shaker run does"
 
 
-@dataclass(frozen=True)
-class RankStatement:
-    """*rank* of the eight unknowns from a set of *data*; *condition* within the rank; *words*: statement, *free*: each combination
-    that is undetermined, in parts of the coefficients' sizes; *advice* on the experiment, where there is any."""
-
-    data: str
-    rank: int
-    condition: float
-    words: str
-    free: tuple[str, ...]
-    advice: str = ""
-
-
-def rank_statements(rig: RunUpRotor, load: float, speed: float, coefficients: FloatArray | None = None) -> tuple[RankStatement, ...]:
+def rank_statements(rig: RunUpRotor, load: float, speed: float, coefficients: FloatArray | None = None) -> tuple[RankRow, ...]:
     """The four statements for amplitudes, complex amplitudes, a second unbalance, and a shaker, at one *load* [N] and *speed* [rad/s].
 
     *coefficients* (8,) [N/m, N s/m]: about which, those of the rotor file unless given. Nothing measured is needed.
@@ -67,7 +54,7 @@ def rank_statements(rig: RunUpRotor, load: float, speed: float, coefficients: Fl
     )
 
 
-def measured_statement(rig: RunUpRotor, runs: Iterable[RunUp], load: float, speed: float) -> RankStatement:
+def measured_statement(rig: RunUpRotor, runs: Iterable[RunUp], load: float, speed: float) -> RankRow:
     """The statement for the *runs* at hand (of one load, at one speed), with *advice* where a second unbalance adds no rank."""
     runs = list(runs)
     place = np.array([speed])
@@ -79,12 +66,12 @@ def measured_statement(rig: RunUpRotor, runs: Iterable[RunUp], load: float, spee
     return _statement(named, np.concatenate(parts), ADVICE if without_shaker else "")
 
 
-def _statement(source: str, slopes: FloatArray, advice: str = "") -> RankStatement:
+def _statement(source: str, slopes: FloatArray, advice: str = "") -> RankRow:
     rows = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
     computed_rank, condition = rank_of(rows)
     rank = int(computed_rank)
     sentence = WORDS.get(rank, f"{rank} combinations of the eight coefficients are determined")
-    return RankStatement(source, rank, float(condition), sentence, unseen_combinations(rows), advice)
+    return RankRow(source, rank, float(condition), sentence, unseen_combinations(rows), advice)
 
 
 def _slopes(

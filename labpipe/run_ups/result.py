@@ -10,14 +10,14 @@ from labpipe.bearings.journal import JournalBearing
 from labpipe.errors import LabpipeError
 from labpipe.records.finding import Finding, note
 from labpipe.records.run_up import RunUp
-from labpipe.records.run_up_result import HELD_OUT, START, TRAINED, MeasuredRun, RankRow, RunPrediction, RunUpMethod, RunUpResult
+from labpipe.records.run_up_result import HELD_OUT, START, TRAINED, MeasuredRun, RunPrediction, RunUpMethod, RunUpResult
 from labpipe.rigs.run_up_rotor import RunUpRotor, searched_over
 from labpipe.run_ups.joint_result import REJECTED
 from labpipe.run_ups.measured import ReadRun, measured_run
 from labpipe.run_ups.metamodel_results import metamodels
 from labpipe.run_ups.methods import Predictor, Solved, solve_start
 from labpipe.run_ups.predictions import RPM, excited_as, predict, with_unbalance_of
-from labpipe.run_ups.rank import RankStatement, measured_statement, rank_statements
+from labpipe.run_ups.rank import measured_statement, rank_statements
 from labpipe.run_ups.settings import METHODS, RunUpSettings
 
 Tell = Callable[[str], None]
@@ -87,15 +87,11 @@ def _ranks(rig: RunUpRotor, trained: Sequence[RunUp]) -> dict[str, Any]:
     first = load_runs[0]
     speed = float(first.speed[first.n_speed // 2])
     return {
-        "ranks": tuple(_row(statement) for statement in rank_statements(rig, load, speed)),
+        "ranks": rank_statements(rig, load, speed),
         "rank_load": load,
         "rank_speed": speed,
-        "measured_rank": _row(measured_statement(rig, load_runs, load, speed)),
+        "measured_rank": measured_statement(rig, load_runs, load, speed),
     }
-
-
-def _row(statement: RankStatement) -> RankRow:
-    return RankRow(statement.data, statement.rank, statement.condition, statement.words, statement.free, statement.advice)
 
 
 def _with_findings(result: RunUpResult, reasons: Sequence[str], read: Sequence[ReadRun]) -> RunUpResult:
