@@ -9,15 +9,20 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.identify.constraints import constrained
 from labpipe.identify.likelihood import maximum_likelihood
 from labpipe.identify.measured import Measured
-from labpipe.identify.order import MOST_STEPS, modal_chi2
+from labpipe.identify.model import DynamicModel
+from labpipe.identify.proportional import ProportionalModel
+from labpipe.identify.rational_fit import RationalFit
 from labpipe.identify.settings import ESTIMATE, MODELS, FitSettings
 from labpipe.identify.setup import Setup
+from labpipe.identify.statistics import Estimate
 from labpipe.identify.weights import has_noise, weight_doubt, whitener
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Candidate
 
 # Difference in AIC to the best model beyond which a model has practically no support (Burnham and Anderson 2002, sec. 2.6).
 NO_SUPPORT = 10.0
+# Bound of each descent of a variant: a structure that contradicts the data may have no minimum to reach.
+MOST_STEPS = 40
 
 
 @dataclass(frozen=True)
@@ -29,25 +34,35 @@ class _Variant:
     inside: tuple[str, ...] = ()
 
 
-def candidates(measured: Measured, setup: Setup) -> tuple[Candidate, ...]:
-    """Every variant fitted by ml, in ascending order of AIC = chi-square + 2 parameters; none for an unknown noise.
+def candidates(measured: Measured, setup: Setup, own: Estimate | None = None) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
+    """Every variant fitted by ml, in ascending order of AIC = chi-square + 2 parameters, and the names of those that did not converge.
 
-    A variant without a minimum in MOST_STEPS of each start is left out. Without `compare` only the alternative to proportional damping:
-    independent damping coefficients.
+    None for an unknown noise. *own*: the estimate of the fit itself where it is by ml; else this model is fitted again. Every descent is
+    bounded. Without `compare` only the alternative to proportional damping: independent damping coefficients.
     p_value: probability of an equal or larger decrease of chi-square to the richest variant that contains this one, if this one is true
     (likelihood ratio, chi-square with as many degrees of freedom as additional parameters).
     """
     if not has_noise(measured):
-        return ()
+        return (), ()
     whole = setup.settings.compare
     variants = _variants(setup.settings) if whole else _damping_variants(setup.settings)
-    results = {variant.name: _fitted(measured, replace(setup, settings=variant.settings), variant.name) for variant in variants}
-    fitted = {name: candidate for name, candidate in results.items() if candidate is not None}
+    models = {variant.name: _model(replace(setup, settings=variant.settings)) for variant in variants}
+    results: dict[str, Candidate | None] = {}
+    for name, model in models.items():
+        if model is not None:
+            estimate = own if own and name.startswith(THIS) else _estimate(measured, model)
+            results[name] = _candidate(name, measured, estimate) if estimate and estimate.converged else None
     if whole:
-        fitted.update(_orders(measured, setup))
+        results.update(_orders(measured, len(setup.outputs)))
+    fitted = {name: candidate for name, candidate in results.items() if candidate is not None}
     inside = {variant.name: [fitted[name] for name in variant.inside if name in fitted] for variant in variants}
     tested = [_tested(candidate, inside.get(name, [])) for name, candidate in fitted.items()]
-    return tuple(sorted(tested, key=lambda candidate: candidate.aic))
+    return tuple(sorted(tested, key=lambda candidate: candidate.aic)), tuple(name for name in results if name not in fitted)
+
+
+def comparison_notes(left_out: tuple[str, ...]) -> tuple[str, ...]:
+    """A note that names the variants without a minimum."""
+    return (f"Compared models left out, their descents found no minimum: {'; '.join(left_out)}.",) if left_out else ()
 
 
 def comparison_findings(ranking: tuple[Candidate, ...]) -> tuple[Finding, ...]:
@@ -66,19 +81,20 @@ def comparison_findings(ranking: tuple[Candidate, ...]) -> tuple[Finding, ...]:
 THIS = "this model"
 
 
-def _orders(measured: Measured, setup: Setup) -> dict[str, Candidate]:
+def _orders(measured: Measured, n_output: int) -> dict[str, Candidate | None]:
     """Rational fits with one mode less than dofs, as many, and one more: a test for modes missing in the model."""
-    n_output = len(setup.outputs)
-    orders = {}
-    for modes in range(max(n_output - 1, 1), n_output + 2):
-        fitted = modal_chi2(measured, whitener(measured), modes)
-        if fitted is not None:
-            raw, n_parameter = fitted
-            name = f"{modes} mode{'s' if modes > 1 else ''}, any structure"
-            dof = measured.n_equation - n_parameter
-            chi2 = raw / weight_doubt(measured, dof).inflation
-            orders[name] = Candidate(name, n_parameter, chi2, dof, chi2 + 2 * n_parameter)
-    return orders
+    weights = whitener(measured)
+    fits = [RationalFit(measured, weights, modes) for modes in range(max(n_output - 1, 1), n_output + 2)]
+    names = [f"{fit.modes} mode{'s' if fit.modes > 1 else ''}, any structure" for fit in fits]
+    return {name: _order(name, fit) for name, fit in zip(names, fits, strict=True) if measured.n_equation > fit.n_parameter}
+
+
+def _order(name: str, fit: RationalFit) -> Candidate | None:
+    raw, dof = fit.lowest_chi2(), fit.measured.n_equation - fit.n_parameter
+    if raw is None:
+        return None
+    chi2 = raw / weight_doubt(fit.measured, dof).inflation
+    return Candidate(name, fit.n_parameter, chi2, dof, chi2 + 2 * fit.n_parameter)
 
 
 def _variants(settings: FitSettings) -> list[_Variant]:
@@ -131,20 +147,29 @@ def _described(settings: FitSettings) -> str:
     return ", ".join(parts)
 
 
-def _fitted(measured: Measured, setup: Setup, name: str) -> Candidate | None:
-    """The variant's fit; None where it does not suit these ports, or does not converge."""
+def _model(setup: Setup) -> DynamicModel | ProportionalModel | None:
+    """The model of a variant; None where it does not suit these ports."""
     try:
-        model = constrained(MODELS[setup.settings.model](setup), setup.settings)
-        estimate = maximum_likelihood(measured, model, most_steps=MOST_STEPS)
-        doubt = weight_doubt(measured, estimate.dof)
-    except (ConfigError, FitError):
+        return constrained(MODELS[setup.settings.model](setup), setup.settings)
+    except ConfigError:
         return None
-    reduced = estimate.gof.chi2_reduced
-    if not estimate.converged or reduced is None:
+
+
+def _estimate(measured: Measured, model: DynamicModel | ProportionalModel) -> Estimate | None:
+    try:
+        return maximum_likelihood(measured, model, most_steps=MOST_STEPS)
+    except FitError:
         return None
+
+
+def _candidate(name: str, measured: Measured, estimate: Estimate) -> Candidate:
+    """Name, parameters, chi-square and AIC of an estimate by ml."""
+    assert estimate.gof.chi2_reduced is not None
+    doubt = weight_doubt(measured, estimate.dof)
     # Differences between models follow the covariance of parameters (lost efficiency), not the expectation of the residual.
-    chi2 = reduced * estimate.dof * doubt.excess / doubt.inflation
-    return Candidate(name, len(model.names), chi2, estimate.dof, chi2 + 2 * len(model.names))
+    chi2 = estimate.gof.chi2_reduced * estimate.dof * doubt.excess / doubt.inflation
+    n_parameter = estimate.values.size
+    return Candidate(name, n_parameter, chi2, estimate.dof, chi2 + 2 * n_parameter)
 
 
 def _tested(candidate: Candidate, richer: list[Candidate]) -> Candidate:

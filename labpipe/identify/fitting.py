@@ -10,13 +10,13 @@ import numpy as np
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.identify.bootstrap import bootstrapped
-from labpipe.identify.comparison import candidates, comparison_findings
+from labpipe.identify.comparison import candidates, comparison_findings, comparison_notes
 from labpipe.identify.constraints import constrained
 from labpipe.identify.dense_curve import drawn_densely
 from labpipe.identify.diagnostics import MISMATCH_P, estimate_findings, parameter_findings, quality_findings
 from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.model import DynamicModel
-from labpipe.identify.order import motion_notes
+from labpipe.identify.motions import motion_notes
 from labpipe.identify.proportional import ProportionalModel
 from labpipe.identify.reported import mismatch_factor, reported_parameters
 from labpipe.identify.settings import ESTIMATORS, MODELS, FitSettings
@@ -119,7 +119,9 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
         notes = (*notes, note)
     notes = (*notes, *motion_notes(measured))
     # Candidates show whether proportional damping is justified.
-    compared_models = candidates(measured, setup) if settings.compare or settings.damping == "proportional" else ()
+    own = estimate if settings.estimator == "ml" and not settings.eliminate else None
+    compared_models, left_out = candidates(measured, setup, own) if settings.compare or settings.damping == "proportional" else ((), ())
+    notes = (*notes, *comparison_notes(left_out))
     fit = Fit(
         name=settings.name,
         model=settings.model,

@@ -62,51 +62,66 @@ class Minimum:
     steps: int
 
 
-def minimise(problem: SquareSum, start: FloatArray, near: float = 0.0, most_steps: int = MAX_ITERATIONS) -> Minimum:
+@dataclass(frozen=True)
+class Linearisation:
+    """What the steps of one iteration need of J = Q R S and r: all in the triangle of [J S^-1, r], S the lengths of the columns of J.
+
+    *triangle* R (n_parameter, n_parameter) [-], *projected* Q^T r (n_parameter,) [-], *scale* S (n_parameter,) [1/parameter unit],
+    *chi2* r^T r [-] of *n_equation* residuals.
+    """
+
+    triangle: FloatArray
+    projected: FloatArray
+    scale: FloatArray
+    chi2: float
+    n_equation: int
+
+
+def linearised_by_qr(problem: SquareSum, parameters: FloatArray) -> Linearisation:
+    """The linearisation at *parameters* (n_parameter,) [parameter units] from residual and Jacobian."""
+    residual, jacobian = problem.residual(parameters), problem.jacobian(parameters)
+    scale = np.linalg.norm(jacobian, axis=0)
+    joint = np.asarray(np.linalg.qr(np.column_stack([jacobian / scale, residual]), mode="r"))
+    n = scale.size
+    return Linearisation(joint[:n, :n], joint[:n, -1], scale, float(residual @ residual), residual.size)
+
+
+def minimise(
+    problem: SquareSum,
+    start: FloatArray,
+    near: float = 0.0,
+    most_steps: int = MAX_ITERATIONS,
+    linearise: Callable[[FloatArray], Linearisation] | None = None,
+) -> Minimum:
     """Levenberg-Marquardt from *start* (n_parameter,) [parameter units].
 
     *near*: distance to the minimum in standard errors (residual per equation) at which the descent stops. Not converged after
-    *most_steps*.
+    *most_steps*. *linearise* replaces `linearised_by_qr` for a problem that knows a shorter way.
     """
     values, damping = start, 1e-3
     rounding = ROUNDING * problem.size
     for steps in range(most_steps):
-        residual, jacobian = problem.residual(values), problem.jacobian(values)
-        scale = np.linalg.norm(jacobian, axis=0)
-        # With J = Q R every step of this iteration needs R and Q^T r only; both are in the triangle of [J r].
-        joint = np.asarray(np.linalg.qr(np.column_stack([jacobian / scale, residual]), mode="r"))
-        triangle, projected = joint[: scale.size, : scale.size], joint[: scale.size, -1]
+        linear = linearise(values) if linearise else linearised_by_qr(problem, values)
         # Unlike the length of the last step, the gain of a further full step does not become small through large damping.
-        before = float(residual @ residual)
-        gain, size = float(np.linalg.norm(projected)), float(np.sqrt(before))
-        if gain <= max(GRADIENT_TOLERANCE * size, rounding, near * size / np.sqrt(residual.size)):
+        gain, size = float(np.linalg.norm(linear.projected)), float(np.sqrt(linear.chi2))
+        standard_error = size / np.sqrt(linear.n_equation)
+        if gain <= max(GRADIENT_TOLERANCE * size, rounding, near * standard_error):
             return Minimum(values, True, steps)
-        step, damping = _damped_step(problem, values, before, projected, triangle, scale, damping)
+        step, damping = _damped_step(problem, values, linear, damping)
         if step is None:
-            return Minimum(values, gain <= NEGLIGIBLE * size / np.sqrt(residual.size), steps)
+            return Minimum(values, gain <= NEGLIGIBLE * standard_error, steps)
         values = values + step
     return Minimum(values, False, most_steps)
 
 
-def _damped_step(
-    problem: SquareSum,
-    values: FloatArray,
-    before: float,
-    projected: FloatArray,
-    triangle: FloatArray,
-    scale: FloatArray,
-    damping: float,
-) -> tuple[FloatArray | None, float]:
-    """A step that lowers chi-square below *before*, and the damping for the next one; None when no step lowers it.
-
-    *triangle* R of the Jacobian with columns divided by *scale*, *projected* Q^T r.
-    """
+def _damped_step(problem: SquareSum, values: FloatArray, linear: Linearisation, damping: float) -> tuple[FloatArray | None, float]:
+    """A step that lowers chi-square, and the damping for the next one; None when no step lowers it."""
     n = values.size
-    right_side = np.concatenate([-projected, np.zeros(n)])
+    right_side = np.concatenate([-linear.projected, np.zeros(n)])
     for _ in range(MAX_DAMPING_STEPS):
-        joint = np.vstack([triangle, np.sqrt(damping) * np.eye(n)])
-        step = np.linalg.lstsq(joint, right_side, rcond=None)[0] / scale
-        if problem.chi2(values + step) < before:
+        joint = np.vstack([linear.triangle, np.sqrt(damping) * np.eye(n)])
+        step = np.linalg.lstsq(joint, right_side, rcond=None)[0] / linear.scale
+        if problem.chi2(values + step) < linear.chi2:
             return step, max(damping / 10, 1e-15)
         damping *= 10
     return None, damping

@@ -1,0 +1,177 @@
+"""Rational functions with a common denominator, fitted to an FRF: the most general response of a given number of modes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.identify.measured import Measured
+from labpipe.identify.weights import whitened
+from labpipe.optimise.levenberg import Linearisation, linearised_by_qr, minimise, sum_of_squares
+
+PASSES = 8
+# The descent ends where a further full step would lower chi-square by a small part of its expectation per equation only: differences
+# in AIC count from 10, and a surplus mode creeps long through noise before it converges.
+NEAR = 0.02
+# Bound of the descent: surplus modes may have no minimum to reach.
+MOST_STEPS = 150
+
+
+@dataclass(frozen=True)
+class RationalFit:
+    """Elements of H as B_e(s) / A(s) with one common denominator: A of degree 2 n for n modes, B_e of degree 2 n - 2.
+
+    Receptances of n modes have this form. Polynomials are sums over the basis phi_0 ... phi_2n, orthogonal on the lines, phi_k of degree
+    k in s = j w; A has 1 at phi_2n. *whitener* (n_line, n_element, n_element) [N/m]. Parameters: 2 n of A, then 2 n - 1 of every element.
+    """
+
+    measured: Measured
+    whitener: ComplexArray
+    modes: int
+
+    @cached_property
+    def unit(self) -> float:
+        """The largest |H| [m/N]."""
+        return float(np.max(np.abs(self.measured.matrix)))
+
+    @cached_property
+    def elements(self) -> ComplexArray:
+        """Elements of H, (n_line, n_element), relative to the largest [1]."""
+        return self.measured.matrix.reshape(self.measured.omega.size, -1) / self.unit
+
+    @cached_property
+    def basis(self) -> ComplexArray:
+        """phi_0 ... phi_2n on the lines, (n_line, 2 n + 1) [1]: the even ones real, the odd ones imaginary, as powers of j w are.
+
+        Powers themselves are so alike that the normal equations of a few modes would lose all digits.
+        """
+        w = self.measured.omega / np.max(self.measured.omega)
+        even = np.linalg.qr(np.vander(w**2, self.modes + 1, increasing=True))[0]
+        odd = np.linalg.qr(w[:, None] * np.vander(w**2, self.modes, increasing=True))[0]
+        basis = np.empty((w.size, 2 * self.modes + 1), np.complex128)
+        basis[:, 0::2], basis[:, 1::2] = even, 1j * odd
+        return basis * np.sqrt(w.size)
+
+    @property
+    def n_parameter(self) -> int:
+        return 2 * self.modes + (2 * self.modes - 1) * self.elements.shape[1]
+
+    @property
+    def size(self) -> float:
+        return float(np.linalg.norm(self._whitened(self.elements)))
+
+    def lowest_chi2(self) -> float | None:
+        """Chi-square [1] at the minimum; None without convergence in MOST_STEPS."""
+        minimum = minimise(self, self.start(), near=NEAR, most_steps=MOST_STEPS, linearise=self.linearised)
+        return self.chi2(minimum.values) if minimum.converged else None
+
+    def residual(self, parameters: FloatArray) -> FloatArray:
+        """Whitened residual (n_equation,) [1] at *parameters* (n_parameter,)."""
+        return self._whitened(self.elements - self._fitted(parameters)[1])
+
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
+        """d residual / d p = -(d B_e - H_e d A) / A, (n_equation, n_parameter) [1]."""
+        denominator, fitted = self._fitted(parameters)
+        return -self._whitened(self._columns(fitted, 1 / denominator)).T
+
+    def chi2(self, parameters: FloatArray) -> float:
+        """Sum of squares [1] of the residual at *parameters* (n_parameter,); infinite without finite response."""
+        return sum_of_squares(self.residual, parameters)
+
+    def linearised(self, parameters: FloatArray) -> Linearisation:
+        """The linearisation at *parameters* (n_parameter,) [1] from the normal equations, without the tall Jacobian.
+
+        By QR where rounding leaves them not positive definite.
+        """
+        denominator, fitted = self._fitted(parameters)
+        residual = self.elements - fitted
+        normal, right_side = self._normal_equations(fitted, 1 / denominator, residual)
+        scale = np.sqrt(np.diag(normal))
+        try:
+            triangle = np.linalg.cholesky(normal / (scale[:, None] * scale)).T
+        except np.linalg.LinAlgError:
+            return linearised_by_qr(self, parameters)
+        projected = -np.linalg.solve(triangle.T, right_side / scale)
+        return Linearisation(triangle, projected, scale, self.chi2(parameters), 2 * residual.size)
+
+    def start(self) -> FloatArray:
+        """Start values (n_parameter,) [1] by the equation error weighted with 1 / A of the last pass (Sanathanan and Koerner 1963).
+
+        Of all passes the one with the lowest chi-square.
+        """
+        weight: ComplexArray = np.ones(self.measured.omega.size, np.complex128)
+        best: FloatArray = np.zeros(self.n_parameter)
+        lowest = float("inf")
+        for _ in range(PASSES):
+            highest = self.elements * (self.basis[:, -1] * weight)[:, None]
+            normal, right_side = self._normal_equations(self.elements, weight, highest)
+            scale = np.sqrt(np.diag(normal))
+            values = np.linalg.lstsq(normal / (scale[:, None] * scale), right_side / scale, rcond=None)[0] / scale
+            denominator = self._denominator(values)
+            if np.any(denominator == 0):
+                break
+            weight = 1 / denominator
+            if (chi2 := self.chi2(values)) < lowest:
+                best, lowest = values, chi2
+        return best
+
+    def _denominator(self, parameters: FloatArray) -> ComplexArray:
+        n = 2 * self.modes
+        return self.basis[:, :n] @ parameters[:n] + self.basis[:, n]
+
+    def _fitted(self, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """A (n_line,) and B / A (n_line, n_element)."""
+        n = 2 * self.modes
+        denominator = self._denominator(parameters)
+        return denominator, self.basis[:, : n - 1] @ parameters[n:].reshape(-1, n - 1).T / denominator[:, None]
+
+    def _columns(self, elements: ComplexArray, weight: ComplexArray) -> ComplexArray:
+        """Columns of B_e - H_e (a_0 phi_0 + a_1 phi_1 + ...) times the weight, (n_parameter, n_line, n_element)."""
+        powers, n = (self.basis * weight[:, None]).T, 2 * self.modes
+        columns = np.zeros((self.n_parameter, *elements.shape), np.complex128)
+        columns[:n] = -elements * powers[:n, :, None]
+        for e in range(elements.shape[1]):
+            columns[n + e * (n - 1) : n + (e + 1) * (n - 1), :, e] = powers[: n - 1]
+        return columns
+
+    @cached_property
+    def _precision(self) -> ComplexArray:
+        """C^-1 of the relative elements per line, (n_line, n_element, n_element) [1]."""
+        return 2 * self.unit**2 * np.matmul(self.whitener.conj().swapaxes(1, 2), self.whitener)
+
+    @cached_property
+    def _products(self) -> ComplexArray:
+        """conj(phi_a) phi_b, (2 n, 2 n, n_line)."""
+        basis = self.basis[:, :-1].T
+        return basis.conj()[:, None] * basis[None]
+
+    def _normal_equations(self, elements: ComplexArray, weight: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, FloatArray]:
+        """J^T J (n_parameter, n_parameter) and J^T r (n_parameter,) [1] of J = `_columns` and r = *right_side*, both whitened.
+
+        Every column is a basis function times a vector over the elements: the sums over lines are products of few small tables.
+        """
+        n, n_element = 2 * self.modes, elements.shape[1]
+        precision = self._precision * (np.abs(weight) ** 2)[:, None, None]
+        by_element = np.einsum("le,lef->lf", elements.conj(), precision)
+        normal = np.empty((self.n_parameter, self.n_parameter))
+        normal[:n, :n] = self._sums(n, n, np.einsum("lf,lf->l", by_element, elements)[:, None])[:, :, 0]
+        crossed = -self._sums(n, n - 1, by_element).transpose(0, 2, 1).reshape(n, -1)
+        normal[:n, n:], normal[n:, :n] = crossed, crossed.T
+        numerators = self._sums(n - 1, n - 1, precision.reshape(-1, n_element**2)).reshape(n - 1, n - 1, n_element, n_element)
+        normal[n:, n:] = numerators.transpose(2, 0, 3, 1).reshape(normal[n:, n:].shape)
+        weighted = np.einsum("lef,lf->le", self._precision, right_side) * weight.conj()[:, None]
+        basis = self.basis[:, :n].conj()
+        along = np.einsum("le,le->l", elements.conj(), weighted)
+        return normal, np.concatenate([-(basis.T @ along).real, (basis[:, : n - 1].T @ weighted).real.T.ravel()])
+
+    def _sums(self, rows: int, columns: int, values: ComplexArray) -> FloatArray:
+        """Real part of the sum over lines of conj(phi_a) phi_b *values* (n_line, n), for a < *rows*, b < *columns*: (rows, columns, n)."""
+        products = self._products[:rows, :columns].reshape(rows * columns, -1)
+        return (products.real @ values.real - products.imag @ values.imag).reshape(rows, columns, -1)
+
+    def _whitened(self, values: ComplexArray) -> FloatArray:
+        """(..., n_line, n_element) -> (..., n_equation), back in the unit of the FRF."""
+        return whitened(self.whitener, self.unit * values[..., None])

@@ -1,0 +1,28 @@
+"""Independent motions of the responses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.identify.motions import independent_motions, motion_notes
+from tests.unit.identify.noisy import measured
+
+
+def test_two_responses_that_move_alike_are_one_motion(symmetric_response, coupled_response, rng) -> None:
+    alike = measured(symmetric_response(1e-8, rng))
+    values, count = independent_motions(alike)
+    assert count == 1 and values[0] > 100 * values[1]
+    assert "one independent motion" in motion_notes(alike)[0]
+    assert motion_notes(measured(coupled_response(1e-8, rng))) == ()
+    assert motion_notes(measured(symmetric_response())) == ()
+
+
+def test_noise_alone_is_no_motion(symmetric_response, rng) -> None:
+    response = symmetric_response(1e-8, rng)
+    noise = 1e-8 * (rng.normal(size=response.matrix.shape) + 1j * rng.normal(size=response.matrix.shape)) / np.sqrt(2)
+    values, count = independent_motions(measured(replace(response, matrix=noise)))
+    # Largest singular value of 250 x 2 circular noise: sqrt(250) + sqrt(2) = 17.2.
+    assert count == 0 and values[0] == pytest.approx(np.sqrt(250), rel=0.15)
