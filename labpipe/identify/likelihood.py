@@ -76,7 +76,7 @@ def maximum_likelihood(
     )
 
 
-def _best_minimum(problem: OutputError, doubtful: Callable[[float], bool], most_steps: int) -> tuple[Minimum, Start]:
+def _best_minimum(problem: OutputError[ResponseModel], doubtful: Callable[[float], bool], most_steps: int) -> tuple[Minimum, Start]:
     """The lowest minimum of the starts; further starts only where the last minimum's chi-square is *doubtful*."""
     minima: list[tuple[float, Minimum, Start]] = []
     for start in starts(problem):

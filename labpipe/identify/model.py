@@ -56,7 +56,19 @@ class Term:
     aliases: tuple[str, ...] = ()
 
 
-class ResponseModel(Protocol):
+class ReceptanceModel(Protocol):
+    """An FRF as a function of parameters, with its Jacobian."""
+
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """H(w) [m/N], (n_line, n_dof, n_input), at *omega* (n_line,) [rad/s]."""
+        ...
+
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """dH/dp, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
+        ...
+
+
+class ResponseModel(ReceptanceModel, Protocol):
     """Model of an output-error fit: the FRF and its Jacobian, and a model linear in its parameters for the start."""
 
     @property
@@ -70,14 +82,6 @@ class ResponseModel(Protocol):
 
     def from_linear(self, values: FloatArray) -> FloatArray:
         """Start values (n_parameter,) [parameter units] from those of `linear`."""
-        ...
-
-    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """H(w) [m/N], (n_line, n_dof, n_input), at *omega* (n_line,) [rad/s]."""
-        ...
-
-    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """dH/dp, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
         ...
 
 

@@ -18,13 +18,14 @@ class ModelKind:
     """How fits of a model are made.
 
     fit: the fits of a response, one per band or peak. section: key of the model's own settings in a fit, their dataclass *settings*, and
-    an *example* of the section. earlier: name of the fit whose result this one begins with, empty for none; begin: the settings with the
-    result of that fit among *fits*.
+    an *example* of the section, *optional* where all of them have defaults. earlier: name of the fit whose result this one begins with,
+    empty for none; begin: the settings with the result of that fit among *fits*.
     """
 
     fit: Callable[[FrequencyResponse, FitSettings], tuple[Fit, ...]]
     section: str = ""
     settings: type | None = None
     example: str = ""
+    optional: bool = False
     earlier: Callable[[FitSettings], str] = lambda _settings: ""
     begin: Callable[[FitSettings, Sequence[Fit]], FitSettings] = lambda settings, _fits: settings

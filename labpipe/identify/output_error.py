@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.identify.measured import Measured
-from labpipe.identify.model import ResponseModel
+from labpipe.identify.model import ReceptanceModel
 from labpipe.identify.weights import whitened
 from labpipe.optimise.levenberg import sum_of_squares
 
+Model = TypeVar("Model", bound=ReceptanceModel, covariant=True)
+
 
 @dataclass(frozen=True)
-class OutputError:
+class OutputError(Generic[Model]):
     """Measured minus modelled FRF, whitened by *whitener* (n_line, n, n) [N/m]."""
 
     measured: Measured
-    model: ResponseModel
+    model: Model
     whitener: ComplexArray
 
     @property

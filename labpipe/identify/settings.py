@@ -20,6 +20,7 @@ MODELS = Registry(
         "rotor-2dof": "labpipe.identify.models:rotor_2dof",
         "rotor-2dof-direct": "labpipe.identify.models:rotor_2dof_direct",
         "mdof": "labpipe.identify.mdof:mdof",
+        "modal": "labpipe.modal.model_kind:MODAL",
         "worn-bearing": "labpipe.wear.model_kind:WORN_BEARING",
     },
 )
@@ -102,6 +103,8 @@ class FitSettings(Settings):
         kind = self.kind
         if kind.settings is None and self.model_settings is not None:
             raise ConfigError(f"model {self.model} has no settings of its own", hint="leave model_settings out")
+        if kind.settings is not None and kind.optional and self.model_settings is None:
+            object.__setattr__(self, "model_settings", kind.settings())
         if kind.settings is not None and not isinstance(self.model_settings, kind.settings):
             raise ConfigError(f"model {self.model} needs the section '{kind.section}'", hint=kind.example)
         if self.scale_mass and self.mass == ESTIMATE:

@@ -8,6 +8,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
+from labpipe.identify.model import ResponseModel
 from labpipe.identify.output_error import OutputError
 from labpipe.identify.regression import least_squares, solve_scaled
 
@@ -25,7 +26,7 @@ class Start:
     chi2: float
 
 
-def starts(problem: OutputError) -> list[Start]:
+def starts(problem: OutputError[ResponseModel]) -> list[Start]:
     """The start of the lowest chi-square, then others: the last pass, plain least squares, the first pass.
 
     Plain least squares is biased by noise; reweighting the equation error by Z^-1 of the last iterate (Sanathanan and Koerner 1963)
@@ -49,11 +50,11 @@ def starts(problem: OutputError) -> list[Start]:
     return list(dict.fromkeys([best, attempts[-1], attempts[0], attempts[min(1, len(attempts) - 1)]]))
 
 
-def _start(problem: OutputError, name: str, values: FloatArray) -> Start:
+def _start(problem: OutputError[ResponseModel], name: str, values: FloatArray) -> Start:
     return Start(name, values, problem.chi2(values))
 
 
-def _reweighted(problem: OutputError, last: FloatArray) -> FloatArray:
+def _reweighted(problem: OutputError[ResponseModel], last: FloatArray) -> FloatArray:
     """Least squares of the whitened equation error times Z_last^-1."""
     measured, linear = problem.measured, problem.model.linear
     terms = linear.filtered(last, linear.equation_terms(measured.matrix, measured.omega), measured.omega)

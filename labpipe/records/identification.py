@@ -9,6 +9,7 @@ from typing import Any
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.records.finding import Finding
+from labpipe.records.modes import Modes
 from labpipe.records.parameter import Parameter as Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.text import fit_html, fit_line, fit_text, identification_line
@@ -108,6 +109,7 @@ class Fit:
     candidates: tuple[Candidate, ...] = ()
     term: str = ""
     region: Region | None = None
+    modes: Modes | None = None
 
     def __repr__(self) -> str:
         return fit_line(self)

@@ -11,6 +11,7 @@ from labpipe.report import figures
 from labpipe.report.candidates import candidate_blocks
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figure
+from labpipe.report.modal_figures import modal_blocks
 from labpipe.report.wear_figures import wear_figures
 from labpipe.report.wording import STARS_EXPLAINED, band_text, fit_title, inflated_text, parameter_row, unit_text
 
@@ -62,6 +63,7 @@ def _single(fit: Fit) -> tuple[Block, ...]:
         Paragraph(STARS_EXPLAINED),
         *(Paragraph(note, "note") for note in fit.notes),
         *candidate_blocks(fit),
+        *modal_blocks(fit),
         *fit_figures(fit),
     )
 

@@ -20,4 +20,4 @@ def _earlier(settings: FitSettings) -> str:
     return wear.prior
 
 
-WORN_BEARING = ModelKind(_fit, "wear", WearSettings, "wear: {rotor: ../configs/rotors/FILE.yaml}", _earlier, with_prior)
+WORN_BEARING = ModelKind(_fit, "wear", WearSettings, "wear: {rotor: ../configs/rotors/FILE.yaml}", earlier=_earlier, begin=with_prior)

@@ -10,6 +10,7 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from labpipe.arrays import ComplexArray, IntArray
 from labpipe.records.finding import NOTE, WARNING, Finding
 from labpipe.records.identification import Fit, FittedCurve, Region
 from labpipe.records.response import FORMS, FrequencyResponse, Port, uncorrelated
@@ -35,7 +36,16 @@ def any_of(hint: Any) -> st.SearchStrategy[Any]:
     if dataclasses.is_dataclass(hint):
         hints = get_type_hints(hint)
         return st.builds(hint, **{field.name: any_of(hints[field.name]) for field in dataclasses.fields(hint)})
+    if get_origin(hint) is np.ndarray:
+        return array_of(hint)
     return {float: NUMBERS, int: st.integers(0, 10**9), str: TEXTS, bool: st.booleans()}[hint]
+
+
+def array_of(hint: Any) -> st.SearchStrategy[Any]:
+    """Two numbers in a row of the kind that an array type declares."""
+    if hint == ComplexArray:
+        return complex_arrays(2)
+    return st.lists(st.integers(0, 99), min_size=2, max_size=2).map(np.array) if hint == IntArray else arrays(2)
 
 
 @st.composite

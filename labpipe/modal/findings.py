@@ -1,0 +1,64 @@
+"""Findings and notes of a modal identification."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labpipe.identify.diagnostics import MISMATCH_P
+from labpipe.modal.missing import Completed
+from labpipe.modal.whole_covariance import ModalEstimate
+from labpipe.records.finding import Finding
+
+
+def mismatch(estimate: ModalEstimate) -> float | None:
+    """sqrt(chi-square per degree of freedom) where it is significantly above 1, else None."""
+    if estimate.chi2_reduced is None or estimate.chi2_p is None or estimate.chi2_p >= MISMATCH_P:
+        return None
+    return float(np.sqrt(estimate.chi2_reduced))
+
+
+def modal_findings(estimate: ModalEstimate, p_noise: float) -> tuple[Finding, ...]:
+    """Warnings: no convergence, negative damping, a residual beyond the measured noise or alike on neighbouring lines."""
+    warnings = []
+    if not estimate.refined.converged:
+        message = f"the refinement of the modes did not converge in {estimate.refined.steps} steps; its numbers are not a result"
+        warnings.append(Finding("no-convergence", message))
+    unstable = estimate.refined.poles[estimate.refined.poles.real >= 0]
+    if unstable.size:
+        where = ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in unstable)
+        warnings.append(
+            Finding("unphysical", f"the mode at {where} has a negative damping ratio: it is noise, or energy enters the structure")
+        )
+    factor = mismatch(estimate)
+    if factor is not None:
+        message = (
+            f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom "
+            f"{estimate.chi2_reduced:.3g}, p = {estimate.chi2_p:.2g}): a mode is missing, or the structure is not linear. Multiply the "
+            f"standard errors by {factor:.3g} at least, name the missing mode in `poles`, or narrow the band."
+        )
+        warnings.append(Finding("model-mismatch", message))
+    elif estimate.chi2_reduced is None and p_noise < MISMATCH_P:
+        message = (
+            f"the residual is not noise: it is alike on neighbouring lines (p = {p_noise:.2g}). A mode is missing, or the structure is not "
+            "linear; the intervals do not hold. Name the missing mode in `poles`, or narrow the band."
+        )
+        warnings.append(Finding("model-mismatch", message))
+    return tuple(warnings)
+
+
+def modal_notes(estimate: ModalEstimate, whole: Completed, n_reference: int, forces_move: bool) -> tuple[str, ...]:
+    """What a reader must know: where the noise comes from, residual terms, a single reference, moved forces."""
+    terms = whole.terms
+    notes = [f"modal: residual terms of every FRF: {terms.lower} for modes below the band, {terms.upper} for modes above it, by AIC."]
+    if estimate.chi2_reduced is None:
+        notes.append(
+            "modal: the variance of the noise comes from the residual of every FRF, the same at all its lines; the chi-square test of the "
+            "model is not possible."
+        )
+    if whole.added:
+        notes.append(f"modal: {whole.added} mode(s) were added that the diagram did not show, since the residual was not noise.")
+    if n_reference == 1:
+        notes.append("modal: with one reference a mode with a node there is not seen, and modes of the same frequency are one.")
+    if forces_move:
+        notes.append("modal: the forces are the points of the shapes, the responses the references (reciprocity is assumed).")
+    return tuple(notes)

@@ -1,0 +1,104 @@
+"""Modes after the refinement: those that noise explains are left out, and one is added where the residual of the others is not noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.distributions import chi2_tail
+from labpipe.errors import FitError
+from labpipe.identify.diagnostics import MISMATCH_P
+from labpipe.modal.growth import criterion, refine_with_terms
+from labpipe.modal.likelihood import Lines, Refined, remaining
+from labpipe.modal.residual_terms import ResidualTerms
+from labpipe.modal.residual_test import LineNoise, loudest_line, whiteness
+
+MOST_ADDED = 4
+# Least decrease of AIC that a mode is added for (Burnham and Anderson 2002, sec. 2.6).
+SUPPORT = 10.0
+# Probability by noise alone below which a mode counts as seen.
+SEEN_P = 1e-3
+
+
+@dataclass(frozen=True)
+class Completed:
+    """Refined modes with the terms of their residual, the probability of that residual as noise, and the number of modes added."""
+
+    refined: Refined
+    terms: ResidualTerms
+    p_noise: float
+    added: int = 0
+
+
+def kept_modes(lines: Lines, refined: Refined, terms: ResidualTerms) -> tuple[Refined, ResidualTerms, tuple[str, ...]]:
+    """The modes inside the band that stand out of the noise, refined again without the others, and notes that name these.
+
+    FitError where none stays.
+    """
+    frequency = np.abs(refined.poles)
+    inside = (frequency >= lines.omega[0]) & (frequency <= lines.omega[-1])
+    seen = shape_p(refined) < SEEN_P
+    if np.all(inside & seen):
+        return refined, terms, ()
+    notes = []
+    for chosen, why in ((~inside, "left the band in the refinement"), (inside & ~seen, "does not stand out of the noise")):
+        if np.any(chosen):
+            notes.append(f"modal: the pole at {', '.join(f'{value / (2 * np.pi):.4g}' for value in frequency[chosen])} Hz {why}.")
+    if not np.any(inside & seen):
+        raise FitError(f"no mode stays in the refinement: {' '.join(notes)}", hint="widen the band to where the response peaks")
+    keep = inside & seen
+    again, more = refine_with_terms(lines, refined.poles[keep], refined.participation[keep])
+    again, more, further = kept_modes(lines, again, more)
+    return again, more, (*notes, *further)
+
+
+def shape_p(refined: Refined) -> FloatArray:
+    """Probability (n_mode,) [1] of so large a shape by noise alone: chi-square of its points, of 2 degrees of freedom each."""
+    probabilities = []
+    for mode in range(refined.poles.size):
+        block = slice(2 * mode, 2 * mode + 2)
+        psi = np.stack([refined.shapes[:, mode].real, refined.shapes[:, mode].imag], axis=-1)
+        inverse = np.linalg.pinv(refined.shape_covariance[:, block, block])
+        probabilities.append(chi2_tail(float(np.einsum("oi,oij,oj->", psi, inverse, psi)), 2 * psi.shape[0]))
+    return np.array(probabilities)
+
+
+def completed(lines: Lines, refined: Refined, terms: ResidualTerms, noise: LineNoise, *, adding: bool) -> Completed:
+    """The modes and, where *adding*, those that the residual asks for, one at a time, as long as AIC supports them."""
+    done = Completed(refined, terms, whiteness(remaining(lines, terms, refined), noise))
+    while adding and done.p_noise < MISMATCH_P and done.added < MOST_ADDED:
+        more = _with_one_more(lines, done, noise)
+        if more is None:
+            break
+        done = more
+    return done
+
+
+def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed | None:
+    """With a mode where the residual is loudest; None where AIC does not support it, or it leaves the band."""
+    refined = done.refined
+    residual = remaining(lines, done.terms, refined)
+    spacing = float(np.mean(np.diff(lines.omega)))
+    decay = float(np.median(-refined.poles.real))
+    line = loudest_line(residual, refined.noise, round(2 * decay / spacing))
+    near = int(np.argmin(np.abs(refined.poles.imag - lines.omega[line])))
+    pole = refined.poles.real[near] + 1j * lines.omega[line]
+    if abs(pole - refined.poles[near]) < decay / 2:
+        # On top of a mode: the two begin on either side of the place.
+        pole += 1j * decay
+    participation = _strongest(residual, refined, line, max(3, round(2 * decay / spacing)))
+    poles = np.append(refined.poles, pole)
+    again, terms = refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
+    frequency = np.abs(again.poles)
+    inside = np.all((frequency >= lines.omega[0]) & (frequency <= lines.omega[-1]))
+    if not inside or np.any(shape_p(again) > SEEN_P) or criterion(lines, again, terms) > criterion(lines, refined, done.terms) - SUPPORT:
+        return None
+    return Completed(again, terms, whiteness(remaining(lines, terms, again), noise), done.added + 1)
+
+
+def _strongest(residual: ComplexArray, refined: Refined, line: int, width: int) -> ComplexArray:
+    """Participation (n_input,) that holds most of the residual around a line."""
+    part = residual[max(0, line - width) : line + width + 1] / np.sqrt(refined.noise)
+    return np.asarray(np.linalg.svd(part.reshape(-1, residual.shape[2]), full_matrices=False)[2][0])

@@ -1,0 +1,25 @@
+"""Settings of a modal identification: the section `modal:` of a fit with model modal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from labpipe.errors import ConfigError
+from labpipe.records.settings import Settings, setting
+
+# Lowest highest order: below it no mode can be told from noise by its return.
+LEAST_ORDER = 6
+
+
+@dataclass(frozen=True)
+class ModalSettings(Settings):
+    """How modes are found: from the stabilisation diagram by itself, or at the poles that are named."""
+
+    order: int = setting("integer", "highest order of the stabilisation diagram", default=60)
+    poles: tuple[float, ...] = setting("values", "natural frequencies chosen by hand; default: automatic", unit="Hz", default=())
+
+    def __post_init__(self) -> None:
+        if self.order < LEAST_ORDER:
+            raise ConfigError(f"'order' is {self.order}", hint=f"{LEAST_ORDER} or more", field="order")
+        if any(pole <= 0 for pole in self.poles):
+            raise ConfigError("'poles' must be positive", field="poles")

@@ -1,0 +1,177 @@
+"""Model modal as people use it: values of known systems, single references, moved forces, covariance, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.artefacts.fit_entry import fit_entry, read_fit
+from labpipe.errors import ConfigError, FitError
+from labpipe.identify.fitting import identify
+from labpipe.identify.settings import FitSettings
+from labpipe.modal.settings import ModalSettings
+from labpipe.modal.shapes import phase_collinearity
+from labpipe.records.identification import Fit
+from labpipe.records.response import FrequencyResponse, uncorrelated
+from labpipe.report.fits import _single
+from labpipe.report.modal_figures import modal_blocks
+from tests.unit.modal.structures import chain, chain_response, nine_modes, response_of
+
+
+def modal(response: FrequencyResponse, **settings: object) -> Fit:
+    (fit,) = identify(response, FitSettings("modal", **settings))  # type: ignore[arg-type]
+    return fit
+
+
+def with_known_noise(response: FrequencyResponse, std: float, seed: int) -> FrequencyResponse:
+    rng = np.random.default_rng(seed)
+    noise = std * (rng.normal(size=response.matrix.shape) + 1j * rng.normal(size=response.matrix.shape)) / np.sqrt(2)
+    return replace(response, matrix=response.matrix + noise, covariance=uncorrelated(np.full(response.matrix.shape, std**2)))
+
+
+def within(fit: Fit, name: str, truth: float, limit: float = 4.0) -> bool:
+    parameter = fit.parameter(name)
+    assert parameter.std_error is not None
+    return abs(parameter.value - truth) < limit * parameter.std_error
+
+
+def chain_truth() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frequencies [Hz], damping ratios and modal masses at x0 [kg] of the chain."""
+    mass, _, stiffness = chain(2)
+    square, shapes = np.linalg.eig(np.linalg.solve(mass, stiffness))
+    order = np.argsort(square)
+    shapes = shapes[:, order] / shapes[0, order]
+    w = np.sqrt(square[order])
+    return w / (2 * np.pi), 1e-5 * w, np.einsum("im,ij,jm->m", shapes, mass, shapes)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_chain_has_its_modes_masses_and_coefficients(known: bool) -> None:
+    noisy = with_known_noise(chain_response(np.linspace(5, 120, 500)), 2e-8, 3)
+    fit = modal(noisy if known else replace(noisy, covariance=None))
+    f, zeta, m = chain_truth()
+    for number in (1, 2):
+        w = 2 * np.pi * f[number - 1]
+        assert within(fit, f"f_{number}", f[number - 1]) and within(fit, f"zeta_{number}", zeta[number - 1])
+        assert within(fit, f"m_{number}", m[number - 1]) and within(fit, f"k_{number}", m[number - 1] * w**2)
+        assert within(fit, f"c_{number}", 2 * zeta[number - 1] * w * m[number - 1])
+    assert (fit.gof.chi2_p is not None and fit.gof.chi2_p > 0.01) == known
+    assert fit.modes is not None and fit.modes.frequency.size == 2
+    assert np.all(fit.modes.collinearity > 0.99)
+
+
+def test_given_mass_gives_the_support_of_one_mode(sdof_like: FrequencyResponse) -> None:
+    fit = modal(sdof_like, mass=0.79)
+    assert within(fit, "k_1", 134.5e3) and within(fit, "c_1", 20.0)
+    (reference,) = identify(sdof_like, FitSettings("sdof", mass=0.79))
+    # The residual terms cost some information, so the interval is wider than that of the exact model, never narrower.
+    assert fit.parameter("k_1").std_error >= 0.99 * reference.parameter("k").std_error
+
+
+@pytest.fixture
+def sdof_like() -> FrequencyResponse:
+    """One mode: k = 134.5 kN/m, c = 20 N s/m, m = 0.79 kg."""
+    response = chain_response(np.linspace(50, 80, 301), 1)
+    w = 2 * np.pi * response.frequency
+    h = 1 / (134.5e3 - 0.79 * w**2 + 20j * w)
+    return with_known_noise(replace(response, matrix=h[:, None, None]), 1e-6, 11)
+
+
+def test_coverage_with_known_noise() -> None:
+    f, zeta, _ = chain_truth()
+    clean = chain_response(np.linspace(5, 120, 300))
+    inside = []
+    for seed in range(40):
+        fit = modal(with_known_noise(clean, 5e-8, seed))
+        for number in (1, 2):
+            for name, truth in ((f"f_{number}", f), (f"zeta_{number}", zeta)):
+                low, high = fit.parameter(name).ci95 or (np.nan, np.nan)
+                inside.append(low < truth[number - 1] < high)
+    # 160 draws of 95 %: 4 standard deviations are 7 %.
+    assert np.mean(inside) > 0.88
+
+
+def test_roving_hammer_is_the_same_structure() -> None:
+    structure = nine_modes(12, 751)
+    response = response_of(structure, structure.noisy(0.01, 5))
+    roving = replace(response, matrix=response.matrix.swapaxes(1, 2), outputs=response.inputs, inputs=response.outputs)
+    one, other = modal(response), modal(roving)
+    assert one.modes is not None and other.modes is not None
+    assert other.modes.forces_move and not one.modes.forces_move
+    np.testing.assert_allclose(one.modes.frequency, other.modes.frequency, rtol=1e-12)
+    assert other.curve is not None and other.curve.measured.shape == roving.matrix.shape
+    np.testing.assert_allclose(other.curve.fitted.swapaxes(1, 2), one.curve.fitted if one.curve else None, rtol=1e-6)
+
+
+def test_one_reference_says_what_it_cannot_see() -> None:
+    structure = nine_modes(12, 1501)
+    single = response_of(structure, structure.noisy(0.01, 6)[:, :, :1])
+    fit = modal(single)
+    assert any("one reference" in note for note in fit.notes)
+    truth = np.abs(structure.poles) / (2 * np.pi)
+    for parameter in fit.parameters:
+        if parameter.name.startswith("f_"):
+            assert parameter.std_error is not None
+            assert np.min(np.abs(parameter.value - truth)) < 5 * parameter.std_error
+
+
+def test_noise_free_data_are_exact() -> None:
+    fit = modal(chain_response(np.linspace(5, 120, 300)))
+    f, zeta, _ = chain_truth()
+    assert fit.parameter("f_2").value == pytest.approx(f[1], rel=1e-8)
+    assert fit.parameter("zeta_1").value == pytest.approx(zeta[0], rel=1e-5)
+
+
+def test_poles_by_hand() -> None:
+    response = with_known_noise(chain_response(np.linspace(5, 120, 500)), 2e-8, 3)
+    f, _, _ = chain_truth()
+    fit = modal(response, model_settings=ModalSettings(order=20, poles=(float(f[0]),)), band=(5.0, 1.4 * float(f[0])))
+    assert [parameter.name for parameter in fit.parameters if parameter.name.startswith("f_")] == ["f_1"]
+    assert within(fit, "f_1", float(f[0]))
+
+
+def test_modes_near_the_band_are_residual_terms() -> None:
+    structure = nine_modes(10, 1501)
+    response = response_of(structure, structure.noisy(0.01, 8))
+    fit = modal(response, band=(70.0, 105.0))
+    assert fit.modes is not None
+    assert within(fit, "f_1", 78.0) and within(fit, "zeta_1", 0.006) and within(fit, "f_2", 95.0) and within(fit, "zeta_2", 0.003)
+    assert fit.modes.frequency.size == 2
+
+
+def test_refusals_say_what_to_do() -> None:
+    rng = np.random.default_rng(2)
+    clean = chain_response(np.linspace(5, 120, 400))
+    noise = replace(clean, matrix=rng.normal(size=clean.matrix.shape) + 1j * rng.normal(size=clean.matrix.shape))
+    with pytest.raises(FitError, match="no pole returns"):
+        modal(noise)
+    with pytest.raises(FitError, match="too few for a stabilisation diagram"):
+        modal(chain_response(np.linspace(5, 120, 20)))
+    with pytest.raises(ConfigError, match="outside the band"):
+        modal(clean, model_settings=ModalSettings(poles=(300.0,)))
+    with pytest.raises(FitError, match="one and the same pole"):
+        modal(clean, model_settings=ModalSettings(poles=(50.0, 50.1)))
+    with pytest.raises(ConfigError, match="'order' is 2"):
+        ModalSettings(order=2)
+    with pytest.raises(ConfigError, match="positive"):
+        ModalSettings(poles=(0.0,))
+
+
+def test_collinearity_of_phases() -> None:
+    turned = np.exp(0.7j) * np.array([1.0, -2.0, 0.5])
+    circle = np.exp(2j * np.pi * np.arange(8) / 8)
+    assert phase_collinearity(turned[:, None])[0] == pytest.approx(1.0)
+    assert phase_collinearity(circle[:, None])[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_result_is_read_back_and_reported() -> None:
+    structure = nine_modes(6, 601)
+    fit = modal(response_of(structure, structure.noisy(0.01, 9)))
+    again = read_fit(fit_entry(fit))
+    assert again.modes is not None and fit.modes is not None
+    np.testing.assert_array_equal(again.modes.shapes, fit.modes.shapes)
+    np.testing.assert_array_equal(again.modes.diagram.order if again.modes.diagram else None, fit.modes.diagram.order)
+    blocks = modal_blocks(fit)
+    assert len(blocks) == 4 and len(_single(fit)) > len(blocks)
