@@ -50,10 +50,12 @@ def modal_notes(estimate: ModalEstimate, whole: Completed, n_reference: int, for
     """What a reader must know: where the noise comes from, residual terms, a single reference, moved forces."""
     terms = whole.terms
     notes = [f"modal: residual terms of every FRF: {terms.lower} for modes below the band, {terms.upper} for modes above it, by AIC."]
+    if estimate.unused:
+        notes.append(f"modal: the measured covariance is not used: {estimate.unused}.")
     if estimate.chi2_reduced is None:
         notes.append(
-            "modal: the variance of the noise comes from the residual of every FRF, the same at all its lines; the chi-square test of the "
-            "model is not possible."
+            "modal: the size of the noise comes from the residual of every FRF, its course along the lines from a measured covariance "
+            "(without one it is the same at all lines); the chi-square test of the model is not possible."
         )
     if whole.added:
         notes.append(f"modal: {whole.added} mode(s) were added that the diagram did not show, since the residual was not noise.")

@@ -6,21 +6,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.diagnostics import quality_findings
 from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.statistics import determination
+from labpipe.identify.weights import has_noise
 from labpipe.modal.findings import mismatch, modal_findings, modal_notes
 from labpipe.modal.growth import refine_with_terms
-from labpipe.modal.likelihood import Lines
 from labpipe.modal.lscf import NormalEquations, Poles, normal_equations
 from labpipe.modal.missing import Completed, completed, kept_modes
+from labpipe.modal.residual_terms import Lines
 from labpipe.modal.residual_test import LineNoise
 from labpipe.modal.settings import LEAST_ORDER, ModalSettings
 from labpipe.modal.shapes import shape_record
 from labpipe.modal.stabilisation import Diagram, damping_ratio, nearest_modes, stabilisation
-from labpipe.modal.values import DrivingPoint, frequency_correlation, modal_parameters
+from labpipe.modal.values import DrivingPoint, frequency_correlation, modal_parameters, strongest_points
 from labpipe.modal.whole_covariance import ModalEstimate, whole_covariance_fit
 from labpipe.records.identification import Fit, FittedCurve, Goodness
 from labpipe.records.modes import StabilisationDiagram
@@ -52,10 +54,10 @@ class _Sides:
         return self.measured.inputs
 
     @property
-    def driving_point(self) -> DrivingPoint | None:
-        """The first point that is a reference as well."""
+    def driving_points(self) -> tuple[DrivingPoint, ...]:
+        """The points that are references as well."""
         dofs = [port.dof for port in self.references]
-        return next((DrivingPoint(row, dofs.index(port.dof)) for row, port in enumerate(self.points) if port.dof in dofs), None)
+        return tuple(DrivingPoint(row, dofs.index(port.dof), port.dof) for row, port in enumerate(self.points) if port.dof in dofs)
 
 
 def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
@@ -85,6 +87,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     fit = replace(fit, notes=(*fit.notes, *dropped))
     quality = quality_findings(response, rows, columns, chosen)
     modes = shape_record(estimate.refined, terms, sides.points, sides.references, sides.forces_move, _diagram_record(sides.lines, diagram))
+    modes = replace(modes, driving_points=tuple(place.dof for place in strongest_points(estimate.refined, sides.driving_points)))
     curve = _curve(response.form, sides, estimate)
     return replace(fit, findings=(*fit.findings, *quality), curve=curve, modes=modes)
 
@@ -93,7 +96,17 @@ def _sides(measured: Measured, form: str) -> _Sides:
     forces_move = len(measured.inputs) > len(measured.outputs)
     turned = _turned(measured) if forces_move else measured
     factor = receptance_factor(form, measured.omega / (2 * np.pi))
-    return _Sides(turned, Lines(measured.omega, turned.matrix * factor[:, None, None], DERIVATIVES[form]), forces_move)
+    matrix = turned.matrix * factor[:, None, None]
+    return _Sides(turned, Lines(measured.omega, matrix, DERIVATIVES[form], _weight(turned, factor)), forces_move)
+
+
+def _weight(measured: Measured, factor: ComplexArray) -> FloatArray:
+    """Reciprocal noise along the lines (n_line,) in the measured form: of all elements together, each relative to its mean; else 1."""
+    if not has_noise(measured):
+        return np.ones(measured.omega.size)
+    assert measured.covariance is not None
+    variance = np.einsum("lii->li", measured.covariance).real * np.abs(factor[:, None]) ** 2
+    return np.asarray(1 / np.sqrt(np.mean(variance / np.mean(variance, axis=0), axis=1)))
 
 
 def _turned(measured: Measured) -> Measured:
@@ -159,7 +172,7 @@ def _reported(settings: FitSettings, band: tuple[float, float], sides: _Sides, w
         equations=measured.n_equation,
         dof=estimate.dof,
         gof=Goodness(r2, adjusted, estimate.chi2_reduced, estimate.chi2_p),
-        parameters=modal_parameters(refined, estimate.dof, mass, sides.driving_point, mismatch(estimate)),
+        parameters=modal_parameters(refined, estimate.dof, mass, sides.driving_points, mismatch(estimate)),
         condition_number=float(np.sqrt(np.linalg.cond(matrix))),
         correlation=matrix,
         converged=refined.converged,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from labpipe.arrays import ComplexArray
-from labpipe.modal.likelihood import Lines, Refined, refine
-from labpipe.modal.residual_terms import ResidualTerms
+from labpipe.modal.likelihood import Refined, refine
+from labpipe.modal.residual_terms import Lines, ResidualTerms
 
 MOST_LOWER, MOST_UPPER = 3, 8
 # Steps of a trial: the modes move little by one term more.
@@ -16,7 +16,7 @@ def refine_with_terms(lines: Lines, poles: ComplexArray, participation: ComplexA
 
     *poles* (n_mode,) [rad/s], *participation* (n_mode, n_input) [1].
     """
-    terms = ResidualTerms(lines.omega, lines.matrix, lines.power, 1, 1)
+    terms = ResidualTerms(lines, 1, 1)
     best = refine(lines, terms, poles, participation, TRIAL_STEPS)
     while True:
         trials = [
@@ -42,8 +42,4 @@ def criterion(lines: Lines, refined: Refined, terms: ResidualTerms) -> float:
 
 def _larger(terms: ResidualTerms) -> list[ResidualTerms]:
     sizes = [(terms.lower + 1, terms.upper), (terms.lower, terms.upper + 1)]
-    return [
-        ResidualTerms(terms.omega, terms.matrix, terms.power, lower, upper)
-        for lower, upper in sizes
-        if lower <= MOST_LOWER and upper <= MOST_UPPER
-    ]
+    return [ResidualTerms(terms.lines, lower, upper) for lower, upper in sizes if lower <= MOST_LOWER and upper <= MOST_UPPER]

@@ -13,13 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
-from labpipe.modal.residual_terms import ResidualTerms
+from labpipe.modal.residual_terms import Lines, ResidualTerms
 
 MOST_STEPS = 40
 # A step below this part of every standard error ends the descent.
 NEGLIGIBLE = 1e-3
 # Part of a standard error within which a point counts as the minimum where rounding lets no step lower the misfit.
 NEAR = 0.1
+# Relative size of eigenvalues of scaled normal matrices that rounding leaves of zero.
+ROUNDING = 1e-13
 MOST_HALVINGS = 12
 
 
@@ -49,24 +51,6 @@ class Refined:
         rows, columns = _free(self.participation)
         match = np.flatnonzero((rows == mode) & (columns == reference))
         return 2 * self.poles.size + 2 * int(match[0]) if match.size else None
-
-
-@dataclass(frozen=True)
-class Lines:
-    """FRFs on the lines: omega (n_line,) [rad/s], matrix (n_line, n_output, n_input), *power* p of s of their form."""
-
-    omega: FloatArray
-    matrix: ComplexArray
-    power: int
-
-    @property
-    def s(self) -> ComplexArray:
-        """j omega (n_line,) [rad/s]."""
-        return 1j * self.omega
-
-    @property
-    def n_element(self) -> int:
-        return self.matrix.shape[1] * self.matrix.shape[2]
 
 
 @dataclass(frozen=True)
@@ -154,10 +138,8 @@ class _State:
     def step(self) -> tuple[FloatArray, FloatArray]:
         """Gauss-Newton step (n,) of the parameters and their standard errors (n,)."""
         normal, gradient, *_ = self._schur()
-        scale = np.sqrt(np.diag(normal))
-        scaled = normal / (scale[:, None] * scale)
-        step = np.linalg.lstsq(scaled, gradient / scale, rcond=1e-13)[0] / scale
-        return step, np.sqrt(np.diag(np.linalg.pinv(scaled)) / 2) / scale
+        inverse = _pseudo_inverse(normal)
+        return inverse @ gradient, np.sqrt(np.diag(inverse) / 2)
 
     def _schur(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, ComplexArray]:
         """Normal matrix (n, n) and gradient (n,) with the shapes eliminated, A^-1 and A^-1 B of the outputs, and the shapes."""
@@ -176,8 +158,7 @@ class _State:
 
     def result(self, converged: bool, steps: int) -> Refined:
         normal, _, inverse, eliminated, psi = self._schur()
-        scale = np.sqrt(np.diag(normal))
-        covariance = np.linalg.pinv(normal / (scale[:, None] * scale)) / (2 * scale[:, None] * scale)
+        covariance = _pseudo_inverse(normal) / 2
         crossed = -eliminated @ covariance
         shape_covariance = inverse / 2 - np.einsum("omn,opn->omp", crossed, eliminated)
         n_line = self.lines.omega.size
@@ -192,6 +173,15 @@ def remaining(lines: Lines, terms: ResidualTerms, refined: Refined) -> ComplexAr
     """What the modes and the terms leave of the FRFs, (n_line, n_output, n_input) [unit of the FRF]."""
     pairs = terms.without(_functions(lines, refined.poles))[:, : 2 * refined.poles.size]
     return np.asarray(terms.remainder - np.einsum("lf,oif->loi", pairs, _coefficients(refined.participation, refined.shapes)))
+
+
+def _pseudo_inverse(normal: FloatArray) -> FloatArray:
+    """Inverse of a normal matrix (n, n) without the directions that rounding alone determines (two modes on one place)."""
+    diagonal = np.diag(normal)
+    scale = np.sqrt(np.maximum(diagonal, ROUNDING * np.max(diagonal)))
+    values, vectors = np.linalg.eigh(normal / (scale[:, None] * scale))
+    keep = values > ROUNDING * values[-1]
+    return np.asarray((vectors[:, keep] / values[keep]) @ vectors[:, keep].T / (scale[:, None] * scale))
 
 
 def _normalised(participation: ComplexArray) -> ComplexArray:
@@ -215,7 +205,7 @@ def _functions(lines: Lines, poles: ComplexArray) -> ComplexArray:
     a, b = 1 / (s - poles), 1 / (s - poles.conj())
     first = np.stack([a + b, 1j * (a - b)], axis=-1).reshape(s.size, -1)
     second = np.stack([a**2 + b**2, 1j * (a**2 - b**2)], axis=-1).reshape(s.size, -1)
-    return np.hstack([first, second]) * s**lines.power
+    return np.hstack([first, second]) * s**lines.power * lines.weight[:, None]
 
 
 def _sums(lines: Lines, terms: ResidualTerms, poles: ComplexArray) -> _Sums:
@@ -272,7 +262,12 @@ def shapes_of(sums: _Sums, participation: ComplexArray, variance: FloatArray) ->
     normal = np.tensordot(1 / variance, single, 1)
     right_side = np.sum((sums.data[:k] / variance).transpose(2, 1, 0) @ columns, axis=0)
     scale = np.sqrt(np.einsum("omm->om", normal))
-    inverse = np.linalg.inv(normal / (scale[:, :, None] * scale[:, None, :])) / (scale[:, :, None] * scale[:, None, :])
+    scaled = normal / (scale[:, :, None] * scale[:, None, :])
+    try:
+        inverse = np.linalg.inv(scaled)
+    except np.linalg.LinAlgError:
+        inverse = np.linalg.pinv(scaled, rcond=ROUNDING, hermitian=True)
+    inverse /= scale[:, :, None] * scale[:, None, :]
     values = np.einsum("omn,on->om", inverse, right_side)
     return values[:, 0::2] + 1j * values[:, 1::2], inverse
 

@@ -6,18 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
 from labpipe.identify.diagnostics import MISMATCH_P
 from labpipe.modal.growth import criterion, refine_with_terms
-from labpipe.modal.likelihood import Lines, Refined, remaining
-from labpipe.modal.residual_terms import ResidualTerms
+from labpipe.modal.likelihood import Refined, remaining
+from labpipe.modal.residual_terms import Lines, ResidualTerms
 from labpipe.modal.residual_test import LineNoise, loudest_line, whiteness
 
 MOST_ADDED = 4
 # Least decrease of AIC that a mode is added for (Burnham and Anderson 2002, sec. 2.6).
 SUPPORT = 10.0
+# Least decay rate as part of the distance of the lines: a sharper peak is the noise of one line.
+SHARPEST = 0.01
 # Probability by noise alone below which a mode counts as seen.
 SEEN_P = 1e-3
 
@@ -38,8 +40,7 @@ def kept_modes(lines: Lines, refined: Refined, terms: ResidualTerms) -> tuple[Re
     FitError where none stays.
     """
     frequency = np.abs(refined.poles)
-    inside = (frequency >= lines.omega[0]) & (frequency <= lines.omega[-1])
-    seen = shape_p(refined) < SEEN_P
+    inside, seen = _inside(lines, refined), _seen(lines, refined)
     if np.all(inside & seen):
         return refined, terms, ()
     notes = []
@@ -52,6 +53,18 @@ def kept_modes(lines: Lines, refined: Refined, terms: ResidualTerms) -> tuple[Re
     again, more = refine_with_terms(lines, refined.poles[keep], refined.participation[keep])
     again, more, further = kept_modes(lines, again, more)
     return again, more, (*notes, *further)
+
+
+def _inside(lines: Lines, refined: Refined) -> BoolArray:
+    """The modes inside the band, (n_mode,)."""
+    frequency = np.abs(refined.poles)
+    return (frequency >= lines.omega[0]) & (frequency <= lines.omega[-1])
+
+
+def _seen(lines: Lines, refined: Refined) -> BoolArray:
+    """The modes that noise does not explain, (n_mode,)."""
+    spacing = float(np.mean(np.diff(lines.omega)))
+    return (shape_p(refined) < SEEN_P) & (-refined.poles.real > SHARPEST * spacing)
 
 
 def shape_p(refined: Refined) -> FloatArray:
@@ -91,9 +104,8 @@ def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed
     participation = _strongest(residual, refined, line, max(3, round(2 * decay / spacing)))
     poles = np.append(refined.poles, pole)
     again, terms = refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
-    frequency = np.abs(again.poles)
-    inside = np.all((frequency >= lines.omega[0]) & (frequency <= lines.omega[-1]))
-    if not inside or np.any(shape_p(again) > SEEN_P) or criterion(lines, again, terms) > criterion(lines, refined, done.terms) - SUPPORT:
+    sound = again.converged and np.all(_inside(lines, again) & _seen(lines, again))
+    if not sound or criterion(lines, again, terms) > criterion(lines, refined, done.terms) - SUPPORT:
         return None
     return Completed(again, terms, whiteness(remaining(lines, terms, again), noise), done.added + 1)
 

@@ -11,8 +11,35 @@ from labpipe.arrays import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
+class Lines:
+    """FRFs on the lines: omega (n_line,) [rad/s], matrix (n_line, n_output, n_input) [unit of the FRF], *power* p of s of their form.
+
+    weight (n_line,) [1]: reciprocal of the noise along the lines, the same for every element; all sums over lines are weighted with it.
+    """
+
+    omega: FloatArray
+    matrix: ComplexArray
+    power: int
+    weight: FloatArray
+
+    @property
+    def s(self) -> ComplexArray:
+        """j omega (n_line,) [rad/s]."""
+        return 1j * self.omega
+
+    @property
+    def n_element(self) -> int:
+        return self.matrix.shape[1] * self.matrix.shape[2]
+
+    @property
+    def weighted(self) -> ComplexArray:
+        """The FRFs times the weight, (n_line, n_output, n_input) [unit of the FRF]."""
+        return np.asarray(self.matrix * self.weight[:, None, None])
+
+
+@dataclass(frozen=True)
 class ResidualTerms:
-    """Smooth terms on *omega* (n_line,) [rad/s] and the FRFs *matrix* (n_line, n_output, n_input) [any unit] that they are taken out of:
+    """Smooth terms and the FRFs that they are taken out of, both times the weight of the *lines*:
 
     *lower* terms s^-2, s^-4 ... (modes below the band) and *upper* terms 1, s^2, s^4 ... (above), times s^power.
 
@@ -20,9 +47,7 @@ class ResidualTerms:
     like q^-K with K terms, q = x + sqrt(x^2 - 1), x the mode's omega^2 where the band is [-1, 1].
     """
 
-    omega: FloatArray
-    matrix: ComplexArray
-    power: int
+    lines: Lines
     lower: int
     upper: int
 
@@ -33,11 +58,12 @@ class ResidualTerms:
     @cached_property
     def basis(self) -> ComplexArray:
         """Orthonormal columns (n_line, n_term) [1]."""
-        square = self.omega**2
+        omega, power = self.lines.omega, self.lines.power
+        square = omega**2
         middle, half = (square[-1] + square[0]) / 2, max((square[-1] - square[0]) / 2, np.finfo(float).tiny)
         upper = np.polynomial.chebyshev.chebvander((square - middle) / half, max(self.upper - 1, 0))[:, : self.upper]
         lower = (square[0] / square)[:, None] ** np.arange(1, self.lower + 1)
-        columns = np.hstack([lower, upper]) * ((1j * self.omega / self.omega[-1]) ** self.power)[:, None]
+        columns = np.hstack([lower, upper]) * ((1j * omega / omega[-1]) ** power * self.lines.weight)[:, None]
         return np.asarray(np.linalg.qr(columns)[0])
 
     def without(self, values: ComplexArray) -> ComplexArray:
@@ -47,7 +73,8 @@ class ResidualTerms:
     @cached_property
     def remainder(self) -> ComplexArray:
         """The data (n_line, n_output, n_input) [unit of the FRF] without the terms."""
-        return self.without(self.matrix.reshape(self.omega.size, -1)).reshape(self.matrix.shape)
+        weighted = self.lines.weighted
+        return self.without(weighted.reshape(weighted.shape[0], -1)).reshape(weighted.shape)
 
     @cached_property
     def size(self) -> FloatArray:

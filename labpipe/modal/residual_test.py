@@ -10,6 +10,8 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail
 
 LAGS = 8
+# Lines whose residuals tell the noise of the one in their middle.
+AROUND = 31
 
 
 @dataclass(frozen=True)
@@ -28,10 +30,10 @@ def whiteness(residual: ComplexArray, noise: LineNoise) -> float:
 
     residual (n_line, n_output, n_input): r_d = sum e_k+d conj(e_k) / sum |e|^2 of circular white noise has the variance 1 / n_line, so
     that 2 n_line sum |r_d|^2 over d = 1 ... 8 is chi-square with 16 degrees of freedom (portmanteau test of Box and Pierce 1970, complex
-    form).
+    form). Each line counts relative to the noise around it, which need not be the same everywhere.
     """
     n_line = residual.shape[0]
-    flat = residual.reshape(n_line, -1)
+    flat = _even(residual.reshape(n_line, -1))
     power = np.sum(np.abs(flat) ** 2, axis=0)
     lags = range(1, min(LAGS, n_line - 1) + 1)
     expected = [*noise.correlation, *([0.0] * LAGS)]
@@ -39,6 +41,14 @@ def whiteness(residual: ComplexArray, noise: LineNoise) -> float:
     statistic = 2 * n_line / noise.shared_power * np.sum(np.abs(likeness) ** 2, axis=0)
     least = chi2_tail(float(np.max(statistic)), 2 * len(lags))
     return min(1.0, least * statistic.size)
+
+
+def _even(flat: ComplexArray) -> ComplexArray:
+    """Residuals (n_line, n) relative to the root mean square of the AROUND lines about each."""
+    kernel = np.ones(min(AROUND, flat.shape[0]))
+    counts = np.convolve(np.ones(flat.shape[0]), kernel, mode="same")
+    around = np.stack([np.convolve(column, kernel, mode="same") for column in (np.abs(flat) ** 2).T], axis=1) / counts[:, None]
+    return np.asarray(flat / np.sqrt(np.maximum(around, np.finfo(float).tiny)))
 
 
 def loudest_line(residual: ComplexArray, noise: FloatArray, width: int) -> int:

@@ -4,7 +4,7 @@ is known, each with its standard error.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,38 +26,56 @@ STEP = 1e-6
 
 @dataclass(frozen=True)
 class DrivingPoint:
-    """An output and an input at the same place: their numbers in the FRF matrix."""
+    """An output and an input at the same place: their numbers in the FRF matrix, and its dof."""
 
     output: int
     input: int
+    dof: str
 
 
 def modal_parameters(
-    refined: Refined, dof: int, mass: float | None, driving: DrivingPoint | None, inflation: float | None
+    refined: Refined, dof: int, mass: float | None, driving: Sequence[DrivingPoint], inflation: float | None
 ) -> tuple[Parameter, ...]:
-    """f, zeta of every mode, ascending; then k, c with the given *mass* [kg], else m, k, c of the modes at the driving point.
+    """f, zeta of every mode, ascending; then k, c with the given *mass* [kg], else m, k, c of the modes at a driving point.
 
-    k = m w_n^2, c = 2 zeta w_n m. At the driving point the modal mass is that with the shape 1 there: residue R = 1 / (2 j w_d m) for
-    a real mode, m = Re(1 / (2 j w_d R)) for any. *inflation*: factor on the standard errors where the residual exceeds the noise.
+    k = m w_n^2, c = 2 zeta w_n m. At the driving point of its largest residue the modal mass is that with the shape 1 there: the residue
+    is R = 1 / (2 j w_d m) for a real mode, m = Re(1 / (2 j w_d R)) for any.
+    *inflation*: factor on the standard errors where the residual exceeds the noise.
     """
     weigh: Function = _at_driving_point if mass is None else _given(mass)
     functions: list[tuple[str, str, Function]] = []
-    if mass is not None or driving is not None:
+    if mass is not None or driving:
         functions = [
             ("k", "N/m", lambda x: weigh(x) * float(x[0] ** 2 + x[1] ** 2)),
             ("c", "N.s/m", lambda x: -2 * weigh(x) * float(x[0])),
         ]
-    if mass is None and driving is not None:
+    if mass is None and driving:
         functions.insert(0, ("m", "kg", weigh))
+    strongest = strongest_points(refined, driving)
     ordered = list(enumerate(_ascending(refined), start=1))
     main = [_value(refined, mode, None, f"{name}_{n}", unit, of, dof) for n, mode in ordered for name, unit, of in POLE]
-    rest = [_value(refined, mode, driving, f"{name}_{n}", unit, of, dof) for n, mode in ordered for name, unit, of in functions]
+    rest = [
+        _value(refined, mode, strongest[n - 1] if strongest else None, f"{name}_{n}", unit, of, dof)
+        for n, mode in ordered
+        for name, unit, of in functions
+    ]
     parameters = [replace(parameter, derived=False) for parameter in main] + rest
     if not refined.converged:
         return tuple(replace(parameter, std_error=None, ci95=None) for parameter in parameters)
     if inflation is None:
         return tuple(parameters)
     return tuple(replace(parameter, std_error_inflated=inflation * (parameter.std_error or 0.0)) for parameter in parameters)
+
+
+def strongest_points(refined: Refined, driving: Sequence[DrivingPoint]) -> tuple[DrivingPoint, ...]:
+    """For every mode, ascending, the driving point with its largest residue; none without driving points."""
+    if not driving:
+        return ()
+
+    def size(place: DrivingPoint, mode: int) -> float:
+        return float(abs(refined.shapes[place.output, mode] * refined.participation[mode, place.input]))
+
+    return tuple(max(driving, key=lambda place: size(place, mode)) for mode in _ascending(refined))
 
 
 def frequency_correlation(refined: Refined) -> FloatArray:

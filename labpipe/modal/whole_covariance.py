@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.output_error import OutputError
 from labpipe.identify.regression import solve_scaled
@@ -23,7 +24,7 @@ MOST_ENTRIES = 40_000_000
 @dataclass(frozen=True)
 class ModalEstimate:
     """Refined modes, their receptance *fitted* (n_line, n_output, n_input) [m/N], degrees of freedom of the residual, and where the
-    covariance of the FRF is known chi-square per degree of freedom and its p-value.
+    covariance of the FRF is used chi-square per degree of freedom and its p-value; *unused*: why a measured one could not be.
     """
 
     refined: Refined
@@ -31,6 +32,7 @@ class ModalEstimate:
     dof: int
     chi2_reduced: float | None = None
     chi2_p: float | None = None
+    unused: str = ""
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,13 @@ class ModalReceptance:
     @cached_property
     def basis(self) -> ComplexArray:
         """Residual terms of the receptance, (n_line, n_term) [m/N per factor]."""
-        return np.asarray(self.terms.basis / ((1j * self.terms.omega) ** self.terms.power)[:, None])
+        return np.asarray(self.terms.basis / self._form[:, None])
+
+    @property
+    def _form(self) -> ComplexArray:
+        """Factor (n_line,) from the receptance to the weighted FRF of the measured form."""
+        lines = self.terms.lines
+        return np.asarray(lines.s**lines.power * lines.weight)
 
     def split(self, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
         """Poles (n_mode,) [rad/s], participation (n_mode, n_input), shapes (n_output, n_mode), factors (n_output, n_input, n_term) [1].
@@ -75,8 +83,7 @@ class ModalReceptance:
         """The parameters (n,) [parameter units] of refined modes, with the factors of the terms that fit the rest best."""
         poles = self._of_modes(refined.poles, refined.participation, refined.shapes, measured.omega)
         rest = (measured.matrix - poles).reshape(measured.omega.size, -1)
-        weight = (1j * measured.omega)[:, None] ** self.terms.power
-        factors = np.linalg.lstsq(self.terms.basis, rest * weight, rcond=None)[0].T
+        factors = (self.terms.basis.conj().T @ (rest * self._form[:, None])).T
         values = np.concatenate([refined.poles, refined.participation[self._free], refined.shapes.ravel(), factors.ravel()])
         return np.stack([values.real, values.imag], axis=-1).ravel()
 
@@ -141,8 +148,11 @@ def whole_covariance_fit(measured: Measured, terms: ResidualTerms, refined: Refi
     dof = measured.n_equation - model.n_parameter
     if not has_noise(measured) or model.n_parameter * measured.n_equation > MOST_ENTRIES:
         return ModalEstimate(refined, model.receptance(start, measured.omega), dof)
-    doubt = weight_doubt(measured, dof)
-    problem = OutputError(measured, model, whitener(measured))
+    try:
+        weights, doubt = whitener(measured), weight_doubt(measured, dof)
+    except FitError as error:
+        return ModalEstimate(refined, model.receptance(start, measured.omega), dof, unused=error.what)
+    problem = OutputError(measured, model, weights)
     minimum = minimise(problem, start)
     _, inverse = solve_scaled(problem.jacobian(minimum.values), problem.residual(minimum.values))
     reduced = problem.chi2(minimum.values) / dof / doubt.excess

@@ -33,7 +33,8 @@ class Modes:
     FRF's receptance times rad/s] = scale * shape * participation, scale (n_mode,). points, references: labels of the two sides of the
     FRF matrix; *forces_move*: the points are forces (a roving hammer). mac (n_mode, n_mode) [1]: modal assurance criterion between the
     shapes; collinearity (n_mode,) [1]: modal phase collinearity, 1 for a real shape (Juang and Pappa 1985).
-    lower, upper: numbers of residual terms s^-2, s^-4 ... and 1, s^2 ... in the fit.
+    lower, upper: numbers of residual terms s^-2, s^-4 ... and 1, s^2 ... in the fit. driving_points: dof at which mass, stiffness and
+    damping of each mode are given, that with its largest residue; empty where no point is a reference.
     """
 
     frequency: FloatArray
@@ -50,4 +51,5 @@ class Modes:
     collinearity: FloatArray
     lower: int
     upper: int
+    driving_points: tuple[str, ...] = ()
     diagram: StabilisationDiagram | None = None

@@ -40,10 +40,11 @@ def modes_table(fit: Fit, modes: Modes) -> Table:
             modes.points[largest[n]],
             modes.references[strongest[n]],
             f"{modes.collinearity[n]:.4f}",
+            modes.driving_points[n] if modes.driving_points else "",
         )
         for n in range(modes.frequency.size)
     )
-    header = ("mode", "f [Hz]", "zeta [%]", "largest at", "strongest reference", "phase collinearity")
+    header = ("mode", "f [Hz]", "zeta [%]", "largest at", "strongest reference", "phase collinearity", "m, k, c at")
     return Table(header, rows, f"Modes of {fit_title(fit)}", (1, 2, 5))
 
 

@@ -7,12 +7,17 @@ import pytest
 from scipy.optimize import least_squares
 
 from labpipe.modal.growth import refine_with_terms
-from labpipe.modal.likelihood import Lines, Refined, refine
+from labpipe.modal.likelihood import Refined, refine
 from labpipe.modal.lscf import normal_equations
-from labpipe.modal.residual_terms import ResidualTerms
+from labpipe.modal.residual_terms import Lines, ResidualTerms
 from labpipe.modal.stabilisation import similarity, stabilisation
 from labpipe.modal.values import modal_parameters
 from tests.unit.modal.structures import DAMPING, FREQUENCIES, nine_modes
+
+
+def lines_of(omega: np.ndarray, matrix: np.ndarray) -> Lines:
+    """Accelerance with the same noise at all lines."""
+    return Lines(omega, matrix, 2, np.ones(omega.size))
 
 
 def small_case(n_input: int = 2) -> tuple[Lines, ResidualTerms, np.ndarray, np.ndarray]:
@@ -23,7 +28,7 @@ def small_case(n_input: int = 2) -> tuple[Lines, ResidualTerms, np.ndarray, np.n
     matrix = structure.noisy(0.02, 4)[lines][:, :, :n_input]
     poles = structure.poles[6:8] * 1.0002
     participation = structure.shapes[6:8][:, :n_input]
-    return Lines(omega, matrix, 2), ResidualTerms(omega, matrix, 2, 1, 2), poles, participation
+    return lines_of(omega, matrix), ResidualTerms(lines_of(omega, matrix), 1, 2), poles, participation
 
 
 def dense_residual(parameters: np.ndarray, lines: Lines, refined: Refined) -> np.ndarray:
@@ -82,7 +87,7 @@ def test_noise_of_every_element_is_found() -> None:
     structure = nine_modes(20)
     omega = 2 * np.pi * structure.frequency
     matrix = structure.noisy(0.01, 7)
-    refined, _ = refine_with_terms(Lines(omega, matrix, 2), structure.poles, structure.shapes[:, [0, 7, 15]])
+    refined, _ = refine_with_terms(lines_of(omega, matrix), structure.poles, structure.shapes[:, [0, 7, 15]])
     expected = 1e-4 * np.mean(np.abs(structure.matrix) ** 2, axis=0)
     # The variance of 1,501 complex lines is known to 1 / sqrt(1501) = 2.6 %.
     assert np.max(np.abs(refined.noise / expected - 1)) < 5 / np.sqrt(1501)
@@ -92,7 +97,7 @@ def test_residual_terms_are_taken_out_of_the_data() -> None:
     omega = 2 * np.pi * np.linspace(20, 40, 120)
     w = omega[:, None, None] / omega[-1]
     smooth = (w**2 * (2 - 1j) + 3j * w**-0 + 0.5 * w**4).astype(complex)
-    terms = ResidualTerms(omega, smooth, 2, 1, 2)
+    terms = ResidualTerms(lines_of(omega, smooth), 1, 2)
     assert np.max(np.abs(terms.remainder)) < 1e-12 * np.max(np.abs(smooth))
 
 
@@ -106,8 +111,8 @@ def test_fifty_draws_reach_the_bound(level: float) -> None:
         matrix = structure.noisy(level, seed)
         modes = stabilisation(normal_equations(omega, matrix, 60), (omega[0], omega[-1]), 60).modes
         assert modes.values.size == 9, f"seed {seed}"
-        refined, _ = refine_with_terms(Lines(omega, matrix, 2), modes.values, modes.participation)
-        parameters = modal_parameters(refined, 10**6, None, None, None)
+        refined, _ = refine_with_terms(lines_of(omega, matrix), modes.values, modes.participation)
+        parameters = modal_parameters(refined, 10**6, None, (), None)
         truth = np.stack([FREQUENCIES, DAMPING], -1).ravel()
         errors.append([(p.value - t) / p.std_error for p, t in zip(parameters, truth, strict=True)])
         alike.append(np.diag(similarity(refined.shapes.T, structure.shapes)).min())
