@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from labpipe.arrays import IntArray
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import ResponseModel
@@ -17,7 +18,7 @@ from labpipe.identify.output_error import OutputError
 from labpipe.identify.regression import solve_scaled, triangle_of
 from labpipe.identify.starts import Start, starts
 from labpipe.identify.statistics import Estimate, determination
-from labpipe.identify.weights import WeightDoubt, equal_weights, has_noise, weight_doubt, whitener
+from labpipe.identify.weights import WeightDoubt, equal_weights, fitted_doubt, has_noise, weight_doubt, whitener
 from labpipe.optimise.levenberg import MAX_ITERATIONS, Minimum, minimise
 from labpipe.records.identification import Goodness
 
@@ -58,8 +59,9 @@ def maximum_likelihood(
     r2, adjusted = determination(measured.matrix, measured.matrix - model.receptance(values, measured.omega), n_parameter)
     notes: tuple[str, ...] = (f"ml: started from {start.name}.",)
     if weighted:
+        covariance, doubt = fitted_doubt(measured, doubt, jacobian, inverse)
         reduced /= doubt.excess
-        covariance, gof = doubt.inflation * inverse, Goodness(r2, adjusted, reduced, doubt.p_value(reduced, dof))
+        gof = Goodness(r2, adjusted, reduced, doubt.p_value(reduced, dof))
     else:
         notes = (*notes, UNWEIGHTED_NOTE)
         covariance, gof = reduced * (measured.shared_noise * inverse), Goodness(r2, adjusted)
@@ -72,8 +74,17 @@ def maximum_likelihood(
         converged=converged,
         iterations=iterations,
         notes=notes,
+        parameter_dof=_interval_dof(measured, n_parameter, dof),
         amplification=amplification,
+        squares=problem.chi2(values),
     )
+
+
+def _interval_dof(measured: Measured, n_parameter: int, dof: int) -> IntArray | None:
+    """Degrees of freedom (n_parameter,) of the intervals where few hits tell the noise, and lines share what they tell; else None."""
+    if measured.noise is None or not np.isfinite(measured.noise_dof):
+        return None
+    return np.full(n_parameter, min(dof, int(2 * measured.noise_dof)))
 
 
 def _best_minimum(problem: OutputError[ResponseModel], doubtful: Callable[[float], bool], most_steps: int) -> tuple[Minimum, Start]:

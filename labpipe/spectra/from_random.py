@@ -28,8 +28,8 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     return parts_of_spectra([_welch_average(source, settings) for source in sources], settings, layout)
 
 
-def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, layout: Layout) -> Parts:
-    """The FRF from the averaged spectra of every recording, weighted by their numbers of blocks.
+def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, layout: Layout, half_width: int = 0) -> Parts:
+    """The FRF from the averaged spectra of every recording, weighted by their numbers of blocks; noise over *half_width* lines around.
 
     DataError when the forces, or the outputs an estimator inverts, are not independent.
     """
@@ -49,7 +49,7 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
     return Parts(
         frequency=spectra[0].frequency[chosen],
         matrix=response,
-        covariance=covariance_of_random(matrix, response, instruments, averages) if enough else None,
+        covariance=covariance_of_random(matrix, response, instruments, averages, half_width) if enough else None,
         averages=averages,
         dof=averages - n_input if enough else np.inf,
         findings=coherence_findings(multiple, layout) if enough else _no_average_finding(averages),

@@ -23,7 +23,7 @@ class Parts:
     """FRF matrix (n_line, n_output, n_input) [output unit / N], covariance and quality on the measured lines.
 
     frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input; coherences and snr [1] as in
-    FrequencyResponse.
+    FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour, n_output, n_input) likewise.
     """
 
     frequency: FloatArray
@@ -36,7 +36,8 @@ class Parts:
     multiple_coherence: FloatArray | None = None
     partial_coherence: FloatArray | None = None
     snr: FloatArray | None = None
-    line_correlation: tuple[float, ...] = ()
+    line_correlation: tuple[complex, ...] = ()
+    line_gains: ComplexArray | None = None
 
 
 def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:

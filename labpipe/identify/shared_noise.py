@@ -1,0 +1,106 @@
+"""Noise that lines of an FRF share: its correlation from line to line as a matrix that is never formed, and what it does to a fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import fft
+
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+
+# Columns of the correlation formed together: enough to keep the overhead small, few enough for the memory.
+COLUMNS_AT_ONCE = 64
+
+
+@dataclass(frozen=True)
+class SharedNoise:
+    """Noise of the chosen lines, whitened element by element: e(k, a) = sum_j gains(k, j, a) z(k + j - m, a), cov(z_(k+d), z_k) = r_d.
+
+    numbers (n_line,): numbers of the chosen lines; correlation r_1, r_2, ... (n_distance,) [1]; gains (n_line, 2 m + 1, n_element) [1],
+    or None where every line has the noise of its own number alone.
+    """
+
+    numbers: IntArray
+    correlation: ComplexArray
+    gains: ComplexArray | None = None
+
+    def times(self, columns: ComplexArray) -> ComplexArray:
+        """R X: the correlation matrix (n_line n_element)^2 [1] times *columns* (n_line, n_element, n_column) [any unit]."""
+        places = self._places
+        spread = np.zeros((self._n_place, *columns.shape[1:]), np.complex128)
+        for neighbour, gain in enumerate(self._factors):
+            # Line numbers do not repeat, so that one neighbour of all lines can be added at once.
+            spread[places + neighbour] += gain.conj()[:, :, None] * columns
+        spread = self._by_distance(spread)
+        return np.asarray(sum(gain[:, :, None] * spread[places + neighbour] for neighbour, gain in enumerate(self._factors)))
+
+    @cached_property
+    def power(self) -> float:
+        """tr(R^2) of one element, averaged over the elements: the sum of all squared correlations [1]."""
+        n_line = self.numbers.size
+        n_element = 1 if self.gains is None else self.gains.shape[2]
+        total = 0.0
+        for first in range(0, n_line, COLUMNS_AT_ONCE):
+            lines = np.arange(first, min(first + COLUMNS_AT_ONCE, n_line))
+            unit = np.zeros((n_line, n_element, lines.size))
+            unit[lines, :, lines - first] = 1.0
+            total += float(np.sum(np.abs(self.times(unit.astype(np.complex128))) ** 2))
+        return total / n_element
+
+    @cached_property
+    def _factors(self) -> ComplexArray:
+        """Gains by neighbour, (n_neighbour, n_line, n_element or 1)."""
+        return np.ones((1, self.numbers.size, 1), np.complex128) if self.gains is None else self.gains.swapaxes(0, 1)
+
+    @cached_property
+    def _places(self) -> IntArray:
+        """Where the first neighbour of every line stands among all lines from the first to the last one, (n_line,)."""
+        return self.numbers - self.numbers[0]
+
+    @property
+    def _n_place(self) -> int:
+        return int(self._places[-1]) + self._factors.shape[0]
+
+    def _by_distance(self, columns: ComplexArray) -> ComplexArray:
+        """The Toeplitz matrix of the correlation times *columns* (n_place, ...) [any unit], as a circular convolution."""
+        n = columns.shape[0]
+        used = self.correlation[: n - 1]
+        length = fft.next_fast_len(n + used.size)
+        kernel = np.zeros(length, np.complex128)
+        kernel[: used.size + 1] = np.concatenate([[1.0], used])
+        kernel[length - used.size :] = used[::-1].conj()
+        shape = (-1,) + (1,) * (columns.ndim - 1)
+        product: ComplexArray = fft.ifft(fft.fft(kernel).reshape(shape) * fft.fft(columns, length, axis=0), axis=0)[:n]
+        return product
+
+
+@dataclass(frozen=True)
+class SharedResidual:
+    """What shared noise does to a weighted fit: the covariance of its estimates and the moments of its residual.
+
+    covariance (n_parameter, n_parameter) [parameter units]; mean and dof [1]: the sum of squares of the residual is like
+    chi-square of *dof* degrees of freedom, scaled to *mean*.
+    """
+
+    covariance: FloatArray
+    mean: float
+    dof: float
+
+
+def shared_residual(noise: SharedNoise, jacobian: ComplexArray, inverse: FloatArray) -> SharedResidual:
+    """With R the noise's correlation, A = (J^H J)^-1 and P = 1 - J A J^H: A J^H R J A, tr(P R) and tr(P R)^2 / tr(P R P R).
+
+    *jacobian* (n_line, n_element, n_parameter) complex, whitened to unit variance of real and imaginary part [1 per parameter unit];
+    *inverse* A (n_parameter, n_parameter). The residual's mean and variance as of a sum of squares of correlated normal values
+    (Satterthwaite 1946).
+    """
+    columns = jacobian.reshape(-1, jacobian.shape[2])
+    product = noise.times(jacobian).reshape(columns.shape)
+    middle = (columns.conj().T @ product).real
+    square = (product.conj().T @ product).real
+    mean = 2.0 * columns.shape[0] - float(np.sum(inverse * middle))
+    half = inverse @ middle
+    spread = 2 * noise.power * jacobian.shape[1] - 2 * float(np.sum(inverse * square)) + float(np.trace(half @ half))
+    return SharedResidual(half @ inverse, mean, mean**2 / spread)
