@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.parquet import HEADER_KEY, open_parquet, read_header
-from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.response import Blocks, FrequencyResponse, Port
 
 SUFFIX = ".frf.parquet"
 _BY_ELEMENT = {"coherence": ":coh", "partial_coherence": ":partial_coh", "distortion": ":distortion"}
@@ -74,6 +74,7 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         # A number where it is real, as files have always had it; real and imaginary part of a complex one.
         "line_correlation": [c.real if c.imag == 0 else [c.real, c.imag] for c in response.line_correlation],
         "line_gains": 0 if response.line_gains is None else response.line_gains.shape[1],
+        "blocks": None if response.blocks is None else dataclasses.asdict(response.blocks),
         "snr_channels": list(response.snr_channels),
         "conditions": response.conditions,
     }
@@ -108,6 +109,7 @@ def read_response(path: Path) -> FrequencyResponse:
         covariance_dof=math.inf if dof is None else dof,
         line_correlation=tuple(complex(*c) if isinstance(c, list) else c for c in contents.get("line_correlation", ())),
         line_gains=_line_gains(columns, pairs, contents.get("line_gains", 0)),
+        blocks=Blocks(**contents["blocks"]) if contents.get("blocks") else None,
         name=contents["name"],
         findings=header.findings,
         conditions=contents["conditions"],

@@ -12,6 +12,7 @@ import numpy as np
 
 from labpipe.arrays import IntArray
 from labpipe.errors import FitError
+from labpipe.identify.leakage import expected, leaking_noise
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import ResponseModel
 from labpipe.identify.output_error import OutputError
@@ -49,17 +50,18 @@ def maximum_likelihood(
         raise FitError(f"{measured.n_equation} real equations cannot determine {n_parameter} parameters", hint="widen the band")
     weighted = has_noise(measured)
     doubt = weight_doubt(measured, dof) if weighted else WeightDoubt()
-    problem = OutputError(measured, model, whitener(measured) if weighted else equal_weights(measured))
+    problem = OutputError(measured, expected(measured, model), whitener(measured) if weighted else equal_weights(measured))
     best, start = _best_minimum(problem, lambda chi2: weighted and doubt.p_value(chi2 / dof / doubt.excess, dof) < DOUBTFUL_P, most_steps)
     values, converged, iterations = best.values, best.converged, best.steps
     jacobian, residual = problem.jacobian(values), problem.residual(values)
     _, inverse = solve_scaled(jacobian, residual)
     design, amplification = triangle_of(jacobian), problem.size * np.sqrt(np.diag(inverse))
     reduced = float(residual @ residual) / dof
-    r2, adjusted = determination(measured.matrix, measured.matrix - model.receptance(values, measured.omega), n_parameter)
+    r2, adjusted = determination(measured.matrix, measured.matrix - problem.model.receptance(values, measured.omega), n_parameter)
     notes: tuple[str, ...] = (f"ml: started from {start.name}.",)
     if weighted:
-        covariance, doubt = fitted_doubt(measured, doubt, jacobian, inverse)
+        noise = measured.noise or leaking_noise(measured, model, values)
+        covariance, doubt = fitted_doubt(measured, noise, doubt, jacobian, inverse)
         reduced /= doubt.excess
         gof = Goodness(r2, adjusted, reduced, doubt.p_value(reduced, dof))
     else:

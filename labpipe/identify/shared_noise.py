@@ -36,6 +36,11 @@ class SharedNoise:
         spread = self._by_distance(spread)
         return np.asarray(sum(gain[:, :, None] * spread[places + neighbour] for neighbour, gain in enumerate(self._factors)))
 
+    @property
+    def trace(self) -> float:
+        """tr(R) of one element [1]: the number of lines."""
+        return float(self.numbers.size)
+
     @cached_property
     def power(self) -> float:
         """tr(R^2) of one element, averaged over the elements: the sum of all squared correlations [1]."""
@@ -77,6 +82,46 @@ class SharedNoise:
 
 
 @dataclass(frozen=True)
+class LinePairs:
+    """Noise e of the lines *first* and *second* (n_pair,): E[e_k e_l^H] and E[e_k e_l^T], (n_pair, n_element, n_element) [1]."""
+
+    first: IntArray
+    second: IntArray
+    correlation: ComplexArray
+    turned: ComplexArray
+
+
+@dataclass(frozen=True)
+class LineBlocks:
+    """Noise of *n_line* lines that only near lines share: pairs of lines 0, 1, 2 ... apart."""
+
+    n_line: int
+    pairs: tuple[LinePairs, ...]
+
+    def times(self, columns: ComplexArray) -> ComplexArray:
+        """R X + T X*: the covariance of real and imaginary parts times *columns* (n_line, n_element, n_column) [any unit]."""
+        product = np.zeros_like(columns)
+        for distance, pair in enumerate(self.pairs):
+            # A line occurs once among the first ones, and once among the second ones of its distance.
+            product[pair.first] += pair.correlation @ columns[pair.second] + pair.turned @ columns[pair.second].conj()
+            if distance:
+                product[pair.second] += pair.correlation.conj().swapaxes(1, 2) @ columns[pair.first]
+                product[pair.second] += pair.turned.swapaxes(1, 2) @ columns[pair.first].conj()
+        return product
+
+    @property
+    def trace(self) -> float:
+        """tr(R), averaged over the elements [1]."""
+        return float(np.einsum("kaa->", self.pairs[0].correlation).real) / self.pairs[0].correlation.shape[1]
+
+    @property
+    def power(self) -> float:
+        """tr(R^2) + tr(T T*), averaged over the elements [1]."""
+        squares = [float(np.sum(np.abs(pair.correlation) ** 2) + np.sum(np.abs(pair.turned) ** 2)) for pair in self.pairs]
+        return (squares[0] + 2 * sum(squares[1:])) / self.pairs[0].correlation.shape[1]
+
+
+@dataclass(frozen=True)
 class SharedResidual:
     """What shared noise does to a weighted fit: the covariance of its estimates and the moments of its residual.
 
@@ -89,7 +134,7 @@ class SharedResidual:
     dof: float
 
 
-def shared_residual(noise: SharedNoise, jacobian: ComplexArray, inverse: FloatArray) -> SharedResidual:
+def shared_residual(noise: SharedNoise | LineBlocks, jacobian: ComplexArray, inverse: FloatArray) -> SharedResidual:
     """With R the noise's correlation, A = (J^H J)^-1 and P = 1 - J A J^H: A J^H R J A, tr(P R) and tr(P R)^2 / tr(P R P R).
 
     *jacobian* (n_line, n_element, n_parameter) complex, whitened to unit variance of real and imaginary part [1 per parameter unit];
@@ -100,7 +145,7 @@ def shared_residual(noise: SharedNoise, jacobian: ComplexArray, inverse: FloatAr
     product = noise.times(jacobian).reshape(columns.shape)
     middle = (columns.conj().T @ product).real
     square = (product.conj().T @ product).real
-    mean = 2.0 * columns.shape[0] - float(np.sum(inverse * middle))
+    mean = 2 * noise.trace * jacobian.shape[1] - float(np.sum(inverse * middle))
     half = inverse @ middle
     spread = 2 * noise.power * jacobian.shape[1] - 2 * float(np.sum(inverse * square)) + float(np.trace(half @ half))
     return SharedResidual(half @ inverse, mean, mean**2 / spread)

@@ -15,7 +15,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail, f_tail
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
-from labpipe.identify.shared_noise import shared_residual
+from labpipe.identify.shared_noise import LineBlocks, SharedNoise, shared_residual
 from labpipe.identify.statistics import stacked
 
 # Relative standard deviation of an FRF below which its scatter is rounding, not measured noise.
@@ -67,19 +67,21 @@ def weight_doubt(measured: Measured, dof: int) -> WeightDoubt:
     return WeightDoubt(nu / a, inflation, _residual_dof(measured, dof, measured.shared_power), measured.shared_power)
 
 
-def fitted_doubt(measured: Measured, doubt: WeightDoubt, jacobian: FloatArray, inverse: FloatArray) -> tuple[FloatArray, WeightDoubt]:
+def fitted_doubt(
+    measured: Measured, noise: SharedNoise | LineBlocks | None, doubt: WeightDoubt, jacobian: FloatArray, inverse: FloatArray
+) -> tuple[FloatArray, WeightDoubt]:
     """Covariance of the estimates (n_parameter, n_parameter) [parameter units] and the doubt of the residual of a fit.
 
     *jacobian* (n_equation, n_parameter) of the whitened residual and *inverse* = (J^T J)^-1; *doubt* of weight_doubt. Where the noise
-    of lines is correlated as only a matrix can say, that matrix gives both instead of the factors *inflation* and *shared*; estimates of
-    that noise are as correlated, so that their errors are a common factor of a resonance's weights and cost no efficiency.
+    of lines is correlated as only a matrix can say, that matrix *noise* gives both instead of the factors *inflation* and *shared*; estimates of
+    that noise are as correlated, so that under an exponential window their errors are a common factor of a resonance's weights and cost no efficiency.
     """
-    if measured.noise is None:
+    if noise is None:
         return doubt.inflation * inverse, doubt
     n_equation, n_parameter = jacobian.shape
     half = n_equation // 2
     complex_rows = (jacobian[:half] + 1j * jacobian[half:]).reshape(measured.omega.size, -1, n_parameter)
-    residual = shared_residual(measured.noise, complex_rows, inverse)
+    residual = shared_residual(noise, complex_rows, inverse)
     dof = n_equation - n_parameter
     shared = dof / residual.dof
     estimated = np.isfinite(measured.noise_dof)
@@ -89,7 +91,8 @@ def fitted_doubt(measured: Measured, doubt: WeightDoubt, jacobian: FloatArray, i
         shared=shared,
         residual_dof=_residual_dof(measured, dof, shared) if estimated else np.inf,
     )
-    return residual.covariance, changed
+    lost = doubt.inflation / measured.shared_noise if measured.noise is None else 1.0
+    return lost * residual.covariance, changed
 
 
 def _residual_dof(measured: Measured, dof: int, shared: float) -> float:

@@ -34,6 +34,16 @@ class Port:
         return name in (self.label, self.channel, self.dof)
 
 
+@dataclass(frozen=True)
+class Blocks:
+    """Blocks of random data averaged to an H1: length [s], name of the window, overlap of neighbours [1], number."""
+
+    length: float
+    window: str
+    overlap: float
+    number: int
+
+
 @dataclass(frozen=True, repr=False)
 class FrequencyResponse:
     """H(f), output per input, with its covariance.
@@ -56,6 +66,7 @@ class FrequencyResponse:
                      where lines are independent
     line_gains       (n_frequency, 2 m + 1, n_output, n_input) or None: the error of a line is not z_k alone but
                      sum_j gains(k, j) z_(k+j-m) of its neighbours, scaled to the variance 1 (an exponential window taken out again)
+    blocks           of random data, whose ends leave leakage in H1, or None
     """
 
     frequency: FloatArray
@@ -75,6 +86,7 @@ class FrequencyResponse:
     covariance_dof: float = float("inf")
     line_correlation: tuple[complex, ...] = ()
     line_gains: ComplexArray | None = None
+    blocks: Blocks | None = None
     name: str = ""
     findings: tuple[Finding, ...] = ()
     conditions: dict[str, Any] = field(default_factory=dict)

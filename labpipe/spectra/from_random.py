@@ -10,6 +10,7 @@ import numpy as np
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
+from labpipe.records.response import Blocks
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.coherence import multiple_coherence, ordinary_coherence, partial_coherence
 from labpipe.spectra.estimators import ESTIMATORS, INSTRUMENTS
@@ -25,7 +26,13 @@ from labpipe.spectra.windows import window_values
 
 def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF from Welch averages of all recordings; DataError for recordings or forces that do not allow one."""
-    return parts_of_spectra([_welch_average(source, settings) for source in sources], settings, layout)
+    spectra = [_welch_average(source, settings) for source in sources]
+    parts = parts_of_spectra(spectra, settings, layout)
+    if settings.estimator != "H1":
+        return parts
+    assert settings.block is not None
+    blocks = Blocks(settings.block, settings.window, settings.overlap, sum(spectrum.n_block for spectrum in spectra))
+    return replace(parts, blocks=blocks)
 
 
 def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, layout: Layout, half_width: int = 0) -> Parts:
