@@ -28,8 +28,8 @@ SMALLEST_NOISE = 1e-6
 class Leakage:
     """Leakage of the chosen lines.
 
-    kernel of the window; numbers (n_line,): frequency times length of a block; correlation c_d of noise between lines, see
-    windows.line_correlation; derivatives: of the measured form against the receptance.
+    kernel of the window; numbers (n_line,) [1]: frequency times length of a block; correlation c_d (n_distance,) [1] of noise between
+    lines, see windows.line_correlation; derivatives: of the measured form against the receptance.
     """
 
     kernel: LeakageKernel
@@ -51,7 +51,7 @@ class Leakage:
         return (omega[place] / (2 * np.pi * self.numbers[:, None] / self.kernel.blocks.length)) ** self.derivatives
 
     def pairs(self, distance: int) -> tuple[IntArray, IntArray]:
-        """The lines that have a line *distance* further on, and those."""
+        """The lines (n_pair,) that have a line *distance* further on, and those (n_pair,)."""
         second = np.searchsorted(self.numbers, self.numbers + distance)
         there = self.numbers[np.minimum(second, self.numbers.size - 1)] == self.numbers + distance
         return np.flatnonzero(there), second[there]
@@ -110,7 +110,7 @@ def expected(measured: Measured, model: ResponseModel) -> ResponseModel:
 
 
 def leaking_noise(measured: Measured, model: ResponseModel, parameters: FloatArray) -> LineBlocks | None:
-    """Correlation of noise and leakage of all lines, relative to the covariance that their residual's power gives.
+    """Correlation of noise and leakage of all lines [1] at *parameters* (n_parameter,), relative to what their residual's power gives.
 
     The residual y - H1 u of a block is leakage sum_v (H(v) - H1(w)) W(w - v) u(v) and noise. What one block loses at its end the next
     one has too much, so that the mean over overlapping blocks scatters less than its residual tells (Pintelon and Schoukens, System
@@ -124,14 +124,14 @@ def leaking_noise(measured: Measured, model: ResponseModel, parameters: FloatArr
     power = _force_power(measured)
     apparent = _apparent(leakage, deviation, power) / measured.noise_dof
     noise = _noise_beside(measured.covariance, apparent)
-    white = np.linalg.inv(np.linalg.cholesky(noise + apparent))
+    white = np.asarray(np.linalg.inv(np.linalg.cholesky(noise + apparent)), np.complex128)
     own = white @ np.linalg.cholesky(noise)
     pairs = []
     for distance in range(leakage.correlation.size + 2):
         first, second = leakage.pairs(distance)
         covariance, turned = _scatter(leakage, deviation, power, distance)
-        shared = 1.0 if distance == 0 else leakage.correlation[distance - 1] if distance <= leakage.correlation.size else 0.0
-        correlated = white[first] @ covariance @ hermitian(white[second]) + shared * own[first] @ hermitian(own[second])
+        shared = float(([1.0, *leakage.correlation, 0.0])[distance])
+        correlated = white[first] @ covariance @ hermitian(white[second]) + shared * (own[first] @ hermitian(own[second]))
         pairs.append(LinePairs(first, second, correlated, white[first] @ turned @ white[second].swapaxes(1, 2)))
     return LineBlocks(measured.omega.size, tuple(pairs))
 

@@ -10,7 +10,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.leakage import Leakage
 from labpipe.identify.shared_noise import SharedNoise
-from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.response import Blocks, FrequencyResponse, Port
 from labpipe.registry import nearest
 from labpipe.spectra.convert import DERIVATIVES, receptance_factor
 from labpipe.spectra.leakage import kernel_of
@@ -25,7 +25,7 @@ class Measured:
     shared_noise, shared_power: sum of c and of c^2 over the chosen lines, itself included, averaged over the lines, c the correlation
     of their noise (a window spreads it over neighbours): factor on the variance of a sum over lines, and on that of their powers. Where
     c is complex, lines do not add up and shared_noise is the upper bound shared_power. *noise*: the same correlation line by line, None
-    for independent lines. *leakage* of the blocks of random data, or None.
+    for independent lines. *blocks* of random data and their *leakage* where it is known (H1), or None.
     """
 
     omega: FloatArray
@@ -39,6 +39,7 @@ class Measured:
     shared_power: float = 1.0
     noise: SharedNoise | None = None
     leakage: Leakage | None = None
+    blocks: Blocks | None = None
 
     @property
     def n_equation(self) -> int:
@@ -100,6 +101,7 @@ def measured_part(response: FrequencyResponse, rows: list[int], columns: list[in
         inputs=inputs,
         shared_noise=_shared(numbers, correlation.real if real else np.abs(correlation) ** 2),
         shared_power=_shared(numbers, np.abs(correlation) ** 2),
+        blocks=response.blocks,
         leakage=_leakage(response, frequency),
         noise=SharedNoise(numbers, correlation, gains) if correlation.size and gains is not None else None,
     )
@@ -107,7 +109,7 @@ def measured_part(response: FrequencyResponse, rows: list[int], columns: list[in
 
 def _leakage(response: FrequencyResponse, frequency: FloatArray) -> Leakage | None:
     blocks = response.blocks
-    if blocks is None or response.form not in DERIVATIVES:
+    if blocks is None or blocks.estimator != "H1":
         return None
     numbers = np.round(frequency * blocks.length).astype(np.intp)
     return Leakage(kernel_of(blocks), numbers, np.array(response.line_correlation, float), DERIVATIVES[response.form])

@@ -73,8 +73,9 @@ def fitted_doubt(
     """Covariance of the estimates (n_parameter, n_parameter) [parameter units] and the doubt of the residual of a fit.
 
     *jacobian* (n_equation, n_parameter) of the whitened residual and *inverse* = (J^T J)^-1; *doubt* of weight_doubt. Where the noise
-    of lines is correlated as only a matrix can say, that matrix *noise* gives both instead of the factors *inflation* and *shared*; estimates of
-    that noise are as correlated, so that under an exponential window their errors are a common factor of a resonance's weights and cost no efficiency.
+    of lines is correlated as only a matrix can say, that matrix *noise* gives both instead of the factors *inflation* and *shared*.
+    Estimates of the noise under an exponential window are as correlated as the noise: their errors are a common factor of a
+    resonance's weights and cost no efficiency.
     """
     if noise is None:
         return doubt.inflation * inverse, doubt

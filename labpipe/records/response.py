@@ -36,12 +36,13 @@ class Port:
 
 @dataclass(frozen=True)
 class Blocks:
-    """Blocks of random data averaged to an H1: length [s], name of the window, overlap of neighbours [1], number."""
+    """Blocks of random data averaged to an FRF: length [s], window, overlap of neighbours [1], number, estimator (H1, H2, Hv)."""
 
     length: float
     window: str
     overlap: float
     number: int
+    estimator: str
 
 
 @dataclass(frozen=True, repr=False)
@@ -66,7 +67,7 @@ class FrequencyResponse:
                      where lines are independent
     line_gains       (n_frequency, 2 m + 1, n_output, n_input) or None: the error of a line is not z_k alone but
                      sum_j gains(k, j) z_(k+j-m) of its neighbours, scaled to the variance 1 (an exponential window taken out again)
-    blocks           of random data, whose ends leave leakage in H1, or None
+    blocks           of random data, whose ends leave leakage in the FRF, or None
     """
 
     frequency: FloatArray

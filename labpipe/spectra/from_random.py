@@ -27,12 +27,10 @@ from labpipe.spectra.windows import window_values
 def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF from Welch averages of all recordings; DataError for recordings or forces that do not allow one."""
     spectra = [_welch_average(source, settings) for source in sources]
-    parts = parts_of_spectra(spectra, settings, layout)
-    if settings.estimator != "H1":
-        return parts
     assert settings.block is not None
-    blocks = Blocks(settings.block, settings.window, settings.overlap, sum(spectrum.n_block for spectrum in spectra))
-    return replace(parts, blocks=blocks)
+    n_block = sum(spectrum.n_block for spectrum in spectra)
+    blocks = Blocks(settings.block, settings.window, settings.overlap, n_block, settings.estimator)
+    return replace(parts_of_spectra(spectra, settings, layout), blocks=blocks)
 
 
 def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, layout: Layout, half_width: int = 0) -> Parts:

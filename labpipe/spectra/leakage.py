@@ -17,12 +17,12 @@ from labpipe.spectra.windows import window_values
 # Samples of a window that show its shape, and points per line: an impulse response is followed over as many blocks.
 SHAPE_SAMPLES, POINTS = 512, 4
 # Share of the window's power outside of the lines that count, and their largest number to either side.
-OUTSIDE, MOST_LINES = 1e-6, 24
+OUTSIDE, MOST_LINES = 1e-6, 64
 
 
 @dataclass(frozen=True)
 class LeakageKernel:
-    """W of a window at *offsets* (n_point,) [points of 1 / POINTS line], with sum W^2 = 1, phase taken out; *blocks* that it is of."""
+    """*amplitude* W (n_point,) [1] of the window of *blocks*, with sum W^2 = 1, phase taken out, at *offsets* (n_point,) [1 / POINTS line]."""
 
     blocks: Blocks
     offsets: FloatArray
@@ -34,12 +34,10 @@ class LeakageKernel:
         return self.amplitude**2
 
     def shifts(self) -> list[tuple[float, ComplexArray]]:
-        """(weight, phases (n_point,)) of the pairs of blocks that overlap: 1 - |t| / K, and exp(j v t step)."""
+        """(weight [1], phases (n_point,) [1]) of the pairs of blocks that overlap: 1 - |t| / K, and exp(j v t step)."""
         step = 1 - self.blocks.overlap
         most = min(int(np.ceil(1 / step)) - 1, self.blocks.number - 1)
-        return [
-            (1 - abs(t) / self.blocks.number, np.exp(2j * np.pi * self.offsets * (t * step / POINTS))) for t in range(-most, most + 1)
-        ]
+        return [(1 - abs(t) / self.blocks.number, np.exp(2j * np.pi * self.offsets * (t * step / POINTS))) for t in range(-most, most + 1)]
 
 
 def kernel_of(blocks: Blocks) -> LeakageKernel:

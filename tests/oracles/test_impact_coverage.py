@@ -1,4 +1,4 @@
-"""Hammer hits on a simulated oscillator: intervals of a fit hold the truth in 95 % of tests, whatever the exponential window and the hits."""
+"""Hammer hits on a simulated oscillator: intervals of a fit hold the truth in 95 % of tests, whatever window and number of hits."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from labpipe.identify.settings import FitSettings
 from labpipe.records.finding import Finding, note
 from labpipe.records.identification import Fit, Goodness
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.response import Blocks, FrequencyResponse, Port
 from tests.unit.artefacts.any_record import complex_arrays, fits, responses, same
 
 CHECKS = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large]
@@ -116,7 +116,8 @@ def correlated(draw: st.DrawFn) -> FrequencyResponse:
     correlation, n_gain = draw(st.sampled_from([((), 0), ((0.4, 0.1), 0), ((0.5 - 0.4j, 0.2j), 3)]))
     gains = np.stack([plain.matrix / (place + 1) for place in range(n_gain)], axis=1) if n_gain else None
     whole = upper + upper.conj().swapaxes(1, 2) + diagonal
-    return replace(plain, covariance=whole, line_correlation=correlation, line_gains=gains)
+    blocks = draw(st.sampled_from([None, Blocks(0.5, "hann", 0.5, 40, "H1")]))
+    return replace(plain, covariance=whole, line_correlation=correlation, line_gains=gains, blocks=blocks)
 
 
 @settings(max_examples=20, suppress_health_check=CHECKS)
@@ -148,10 +149,10 @@ def test_a_response_of_the_first_files_has_real_correlations_and_no_gains(tmp_pa
     table = pq.read_table(path)
     header = json.loads(table.schema.metadata[HEADER_KEY])
     assert header["contents"]["line_correlation"] == [0.45, 0.03]
-    del header["contents"]["line_gains"]
+    del header["contents"]["line_gains"], header["contents"]["blocks"]
     pq.write_table(table.replace_schema_metadata({HEADER_KEY: json.dumps(header)}), path)
     response = read_response(path)
-    assert response.line_correlation == (0.45, 0.03) and response.line_gains is None
+    assert response.line_correlation == (0.45, 0.03) and response.line_gains is None and response.blocks is None
 
 
 def test_the_same_response_gives_the_same_bytes(tmp_path: Path) -> None:
