@@ -6,6 +6,7 @@ with a smooth spectrum E[S_yu] / E[S_uu] = sum |W(w - v)|^2 H(v) / sum |W|^2: th
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,10 @@ OUTSIDE, MOST_LINES = 1e-6, 64
 
 @dataclass(frozen=True)
 class LeakageKernel:
-    """*amplitude* W (n_point,) [1] of the window of *blocks*, with sum W^2 = 1, phase taken out, at *offsets* (n_point,) [1 / POINTS line]."""
+    """Spectrum of the window of *blocks*, phase taken out: *amplitude* W (n_point,) [1] at *offsets* (n_point,) [1 / POINTS line].
+
+    sum W^2 = 1.
+    """
 
     blocks: Blocks
     offsets: FloatArray
@@ -40,6 +44,7 @@ class LeakageKernel:
         return [(1 - abs(t) / self.blocks.number, np.exp(2j * np.pi * self.offsets * (t * step / POINTS))) for t in range(-most, most + 1)]
 
 
+@functools.cache
 def kernel_of(blocks: Blocks) -> LeakageKernel:
     """The spectrum of the blocks' window; ConfigError for an unknown window."""
     window = window_values(blocks.window, SHAPE_SAMPLES)
