@@ -36,6 +36,14 @@ class SharedNoise:
         spread = self._by_distance(spread)
         return np.asarray(sum(gain[:, :, None] * spread[places + neighbour] for neighbour, gain in enumerate(self._factors)))
 
+    def drawn(self, rng: np.random.Generator, n_element: int) -> ComplexArray:
+        """Circular normal noise of this correlation, (n_line, n_element) [1]."""
+        kernel = self._kernel(self._n_place)
+        power = np.maximum(fft.fft(kernel).real, 0.0)
+        white = rng.standard_normal((2, kernel.size, n_element)) / np.sqrt(2)
+        shared = fft.ifft(np.sqrt(power)[:, None] * fft.fft(white[0] + 1j * white[1], axis=0), axis=0)
+        return np.asarray(sum(gain * shared[self._places + neighbour] for neighbour, gain in enumerate(self._factors)))
+
     @property
     def trace(self) -> float:
         """tr(R) of one element [1]: the number of lines."""
@@ -71,14 +79,18 @@ class SharedNoise:
     def _by_distance(self, columns: ComplexArray) -> ComplexArray:
         """The Toeplitz matrix of the correlation times *columns* (n_place, ...) [any unit], as a circular convolution."""
         n = columns.shape[0]
-        used = self.correlation[: n - 1]
-        length = fft.next_fast_len(n + used.size)
-        kernel = np.zeros(length, np.complex128)
-        kernel[: used.size + 1] = np.concatenate([[1.0], used])
-        kernel[length - used.size :] = used[::-1].conj()
+        kernel = self._kernel(n)
         shape = (-1,) + (1,) * (columns.ndim - 1)
-        product: ComplexArray = fft.ifft(fft.fft(kernel).reshape(shape) * fft.fft(columns, length, axis=0), axis=0)[:n]
+        product: ComplexArray = fft.ifft(fft.fft(kernel).reshape(shape) * fft.fft(columns, kernel.size, axis=0), axis=0)[:n]
         return product
+
+    def _kernel(self, n: int) -> ComplexArray:
+        """The correlation of *n* lines as that of a circle of lines so long that its ends do not meet."""
+        used = self.correlation[: n - 1]
+        kernel = np.zeros(fft.next_fast_len(n + used.size), np.complex128)
+        kernel[: used.size + 1] = np.concatenate([[1.0], used])
+        kernel[kernel.size - used.size :] = used[::-1].conj()
+        return kernel
 
 
 @dataclass(frozen=True)
