@@ -35,7 +35,7 @@ def leakage_findings(measured: Measured, whole: Matrices, estimator: str) -> lis
     which = f"the mode at {frequency:.4g} Hz is {width:.2g} Hz wide (half power), {lines:.2g} lines of blocks of {blocks.length:.3g} s"
     if modelled:
         return [Finding("leakage", f"{which}: its damping comes from the window's leakage more than from the measurement; use {needed}")]
-    bias = f"its damping comes out about {BIAS * lines**-FALL:.1g} % too large, which no standard error shows"
+    bias = f"its damping comes out up to {BIAS * lines**-FALL:.1g} % too large, which no standard error shows"
     other = "" if measured.leakage is None else ", or the estimator ml, which takes the leakage into the model"
     return [Finding("leakage", f"{which}: {bias}; use {needed}{other}")]
 
