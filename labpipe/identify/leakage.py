@@ -38,8 +38,8 @@ class Leakage:
     derivatives: int
 
     @cached_property
-    def _points(self) -> tuple[FloatArray, IntArray]:
-        """(omega [rad/s] of all points, place of every line's points among them (n_line, n_point))."""
+    def grid(self) -> tuple[FloatArray, IntArray]:
+        """(omega (n_every,) [rad/s] of all points, place of every line's points among them (n_line, n_point))."""
         points = self.numbers[:, None] * POINTS + self.kernel.offsets.astype(np.intp)
         every, place = np.unique(points, return_inverse=True)
         return 2 * np.pi * every / (POINTS * self.kernel.blocks.length), place.reshape(points.shape)
@@ -47,7 +47,7 @@ class Leakage:
     @cached_property
     def _factors(self) -> FloatArray:
         """(v / w)^n of every line's points, (n_line, n_point) [1]: the measured form is averaged, not the receptance."""
-        omega, place = self._points
+        omega, place = self.grid
         return (omega[place] / (2 * np.pi * self.numbers[:, None] / self.kernel.blocks.length)) ** self.derivatives
 
     def pairs(self, distance: int) -> tuple[IntArray, IntArray]:
@@ -58,13 +58,13 @@ class Leakage:
 
     def points_of(self, model: ResponseModel, parameters: FloatArray) -> ComplexArray:
         """H [m/N] of the model at every line's points, (n_line, n_point, n_dof, n_input)."""
-        omega, place = self._points
+        omega, place = self.grid
         values: ComplexArray = model.receptance(parameters, omega)[place] * self._factors[:, :, None, None]
         return values
 
     def averaged(self, values: ComplexArray) -> ComplexArray:
         """Mean over the kernel of values (..., n_every, n_dof, n_input) at all points, (..., n_line, n_dof, n_input) [unit of values]."""
-        place = self._points[1]
+        place = self.grid[1]
         weights = self.kernel.weights * self._factors
         total = np.zeros((*values.shape[:-3], self.numbers.size, *values.shape[-2:]), np.complex128)
         for point in range(place.shape[1]):
@@ -97,11 +97,11 @@ class SmearedModel:
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002 (the lines are the leakage's)
         """Expected H1 [m/N] at *parameters* (n_parameter,), (n_line, n_dof, n_input)."""
-        return self.leakage.averaged(self.model.receptance(parameters, self.leakage._points[0]))
+        return self.leakage.averaged(self.model.receptance(parameters, self.leakage.grid[0]))
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002
         """Its derivatives, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
-        return self.leakage.averaged(self.model.jacobian(parameters, self.leakage._points[0]))
+        return self.leakage.averaged(self.model.jacobian(parameters, self.leakage.grid[0]))
 
 
 def expected(measured: Measured, model: ResponseModel) -> ResponseModel:
@@ -113,8 +113,8 @@ def leaking_noise(measured: Measured, model: ResponseModel, parameters: FloatArr
     """Correlation of noise and leakage of all lines [1] at *parameters* (n_parameter,), relative to what their residual's power gives.
 
     The residual y - H1 u of a block is leakage sum_v (H(v) - H1(w)) W(w - v) u(v) and noise. What one block loses at its end the next
-    one has too much, so that the mean over overlapping blocks scatters less than its residual tells (Pintelon and Schoukens, System
-    Identification, 2012, section 2.6); from line to line it is correlated otherwise than noise. None without leakage or noise.
+    one has too much, so that the mean over overlapping blocks scatters less than its residual tells; from line to line it is correlated
+    otherwise than noise. None without leakage or noise.
     """
     leakage = measured.leakage
     if leakage is None or measured.covariance is None or not np.isfinite(measured.noise_dof):
@@ -188,13 +188,13 @@ def _noise_beside(covariance: ComplexArray, apparent: ComplexArray) -> ComplexAr
         size = np.sqrt(np.einsum("lii->li", noise + apparent).real)
         weight = 1 / (size[:, :, None] * size[:, None, :]) ** 2
         noise = neighbourhood_mean(weight * beside, every, HALF_WIDTH) / neighbourhood_mean(weight, every, HALF_WIDTH)
-        noise = _positive(noise, covariance)
+        noise = _positive(noise, covariance + apparent)
     return noise
 
 
-def _positive(noise: ComplexArray, covariance: ComplexArray) -> ComplexArray:
-    """The noise (n_line, n, n) without negative parts, relative to the size of the *covariance* (n_line, n, n)."""
-    size = np.sqrt(np.einsum("lii->li", covariance).real)
+def _positive(noise: ComplexArray, whole: ComplexArray) -> ComplexArray:
+    """The noise (n_line, n, n) without negative parts: at least SMALLEST_NOISE of the *whole* (n_line, n, n)."""
+    size = np.sqrt(np.einsum("lii->li", whole).real)
     outer = size[:, :, None] * size[:, None, :]
     values, vectors = np.linalg.eigh(without_rounding(noise / outer))
     raised = np.maximum(values, SMALLEST_NOISE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.identify.shared_noise import SharedNoise, shared_residual
+from labpipe.identify.shared_noise import LineBlocks, LinePairs, SharedNoise, shared_residual
 
 NUMBERS = np.array([7, 8, 9, 11, 12, 15, 16, 17, 18, 22])
 CORRELATION = np.array([0.6 - 0.3j, 0.3 - 0.2j, 0.1 - 0.1j])
@@ -72,3 +72,30 @@ def test_estimates_and_residual_scatter_as_predicted(rng: np.random.Generator) -
     assert 2 * residual.mean() ** 2 / residual.var() == pytest.approx(predicted.dof, rel=0.1)
     # Independent lines would be 22 degrees of freedom, and a standard error too small.
     assert predicted.dof < 15 and np.all(np.diag(predicted.covariance) > 1.3 * np.diag(inverse))
+
+
+def test_blocks_of_near_lines_are_the_covariance_of_real_and_imaginary_parts(rng: np.random.Generator) -> None:
+    # Lines 0, 1, 3, 4 with two elements: noise mixed of the own and the next number's draws, real parts more than imaginary ones.
+    numbers = np.array([0, 1, 3, 4])
+    mixing = rng.normal(size=(8, 12)) + 1j * rng.normal(size=(8, 12))
+    shares = np.repeat((np.arange(6) == numbers[:, None]) | (np.arange(6) == numbers[:, None] + 1), 2, axis=0).repeat(2, axis=1)
+    mixing = mixing * shares
+    correlation, turned = mixing @ mixing.conj().T, 0.3 * mixing @ mixing.T
+    pairs = []
+    for distance in range(3):
+        first = np.array([k for k in range(4) if numbers[k] + distance in numbers], int)
+        second = np.searchsorted(numbers, numbers[first] + distance)
+        blocks = [
+            np.array([m[2 * k : 2 * k + 2, 2 * j : 2 * j + 2] for k, j in zip(first, second, strict=True)]) for m in (correlation, turned)
+        ]
+        pairs.append(LinePairs(first, second, *blocks))
+    noise = LineBlocks(4, tuple(pairs))
+    columns = rng.normal(size=(4, 2, 3)) + 1j * rng.normal(size=(4, 2, 3))
+    flat = columns.reshape(8, 3)
+    np.testing.assert_allclose(noise.times(columns).reshape(8, 3), correlation @ flat + turned @ flat.conj(), rtol=1e-10)
+    assert noise.trace == pytest.approx(np.trace(correlation).real / 2)
+    # Of real and imaginary parts, scaled to the variance 1 each: their covariance has the trace 2 tr(R), its square 2 tr(R^2) + 2 tr(T T*).
+    real = np.block(
+        [[(correlation + turned).real, (turned - correlation).imag], [(correlation + turned).imag, (correlation - turned).real]]
+    )
+    assert np.sum(real**2) == pytest.approx(2 * 2 * noise.power)
