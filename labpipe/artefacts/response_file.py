@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.parquet import HEADER_KEY, open_parquet, read_header
-from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.response import Blocks, FrequencyResponse, Port
 
 SUFFIX = ".frf.parquet"
 _BY_ELEMENT = {"coherence": ":coh", "partial_coherence": ":partial_coh", "distortion": ":distortion"}
@@ -26,12 +26,7 @@ def write_response(path: Path, response: FrequencyResponse, header: Header) -> N
     columns: dict[str, FloatArray] = {"frequency_hz": response.frequency}
     for o, output in enumerate(response.outputs):
         for i, port in enumerate(response.inputs):
-            columns[f"{output.label}/{port.label}:re"] = response.matrix[:, o, i].real
-            columns[f"{output.label}/{port.label}:im"] = response.matrix[:, o, i].imag
-            for attribute, suffix in _BY_ELEMENT.items():
-                values = getattr(response, attribute)
-                if values is not None:
-                    columns[f"{output.label}/{port.label}{suffix}"] = values[:, o, i]
+            columns.update({f"{output.label}/{port.label}{suffix}": values for suffix, values in _element(response, o, i)})
         if response.multiple_coherence is not None:
             columns[f"{output.label}:multiple_coh"] = response.multiple_coherence[:, o]
     if response.covariance is not None:
@@ -43,6 +38,24 @@ def write_response(path: Path, response: FrequencyResponse, header: Header) -> N
     whole = dataclasses.replace(header, contents=_contents(response), findings=response.findings)
     table = pa.table({name: pa.array(values) for name, values in columns.items()})
     pq.write_table(table.replace_schema_metadata({HEADER_KEY: whole.to_json().encode()}), path, compression="zstd")
+
+
+def _element(response: FrequencyResponse, o: int, i: int) -> Iterator[tuple[str, FloatArray]]:
+    """The columns of one element, by the ends of their names."""
+    yield ":re", response.matrix[:, o, i].real
+    yield ":im", response.matrix[:, o, i].imag
+    for attribute, suffix in _BY_ELEMENT.items():
+        values = getattr(response, attribute)
+        if values is not None:
+            yield suffix, values[:, o, i]
+    if response.line_gains is not None:
+        for neighbour, gains in enumerate(response.line_gains[:, :, o, i].T):
+            yield f"{_gain(neighbour)}:re", gains.real
+            yield f"{_gain(neighbour)}:im", gains.imag
+
+
+def _gain(neighbour: int) -> str:
+    return f":gain:{neighbour}"
 
 
 def _upper(n: int) -> Iterator[tuple[int, int]]:
@@ -58,7 +71,10 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         "inputs": [dataclasses.asdict(port) for port in response.inputs],
         "averages": float(response.averages),
         "covariance_dof": None if math.isinf(dof) else float(dof),
-        "line_correlation": list(response.line_correlation),
+        # A number where it is real, as files have always had it; real and imaginary part of a complex one.
+        "line_correlation": [c.real if c.imag == 0 else [c.real, c.imag] for c in response.line_correlation],
+        "line_gains": 0 if response.line_gains is None else response.line_gains.shape[1],
+        "blocks": None if response.blocks is None else dataclasses.asdict(response.blocks),
         "snr_channels": list(response.snr_channels),
         "conditions": response.conditions,
     }
@@ -91,7 +107,9 @@ def read_response(path: Path) -> FrequencyResponse:
         snr_channels=snr_channels,
         averages=contents["averages"],
         covariance_dof=math.inf if dof is None else dof,
-        line_correlation=tuple(contents.get("line_correlation", ())),
+        line_correlation=tuple(complex(*c) if isinstance(c, list) else c for c in contents.get("line_correlation", ())),
+        line_gains=_line_gains(columns, pairs, contents.get("line_gains", 0)),
+        blocks=Blocks(**contents["blocks"]) if contents.get("blocks") else None,
         name=contents["name"],
         findings=header.findings,
         conditions=contents["conditions"],
@@ -100,6 +118,14 @@ def read_response(path: Path) -> FrequencyResponse:
 
 def _matrix(columns: dict[str, FloatArray], pairs: list[list[str]], suffix: str) -> FloatArray:
     return np.stack([np.stack([columns[pair + suffix] for pair in row], -1) for row in pairs], 1)
+
+
+def _line_gains(columns: dict[str, FloatArray], pairs: list[list[str]], n_gain: int) -> ComplexArray | None:
+    if not n_gain:
+        return None
+    parts = [[_matrix(columns, pairs, f"{_gain(neighbour)}:{part}") for neighbour in range(n_gain)] for part in ("re", "im")]
+    gains: ComplexArray = np.stack(parts[0], 1) + 1j * np.stack(parts[1], 1)
+    return gains
 
 
 def _covariance(columns: dict[str, FloatArray], n: int) -> ComplexArray | None:

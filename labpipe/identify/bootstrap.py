@@ -11,7 +11,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
-from labpipe.identify.weights import has_noise
+from labpipe.identify.weights import has_noise, whitener
 from labpipe.records.identification import Parameter
 
 FEWEST_REPEATS = 50
@@ -48,6 +48,9 @@ def _redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator)
     assert measured.covariance is not None
     n = measured.covariance.shape[1]
     values, vectors = np.linalg.eigh(measured.covariance)
+    if measured.noise is not None:
+        noise = np.linalg.solve(whitener(measured), measured.noise.drawn(rng, n)[:, :, None])[:, :, 0]
+        return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
     # The refits' lines are independent: stronger noise gives the scatter of lines that share noise.
     white = rng.standard_normal((2, values.shape[0], n)) * np.sqrt(measured.shared_noise * np.maximum(values, 0.0) / 2)
     noise = np.einsum("lab,lb->la", vectors, white[0] + 1j * white[1])

@@ -164,10 +164,10 @@ def _estimate(measured: Measured, model: DynamicModel | ProportionalModel) -> Es
 
 def _candidate(name: str, measured: Measured, estimate: Estimate) -> Candidate:
     """Name, parameters, chi-square and AIC of an estimate by ml."""
-    assert estimate.gof.chi2_reduced is not None
+    assert estimate.squares is not None
     doubt = weight_doubt(measured, estimate.dof)
     # Differences between models follow the covariance of parameters (lost efficiency), not the expectation of the residual.
-    chi2 = estimate.gof.chi2_reduced * estimate.dof * doubt.excess / doubt.inflation
+    chi2 = estimate.squares / doubt.inflation
     n_parameter = estimate.values.size
     return Candidate(name, n_parameter, chi2, estimate.dof, chi2 + 2 * n_parameter)
 

@@ -31,8 +31,10 @@ LOW_SNR = 10.0
 POOR_SHARE = 0.1
 
 
-def estimate_findings(estimate: Estimate, names: Sequence[str], n_line: int, estimator: str, units: Sequence[str] = ()) -> list[Finding]:
-    """Warnings on the estimate: convergence, collinearity, few lines, model mismatch."""
+def estimate_findings(
+    estimate: Estimate, names: Sequence[str], n_line: int, estimator: str, units: Sequence[str] = (), *, leaking: bool = False
+) -> list[Finding]:
+    """Warnings on the estimate: convergence, collinearity, few lines, model mismatch; *leaking*: a finding says that blocks are short."""
     warnings: list[Finding] = []
     if not estimate.converged:
         message = f"the estimator did not converge in {estimate.iterations} iterations; its numbers are not a result"
@@ -42,7 +44,7 @@ def estimate_findings(estimate: Estimate, names: Sequence[str], n_line: int, est
     if estimate.dof < FEW_DOF or n_equation < EQUATIONS_PER_PARAMETER * len(names):
         message = f"{n_line} lines give {n_equation} equations for {len(names)} parameters; widen the band or measure with finer spacing"
         warnings.append(Finding("few-lines", message))
-    warnings.extend(_mismatch(estimate, estimator))
+    warnings.extend(_mismatch(estimate, estimator, leaking))
     return warnings
 
 
@@ -109,16 +111,19 @@ def collinear_groups(scaled_design: FloatArray, names: Sequence[str]) -> list[li
     return [[name for name, inside in zip(names, involved, strict=True) if inside]] if np.any(involved) else []
 
 
-def _mismatch(estimate: Estimate, estimator: str) -> list[Finding]:
+def _mismatch(estimate: Estimate, estimator: str, leaking: bool) -> list[Finding]:
     reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
     if reduced is None or p_value is None or p_value >= MISMATCH_P:
         return []
     factor = np.sqrt(reduced)
     # Equation errors are biased and inefficient: their residual exceeds the noise for a correct model as well.
     cause = "the model is incomplete" if estimator == "ml" else f"the model is incomplete, or {estimator} is biased; compare with ml"
+    remedy = f"Multiply the standard errors by {factor:.3g} at least, or narrow the band."
+    if leaking:
+        cause, remedy = f"leakage of the short blocks, or {cause}", "Use longer blocks first: a narrower band leaves the leakage as it is."
     message = (
         f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom {reduced:.3g}, "
-        f"p = {p_value:.2g}): {cause}. Multiply the standard errors by {factor:.3g} at least, or narrow the band."
+        f"p = {p_value:.2g}): {cause}. {remedy}"
     )
     return [Finding("model-mismatch", message)]
 

@@ -14,6 +14,7 @@ from labpipe.identify.comparison import candidates, comparison_findings, compari
 from labpipe.identify.constraints import constrained
 from labpipe.identify.dense_curve import drawn_densely
 from labpipe.identify.diagnostics import MISMATCH_P, estimate_findings, parameter_findings, quality_findings
+from labpipe.identify.leakage import expected
 from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.motions import motion_notes
@@ -21,6 +22,7 @@ from labpipe.identify.proportional import ProportionalModel
 from labpipe.identify.reported import mismatch_factor, reported_parameters
 from labpipe.identify.settings import ESTIMATORS, MODELS, FitSettings
 from labpipe.identify.setup import Setup
+from labpipe.identify.short_blocks import leakage_findings
 from labpipe.identify.statistics import Estimate, condition_number, correlation, student_limit
 from labpipe.records.identification import Fit, FittedCurve, Parameter
 from labpipe.records.response import FrequencyResponse
@@ -110,7 +112,9 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
     dropped: list[str] = []
     if settings.eliminate and isinstance(model, DynamicModel):
         model, estimate, dropped = _eliminated(measured, model, estimate, settings)
-    fitted = model.receptance(estimate.values, measured.omega)
+    shown = expected(measured, model) if settings.estimator == "ml" else model
+    fitted = shown.receptance(estimate.values, measured.omega)
+    leakage = leakage_findings(measured, model.whole(estimate.values), settings.estimator)
     parameters = reported_parameters(estimate, model, setup, mismatch_factor(estimate, MISMATCH_P))
     notes = (*estimate.notes, *dropped)
     if settings.bootstrap:
@@ -137,7 +141,8 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
         converged=estimate.converged,
         iterations=estimate.iterations,
         findings=(
-            *estimate_findings(estimate, model.names, measured.omega.size, settings.estimator, model.units),
+            *estimate_findings(estimate, model.names, measured.omega.size, settings.estimator, model.units, leaking=bool(leakage)),
+            *leakage,
             *parameter_findings(parameters),
             *comparison_findings(compared_models),
         ),

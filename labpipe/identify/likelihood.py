@@ -10,14 +10,16 @@ from collections.abc import Callable
 
 import numpy as np
 
+from labpipe.arrays import IntArray
 from labpipe.errors import FitError
+from labpipe.identify.leakage import expected, leaking_noise
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import ResponseModel
 from labpipe.identify.output_error import OutputError
 from labpipe.identify.regression import solve_scaled, triangle_of
 from labpipe.identify.starts import Start, starts
 from labpipe.identify.statistics import Estimate, determination
-from labpipe.identify.weights import WeightDoubt, equal_weights, has_noise, weight_doubt, whitener
+from labpipe.identify.weights import WeightDoubt, equal_weights, fitted_doubt, has_noise, weight_doubt, whitener
 from labpipe.optimise.levenberg import MAX_ITERATIONS, Minimum, minimise
 from labpipe.records.identification import Goodness
 
@@ -48,18 +50,20 @@ def maximum_likelihood(
         raise FitError(f"{measured.n_equation} real equations cannot determine {n_parameter} parameters", hint="widen the band")
     weighted = has_noise(measured)
     doubt = weight_doubt(measured, dof) if weighted else WeightDoubt()
-    problem = OutputError(measured, model, whitener(measured) if weighted else equal_weights(measured))
+    problem = OutputError(measured, expected(measured, model), whitener(measured) if weighted else equal_weights(measured))
     best, start = _best_minimum(problem, lambda chi2: weighted and doubt.p_value(chi2 / dof / doubt.excess, dof) < DOUBTFUL_P, most_steps)
     values, converged, iterations = best.values, best.converged, best.steps
     jacobian, residual = problem.jacobian(values), problem.residual(values)
     _, inverse = solve_scaled(jacobian, residual)
     design, amplification = triangle_of(jacobian), problem.size * np.sqrt(np.diag(inverse))
     reduced = float(residual @ residual) / dof
-    r2, adjusted = determination(measured.matrix, measured.matrix - model.receptance(values, measured.omega), n_parameter)
+    r2, adjusted = determination(measured.matrix, measured.matrix - problem.model.receptance(values, measured.omega), n_parameter)
     notes: tuple[str, ...] = (f"ml: started from {start.name}.",)
     if weighted:
+        noise = measured.noise or leaking_noise(measured, model, values)
+        covariance, doubt = fitted_doubt(measured, noise, doubt, jacobian, inverse)
         reduced /= doubt.excess
-        covariance, gof = doubt.inflation * inverse, Goodness(r2, adjusted, reduced, doubt.p_value(reduced, dof))
+        gof = Goodness(r2, adjusted, reduced, doubt.p_value(reduced, dof))
     else:
         notes = (*notes, UNWEIGHTED_NOTE)
         covariance, gof = reduced * (measured.shared_noise * inverse), Goodness(r2, adjusted)
@@ -72,8 +76,17 @@ def maximum_likelihood(
         converged=converged,
         iterations=iterations,
         notes=notes,
+        parameter_dof=_interval_dof(measured, n_parameter, dof),
         amplification=amplification,
+        squares=problem.chi2(values),
     )
+
+
+def _interval_dof(measured: Measured, n_parameter: int, dof: int) -> IntArray | None:
+    """Degrees of freedom (n_parameter,) of the intervals where few hits tell the noise, and lines share what they tell; else None."""
+    if measured.noise is None or not np.isfinite(measured.noise_dof):
+        return None
+    return np.full(n_parameter, min(dof, int(2 * measured.noise_dof)))
 
 
 def _best_minimum(problem: OutputError[ResponseModel], doubtful: Callable[[float], bool], most_steps: int) -> tuple[Minimum, Start]:

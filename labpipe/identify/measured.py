@@ -6,11 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.records.response import FrequencyResponse, Port
+from labpipe.identify.leakage import Leakage
+from labpipe.identify.shared_noise import SharedNoise
+from labpipe.records.response import Blocks, FrequencyResponse, Port
 from labpipe.registry import nearest
-from labpipe.spectra.convert import receptance_factor
+from labpipe.spectra.convert import DERIVATIVES, receptance_factor
+from labpipe.spectra.leakage import kernel_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +23,9 @@ class Measured:
     omega (n_line,) [rad/s]; matrix (n_line, n_output, n_input) [m/N]; covariance (n_line, n, n) [m^2/N^2] of vec row-major, or None;
     noise_dof: complex degrees of freedom of one line's covariance estimate; noise_lines: lines with a common one (smoothed noise).
     shared_noise, shared_power: sum of c and of c^2 over the chosen lines, itself included, averaged over the lines, c the correlation
-    of their noise (a window spreads it over neighbours): factor on the variance of a sum over lines.
+    of their noise (a window spreads it over neighbours): factor on the variance of a sum over lines, and on that of their powers. Where
+    c is complex, lines do not add up and shared_noise is the upper bound shared_power. *noise*: the same correlation line by line, None
+    for independent lines. *blocks* of random data and their *leakage* where it is known (H1), or None.
     """
 
     omega: FloatArray
@@ -32,6 +37,9 @@ class Measured:
     inputs: tuple[Port, ...]
     shared_noise: float = 1.0
     shared_power: float = 1.0
+    noise: SharedNoise | None = None
+    leakage: Leakage | None = None
+    blocks: Blocks | None = None
 
     @property
     def n_equation(self) -> int:
@@ -80,6 +88,9 @@ def measured_part(response: FrequencyResponse, rows: list[int], columns: list[in
     noise_lines = max(dof / (response.averages - 1), 1.0) if np.isfinite(dof) and response.averages > 1 else 1.0
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
+    numbers, correlation = _line_numbers(response.frequency, lines), np.array(response.line_correlation, np.complex128)
+    real = response.line_gains is None and not np.any(correlation.imag)
+    gains = None if response.line_gains is None else _chosen_gains(response.line_gains[lines], rows, columns)
     return Measured(
         omega=2 * np.pi * frequency,
         matrix=matrix,
@@ -88,18 +99,39 @@ def measured_part(response: FrequencyResponse, rows: list[int], columns: list[in
         noise_lines=noise_lines,
         outputs=outputs,
         inputs=inputs,
-        shared_noise=_shared(response, lines, 1),
-        shared_power=_shared(response, lines, 2),
+        shared_noise=_shared(numbers, correlation.real if real else np.abs(correlation) ** 2),
+        shared_power=_shared(numbers, np.abs(correlation) ** 2),
+        blocks=response.blocks,
+        leakage=_leakage(response, frequency),
+        noise=SharedNoise(numbers, correlation, gains) if correlation.size and gains is not None else None,
     )
 
 
-def _shared(response: FrequencyResponse, lines: BoolArray, power: int) -> float:
-    """1 + sum of c_d^power over the pairs of chosen lines, per line; distant lines are uncorrelated."""
-    if response.n_frequency < 2:
-        return 1.0
-    numbers = np.round(response.frequency / np.min(np.diff(response.frequency))).astype(np.int64)[lines]
-    pairs = [np.count_nonzero(np.isin(numbers + distance, numbers)) for distance in range(1, len(response.line_correlation) + 1)]
-    return 1.0 + 2 * float(np.dot(pairs, np.power(response.line_correlation, power))) / numbers.size
+def _leakage(response: FrequencyResponse, frequency: FloatArray) -> Leakage | None:
+    blocks = response.blocks
+    if blocks is None or blocks.estimator != "H1":
+        return None
+    numbers = np.round(frequency * blocks.length).astype(np.intp)
+    return Leakage(kernel_of(blocks), numbers, np.array(response.line_correlation, float), DERIVATIVES[response.form])
+
+
+def _line_numbers(frequency: FloatArray, lines: BoolArray) -> IntArray:
+    """Numbers of the chosen lines of a response, (n_line,); a single line has the number 0."""
+    spacing = np.min(np.diff(frequency)) if frequency.size > 1 else np.inf
+    return np.round(frequency / spacing).astype(np.intp)[lines]
+
+
+def _shared(numbers: IntArray, correlation: FloatArray) -> float:
+    """1 + sum of the *correlation* (n_distance,) over the pairs of chosen lines, per line; distant lines are uncorrelated."""
+    chosen = np.zeros(numbers[-1] - numbers[0] + 1)
+    chosen[numbers - numbers[0]] = 1.0
+    pairs = [np.dot(chosen[distance:], chosen[:-distance]) for distance in range(1, min(correlation.size + 1, chosen.size))]
+    return 1.0 + 2 * float(np.dot(pairs, correlation[: len(pairs)])) / numbers.size
+
+
+def _chosen_gains(gains: ComplexArray, rows: list[int], columns: list[int]) -> ComplexArray:
+    """Gains (n_line, n_neighbour, n_output, n_input) of the chosen ports, (n_line, n_neighbour, n_element)."""
+    return gains[:, :, rows][:, :, :, columns].reshape(*gains.shape[:2], -1)
 
 
 def _check_moving(matrix: ComplexArray, labels: list[str]) -> None:

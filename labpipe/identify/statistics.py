@@ -20,7 +20,8 @@ class Estimate:
     factor of the real design or Jacobian with columns of length 1; dof: real equations - parameters; parameter_dof (n_parameter,): the
     same of the regression of each parameter, where a fit consists of several (ls: one per direction), else None.
     amplification (n_parameter,), in the parameters' units: largest change of a parameter per relative error of the FRF; half of
-    it for an error of half the FRF's size in the worst possible direction. None where the estimator does not compute it.
+    it for an error of half the FRF's size in the worst possible direction. squares: sum of the weighted residual's squares [1]. Both are
+    None where the estimator does not compute them.
     """
 
     values: FloatArray
@@ -33,6 +34,7 @@ class Estimate:
     notes: tuple[str, ...] = ()
     parameter_dof: IntArray | None = None
     amplification: FloatArray | None = None
+    squares: float | None = None
 
     @property
     def student_dof(self) -> IntArray:

@@ -7,7 +7,7 @@ E[S^-1] = nu / a C^-1 and E[S^-1 C S^-1] = nu^3 / (a (a^2 - 1)) C^-1 (Maiwald an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail, f_tail
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
+from labpipe.identify.shared_noise import LineBlocks, SharedNoise, shared_residual
 from labpipe.identify.statistics import stacked
 
 # Relative standard deviation of an FRF below which its scatter is rounding, not measured noise.
@@ -63,21 +64,52 @@ def weight_doubt(measured: Measured, dof: int) -> WeightDoubt:
             hint="average more periods or blocks, or raise `smooth`",
         )
     inflation = measured.shared_noise * nu**2 / (a**2 - 1)
-    return WeightDoubt(nu / a, inflation, _residual_dof(measured, a, dof), measured.shared_power)
+    return WeightDoubt(nu / a, inflation, _residual_dof(measured, dof, measured.shared_power), measured.shared_power)
 
 
-def _residual_dof(measured: Measured, a: float, dof: int) -> float:
+def fitted_doubt(
+    measured: Measured, noise: SharedNoise | LineBlocks | None, doubt: WeightDoubt, jacobian: FloatArray, inverse: FloatArray
+) -> tuple[FloatArray, WeightDoubt]:
+    """Covariance of the estimates (n_parameter, n_parameter) [parameter units] and the doubt of the residual of a fit.
+
+    *jacobian* (n_equation, n_parameter) of the whitened residual and *inverse* = (J^T J)^-1; *doubt* of weight_doubt. Where the noise
+    of lines is correlated as only a matrix can say, that matrix *noise* gives both instead of the factors *inflation* and *shared*.
+    Estimates of the noise under an exponential window are as correlated as the noise: their errors are a common factor of a
+    resonance's weights and cost no efficiency.
+    """
+    if noise is None:
+        return doubt.inflation * inverse, doubt
+    n_equation, n_parameter = jacobian.shape
+    half = n_equation // 2
+    complex_rows = (jacobian[:half] + 1j * jacobian[half:]).reshape(measured.omega.size, -1, n_parameter)
+    residual = shared_residual(noise, complex_rows, inverse)
+    dof = n_equation - n_parameter
+    shared = dof / residual.dof
+    estimated = np.isfinite(measured.noise_dof)
+    changed = replace(
+        doubt,
+        excess=doubt.excess * residual.mean / dof,
+        shared=shared,
+        residual_dof=_residual_dof(measured, dof, shared) if estimated else np.inf,
+    )
+    lost = doubt.inflation / measured.shared_noise if measured.noise is None else 1.0
+    return lost * residual.covariance, changed
+
+
+def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
     """The second degree of freedom of the F distribution with the variance of the weighted residual over all lines.
 
     Relative variance of the residual: [g nu a / (q n (a^2 - 1)) + W nu / (n (a^2 - 1))] / L for L lines, q forces, W lines with a
-    common noise estimate and g, the lines' shared power; of F with d1 = dof / g, d2: 2 (d1 + d2 - 2) / (d1 (d2 - 4)).
+    common noise estimate and g, the lines' *shared* power; of F with d1 = dof / g, d2: 2 (d1 + d2 - 2) / (d1 (d2 - 4)).
     """
     n_line, n, q = measured.matrix.shape
-    estimates = max(min(measured.noise_lines, n_line), measured.shared_noise)
-    spread = measured.noise_dof * (measured.shared_power * a / q + estimates) / (n * (a**2 - 1) * n_line)
+    a = measured.noise_dof - n
+    # Lines whose noise is averaged count as often as their noise is correlated anyway.
+    estimates = max(min(measured.noise_lines * measured.shared_power, n_line), measured.shared_noise)
+    spread = measured.noise_dof * (shared * a / q + estimates) / (n * (a**2 - 1) * n_line)
     # The fit reduces the residual: both parts scale with the remainder.
-    scaled = spread * measured.n_equation / measured.shared_power
-    return float((2 * dof / measured.shared_power - 4 + 4 * scaled) / (scaled - 2))
+    scaled = spread * measured.n_equation / shared
+    return float((2 * dof / shared - 4 + 4 * scaled) / (scaled - 2))
 
 
 def has_noise(measured: Measured) -> bool:

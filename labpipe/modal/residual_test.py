@@ -18,11 +18,11 @@ AROUND = 31
 class LineNoise:
     """The noise along the lines: correlation (n,) [1] with the next lines that a window gives it, and 1 + 2 sum of their squares."""
 
-    correlation: tuple[float, ...] = ()
+    correlation: tuple[complex, ...] = ()
 
     @property
     def shared_power(self) -> float:
-        return 1.0 + 2 * sum(value**2 for value in self.correlation)
+        return 1.0 + 2 * sum(abs(value) ** 2 for value in self.correlation)
 
 
 def whiteness(residual: ComplexArray, noise: LineNoise) -> float:

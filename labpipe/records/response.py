@@ -34,6 +34,17 @@ class Port:
         return name in (self.label, self.channel, self.dof)
 
 
+@dataclass(frozen=True)
+class Blocks:
+    """Blocks of random data averaged to an FRF: length [s], window, overlap of neighbours [1], number, estimator (H1, H2, Hv)."""
+
+    length: float
+    window: str
+    overlap: float
+    number: int
+    estimator: str
+
+
 @dataclass(frozen=True, repr=False)
 class FrequencyResponse:
     """H(f), output per input, with its covariance.
@@ -52,7 +63,11 @@ class FrequencyResponse:
     snr              (n_frequency, n_channel) signal-to-noise amplitude ratio per channel at the line (periodic data), or None;
                      its columns are named by snr_channels
     covariance_dof   effective number of complex degrees of freedom behind the covariance estimate (inf: known)
-    line_correlation of the noise with that of the next lines, 1, 2, ... line spacings away; empty where lines are independent
+    line_correlation E[z_(k+d) z_k*] of the noise z of unit variance with that of the next lines, d = 1, 2, ... line spacings away; empty
+                     where lines are independent
+    line_gains       (n_frequency, 2 m + 1, n_output, n_input) or None: the error of a line is not z_k alone but
+                     sum_j gains(k, j) z_(k+j-m) of its neighbours, scaled to the variance 1 (an exponential window taken out again)
+    blocks           of random data, whose ends leave leakage in the FRF, or None
     """
 
     frequency: FloatArray
@@ -70,7 +85,9 @@ class FrequencyResponse:
     snr_channels: tuple[str, ...] = ()
     averages: float = 1.0
     covariance_dof: float = float("inf")
-    line_correlation: tuple[float, ...] = ()
+    line_correlation: tuple[complex, ...] = ()
+    line_gains: ComplexArray | None = None
+    blocks: Blocks | None = None
     name: str = ""
     findings: tuple[Finding, ...] = ()
     conditions: dict[str, Any] = field(default_factory=dict)
@@ -96,6 +113,7 @@ class FrequencyResponse:
             "partial_coherence": (np.float64, (n_f, n_o, n_i)),
             "distortion": (np.float64, (n_f, n_o, n_i)),
             "snr": (np.float64, (n_f, len(self.snr_channels))),
+            "line_gains": (np.complex128, (n_f, np.shape(self.line_gains)[1] if self.line_gains is not None else 1, n_o, n_i)),
         }
         for attribute, (dtype, shape) in shapes.items():
             values = getattr(self, attribute)

@@ -2,25 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.spectra.matrices import without_rounding
 
 # Half width of the local rational fit [lines].
 HALF_WIDTH = 4
 
 
-def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: float) -> ComplexArray:
-    """H(j w) from the windowed H(j w + s), s = 1/decay, (n_frequency, n_output, n_input) [unit of H].
+@dataclass(frozen=True)
+class Undamped:
+    """H(j w) from the windowed H_w(j w + s), and how an error of H_w moves it: dH(k) = sum_j gains(k, j) dH_w(k + j - HALF_WIDTH).
+
+    matrix (n_frequency, n_output, n_input) [unit of H]; gains (n_frequency, 2 HALF_WIDTH + 1, n_output, n_input) [1].
+    """
+
+    matrix: ComplexArray
+    gains: ComplexArray
+
+
+def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: float) -> Undamped:
+    """H(j w) from the windowed H(j w + s) = *matrix*, s = 1/decay, (n_frequency, n_output, n_input) [unit of H].
 
     frequency (n_frequency,) [Hz] evenly spaced, *decay* [s]. Around every line H is approximated by (a0 + a1 x + a2 x^2) / (1 + b1 x),
     x = j (w' - w) / dw, on 4 lines to either side (local rational method: McKelvey and Guerin 2012), and evaluated at x = -s/dw. A
     single mode is one pole and therefore exact; s is below the line spacing for all windows that fall to 0.2 % or more within the
-    block. Fewer than 5 lines are returned unchanged.
+    block. Fewer than 5 lines are returned unchanged. The gains are the first-order effect of an error on the solution a0 ... b1.
     """
     n_line = frequency.size
-    if n_line <= 4:
-        return matrix
+    if n_line <= HALF_WIDTH:
+        return Undamped(matrix, _centred(np.ones((n_line, 1, *matrix.shape[1:]), np.complex128), np.arange(n_line)))
     spacing = 2 * np.pi * (frequency[-1] - frequency[0]) / (n_line - 1)
     width = min(2 * HALF_WIDTH + 1, n_line)
     first = np.clip(np.arange(n_line) - width // 2, 0, n_line - width)
@@ -32,18 +46,47 @@ def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: fl
     powers = np.broadcast_to(x[:, :, None, None] ** np.arange(3), (*neighbours.shape, 3))
     equations = np.concatenate([powers, -(x[:, :, None] * neighbours)[:, :, :, None]], axis=3).swapaxes(1, 2)
     # Minimum-norm solution where the equations are rank deficient: a constant H has no pole.
-    solution = np.einsum("fekl,fel->fek", np.linalg.pinv(equations, rcond=1e-9), neighbours.swapaxes(1, 2))
+    inverse = np.linalg.pinv(equations, rcond=1e-9)
+    solution = np.einsum("fekl,fel->fek", inverse, neighbours.swapaxes(1, 2))
     shift = -1 / (decay * spacing)
-    value = (solution[:, :, 0] + solution[:, :, 1] * shift + solution[:, :, 2] * shift**2) / (1 + solution[:, :, 3] * shift)
-    return (value * np.where(size > 0, size, 1.0)).reshape(matrix.shape)
+    denominator = 1 + solution[:, :, 3] * shift
+    value = (solution[:, :, 0] + solution[:, :, 1] * shift + solution[:, :, 2] * shift**2) / denominator
+    # An error dH of a neighbour changes the right side of its equation by (1 + b1 x) dH.
+    slopes = np.stack([np.ones_like(value), shift * np.ones_like(value), shift**2 * np.ones_like(value), -shift * value], axis=2)
+    errors = 1 + x[:, :, None] * solution[:, None, :, 3]
+    gains = np.einsum("fek,fekl->fle", slopes / denominator[:, :, None], inverse) * errors
+    undamped = (value * np.where(size > 0, size, 1.0)).reshape(matrix.shape)
+    return Undamped(undamped, _centred(gains.reshape(n_line, width, *matrix.shape[1:]), first))
 
 
-def covariance_without_damping(before: ComplexArray, after: ComplexArray, covariance: ComplexArray) -> ComplexArray:
-    """Covariance of the response without added damping, (n_frequency, n, n) [unit of H^2]: dH = (H/H_w)^2 dH_w.
+def _centred(gains: ComplexArray, first: IntArray) -> ComplexArray:
+    """Gains (n_line, width, n_output, n_input) [1] of the lines from *first* (n_line,) on, by their distance -HALF_WIDTH ... HALF_WIDTH.
 
-    The window adds a known term to 1/H. before, after (n_frequency, n_output, n_input) [unit of H]: H_w and H; covariance
-    (n_frequency, n, n) of H_w, n = n_output * n_input.
+    At the ends of the band, where the neighbours lie to one side, those further off have no place and are left out.
     """
-    ratio = np.divide(after, before, out=np.ones(before.shape, np.complex128), where=before != 0)
-    gain = ratio.reshape(before.shape[0], -1) ** 2
-    return covariance * gain[:, :, None] * gain[:, None, :].conj()
+    n_line, width = gains.shape[:2]
+    centred = np.zeros((n_line, 2 * HALF_WIDTH + 1, *gains.shape[2:]), np.complex128)
+    place = first[:, None] + np.arange(width) - np.arange(n_line)[:, None] + HALF_WIDTH
+    line, neighbour = np.nonzero((place >= 0) & (place <= 2 * HALF_WIDTH))
+    centred[line, place[line, neighbour]] = gains[line, neighbour]
+    return centred
+
+
+def covariance_without_damping(gains: ComplexArray, covariance: ComplexArray, correlation: ComplexArray) -> ComplexArray:
+    """Covariance of the response without added damping, (n_frequency, n, n) [unit of H^2]: sum_ij G_i C_w r(i - j) G_j^H.
+
+    gains as in Undamped; covariance (n_frequency, n, n) [unit of H^2] of the windowed response, the same for the neighbours of a
+    line, n = n_output * n_input; correlation (n_distance,) [1] of its noise 1, 2, ... lines apart (windows.exponential_correlation).
+    """
+    n_line, width = gains.shape[:2]
+    flat = gains.reshape(n_line, width, -1)
+    spread = np.einsum("fia,ij,fjb->fab", flat, correlation_matrix(np.arange(width), correlation), flat.conj())
+    return without_rounding(covariance * spread)
+
+
+def correlation_matrix(lines: IntArray, correlation: ComplexArray) -> ComplexArray:
+    """E[z_a z_b*] (n, n) [1] of lines with the numbers *lines* (n,); *correlation* (n_distance,) of z_(k + d) with z_k, d = 1, 2, ..."""
+    whole = np.concatenate([[1.0], correlation, np.zeros(1)])
+    distance = lines[:, None] - lines[None, :]
+    values: ComplexArray = whole[np.minimum(np.abs(distance), whole.size - 1)]
+    return np.where(distance >= 0, values, values.conj())

@@ -44,6 +44,7 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
         partial_coherence=None,
         distortion=None,
         snr=None,
+        line_gains=None,
         snr_channels=(),
     )
 

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from scipy import fft
 
-from labpipe.arrays import BoolArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.bands import line_range
-from labpipe.spectra.damping import covariance_without_damping, without_added_damping
+from labpipe.spectra.damping import HALF_WIDTH, correlation_matrix, covariance_without_damping, without_added_damping
 from labpipe.spectra.from_random import parts_of_spectra
 from labpipe.spectra.hits import Hit, check_single_force, exponential_window, find_hits, force_window
-from labpipe.spectra.matrices import without_rounding
 from labpipe.spectra.parts import Parts, lines_left
 from labpipe.spectra.ports import Layout
 from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.uncertainty import ENOUGH_DOF
 from labpipe.spectra.welch import CrossSpectra
+from labpipe.spectra.windows import exponential_correlation
 
 # The response has decayed when the rms of its last tenth is below this share of that of its largest tenth.
 DIED_AWAY = 0.05
@@ -28,21 +30,30 @@ DIED_AWAY = 0.05
 
 def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF averaged over all accepted hits of the recordings; DataError when a recording has none."""
-    spectra: list[CrossSpectra] = []
-    findings: list[Finding] = []
+    averages: list[_HitAverage] = []
     number = 1
     for source in sources:
         average = _HitAverage(source, settings)
         for hit in find_hits(source, average.force, average.n_sample, settings.impact, number):
             average.add(hit)
             number = hit.number + 1
-        spectra.append(average.spectra())
-        findings.extend(average.findings)
-    # The correction for the window's damping needs all neighbouring lines, so bands are excluded afterwards.
-    parts = parts_of_spectra(spectra, dataclasses.replace(settings, exclude=()), layout)
+        averages.append(average)
+    spectra = [average.spectra() for average in averages]
+    correlation = averages[0].line_correlation()
+    half_width, shared = _noise_lines(sum(spectrum.averages for spectrum in spectra) - len(layout.inputs), correlation)
+    # The correction for the window's damping needs all neighbouring lines, so band and excluded bands are chosen afterwards.
+    parts = parts_of_spectra(spectra, dataclasses.replace(settings, band=None, exclude=()), layout, half_width)
+    parts = dataclasses.replace(parts, dof=parts.dof * max(1.0, min(2 * half_width + 1, parts.frequency.size) / shared))
     if settings.impact.decay is not None:
-        parts = _undamped(parts, settings.impact.decay)
+        parts = _undamped(parts, settings.impact.decay, correlation)
+    findings = [finding for average in averages for finding in average.findings]
     return _selected(dataclasses.replace(parts, findings=(*findings, *parts.findings)), lines_left(parts.frequency, settings))
+
+
+def _noise_lines(dof: float, correlation: ComplexArray) -> tuple[int, float]:
+    """Lines to either side over which the noise is averaged, and how many lines share one value of it: 1 + 2 sum |r_d|^2."""
+    shared = 1.0 + 2 * float(np.sum(np.abs(correlation) ** 2))
+    return (int(np.ceil((ENOUGH_DOF * shared / dof - 1) / 2)) if 0 < dof < ENOUGH_DOF else 0), shared
 
 
 class _HitAverage:
@@ -57,10 +68,14 @@ class _HitAverage:
             have = source.n_sample / source.sample_rate
             raise DataError(f"'{source.name}' is {have:g} s long, too short for one block of {settings.block:g} s", hint="shorten `block`")
         self._lines = line_range(self.n_sample, source.sample_rate, settings.band)
+        if settings.impact.decay is not None:
+            # Neighbours of the band's edges, by which its lines are corrected for the window's damping.
+            self._lines = slice(max(1, self._lines.start - HALF_WIDTH), min(self.n_sample // 2 + 1, self._lines.stop + HALF_WIDTH))
         n_channel = len(source.channels)
         n_line = int(self._lines.stop - self._lines.start)
         self._sum = np.zeros((n_line, n_channel, n_channel), np.complex128)
         self._n_hit = self._n_found = 0
+        self._origins: list[float] = []
         self._slow: set[str] = set()
         self.findings: list[Finding] = []
 
@@ -71,9 +86,11 @@ class _HitAverage:
             message = f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {self._named(hit.fault)}"
             self.findings.append(note("hit-rejected", message))
             return
-        amplitude = fft.rfft(self._windowed(hit), axis=0)[self._lines]
+        samples = self._windowed(hit)
+        amplitude = fft.rfft(samples, axis=0)[self._lines]
         self._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()
         self._n_hit += 1
+        self._origins.append(float(np.average(np.arange(self.n_sample), weights=samples[:, self.force] ** 2)))
 
     def _named(self, fault: str) -> str:
         what, _, column = fault.rpartition(" ")
@@ -106,16 +123,34 @@ class _HitAverage:
         frequency = np.arange(self._lines.start, self._lines.stop) * (self._source.sample_rate / self.n_sample)
         return CrossSpectra(frequency, self._sum * (1.0 / self._n_hit), self._n_hit, float(self._n_hit))
 
+    def line_correlation(self) -> ComplexArray:
+        """Correlation of the noise of lines 1, 2, ... apart, (n_distance,) [1]; empty without an exponential window."""
+        decay = self._settings.impact.decay
+        if decay is None:
+            return np.empty(0, np.complex128)
+        return exponential_correlation(exponential_window(self.n_sample, decay * self._source.sample_rate), float(np.mean(self._origins)))
 
-def _undamped(parts: Parts, decay: float) -> Parts:
-    matrix = without_added_damping(parts.frequency, parts.matrix, decay)
+
+def _undamped(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
+    """The parts without the window's damping, with the noise that this leaves and its correlation between lines."""
+    undamped = without_added_damping(parts.frequency, parts.matrix, decay)
+    gains = undamped.gains
     covariance = parts.covariance
     if covariance is not None:
-        covariance = without_rounding(covariance_without_damping(parts.matrix, matrix, covariance))
-    return dataclasses.replace(parts, matrix=matrix, covariance=covariance)
+        covariance = covariance_without_damping(gains, covariance, correlation)
+    between = correlation_matrix(np.arange(gains.shape[1]), correlation)
+    size = np.sqrt(np.einsum("fioa,ij,fjoa->foa", gains, between, gains.conj()).real)
+    return dataclasses.replace(
+        parts,
+        matrix=undamped.matrix,
+        covariance=covariance,
+        line_correlation=tuple(complex(c) for c in correlation),
+        line_gains=gains / np.where(size > 0, size, 1.0)[:, None],
+    )
 
 
 def _selected(parts: Parts, chosen: BoolArray) -> Parts:
     """The parts on the chosen lines."""
-    arrays = {name: getattr(parts, name) for name in ("frequency", "matrix", "covariance", "coherence", "multiple_coherence")}
-    return dataclasses.replace(parts, **{name: values[chosen] for name, values in arrays.items() if values is not None})
+    by_line = {field.name: getattr(parts, field.name) for field in dataclasses.fields(parts)}
+    arrays: dict[str, Any] = {name: values[chosen] for name, values in by_line.items() if isinstance(values, np.ndarray)}
+    return dataclasses.replace(parts, **arrays)

@@ -10,6 +10,7 @@ import numpy as np
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
+from labpipe.records.response import Blocks
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.coherence import multiple_coherence, ordinary_coherence, partial_coherence
 from labpipe.spectra.estimators import ESTIMATORS, INSTRUMENTS
@@ -25,11 +26,15 @@ from labpipe.spectra.windows import window_values
 
 def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF from Welch averages of all recordings; DataError for recordings or forces that do not allow one."""
-    return parts_of_spectra([_welch_average(source, settings) for source in sources], settings, layout)
+    spectra = [_welch_average(source, settings) for source in sources]
+    assert settings.block is not None
+    n_block = sum(spectrum.n_block for spectrum in spectra)
+    blocks = Blocks(settings.block, settings.window, settings.overlap, n_block, settings.estimator)
+    return replace(parts_of_spectra(spectra, settings, layout), blocks=blocks)
 
 
-def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, layout: Layout) -> Parts:
-    """The FRF from the averaged spectra of every recording, weighted by their numbers of blocks.
+def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, layout: Layout, half_width: int = 0) -> Parts:
+    """The FRF from the averaged spectra of every recording, weighted by their numbers of blocks; noise over *half_width* lines around.
 
     DataError when the forces, or the outputs an estimator inverts, are not independent.
     """
@@ -49,7 +54,7 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
     return Parts(
         frequency=spectra[0].frequency[chosen],
         matrix=response,
-        covariance=covariance_of_random(matrix, response, instruments, averages) if enough else None,
+        covariance=covariance_of_random(matrix, response, instruments, averages, half_width) if enough else None,
         averages=averages,
         dof=averages - n_input if enough else np.inf,
         findings=coherence_findings(multiple, layout) if enough else _no_average_finding(averages),

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from labpipe.arrays import ComplexArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
@@ -82,10 +83,18 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
         averages=parts.averages,
         covariance_dof=parts.dof,
         line_correlation=parts.line_correlation,
+        line_gains=None if parts.line_gains is None else parts.line_gains * _phase(sensor_factor)[:, None],
+        blocks=parts.blocks,
         name=name,
         findings=findings,
         conditions=dict(conditions or {}),
     )
+
+
+def _phase(values: ComplexArray) -> ComplexArray:
+    """Values (n_frequency, n_output, n_input) [any unit] of size 1."""
+    phase: ComplexArray = np.exp(1j * np.angle(values))
+    return phase
 
 
 def _coherent_outputs(parts: Parts, layout: Layout) -> set[str]:

@@ -9,6 +9,7 @@ import numpy as np
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
+from labpipe.records.response import Blocks
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.ports import Layout
 from labpipe.spectra.settings import FrfSettings
@@ -23,7 +24,7 @@ class Parts:
     """FRF matrix (n_line, n_output, n_input) [output unit / N], covariance and quality on the measured lines.
 
     frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input; coherences and snr [1] as in
-    FrequencyResponse.
+    FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour, n_output, n_input) likewise, and blocks.
     """
 
     frequency: FloatArray
@@ -36,7 +37,9 @@ class Parts:
     multiple_coherence: FloatArray | None = None
     partial_coherence: FloatArray | None = None
     snr: FloatArray | None = None
-    line_correlation: tuple[float, ...] = ()
+    line_correlation: tuple[complex, ...] = ()
+    line_gains: ComplexArray | None = None
+    blocks: Blocks | None = None
 
 
 def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:

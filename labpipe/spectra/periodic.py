@@ -109,7 +109,7 @@ def smoothed_noise(spectrum: LineSpectrum, half_width: int) -> LineSpectrum:
     if spectrum.noise is None or half_width == 0:
         return spectrum
     broadband = _broadband_lines(np.einsum("fii->fi", spectrum.noise).real, spectrum.dof, half_width)
-    smooth = _neighbourhood_mean(spectrum.noise, broadband, half_width, centre=True)
+    smooth = neighbourhood_mean(spectrum.noise, broadband, half_width)
     noise = np.where(broadband[:, None, None], smooth, spectrum.noise)
     count = _neighbourhood_count(broadband, half_width, centre=True)
     dof = spectrum.dof * float(np.median(count[broadband])) if np.any(broadband) else spectrum.dof
@@ -123,7 +123,7 @@ def _broadband_lines(power: FloatArray, dof: float, half_width: int) -> BoolArra
     """
     broadband = np.ones(power.shape[0], bool)
     while True:
-        neighbours = _neighbourhood_mean(power, broadband, half_width, centre=False)
+        neighbours = neighbourhood_mean(power, broadband, half_width, centre=False)
         count = _neighbourhood_count(broadband, half_width, centre=False)
         limit = np.asarray(special.fdtri(2 * dof, 2 * dof * count, 1 - OUTLIER_LEVEL))
         # A line without remaining neighbours cannot be tested.
@@ -149,8 +149,8 @@ def _neighbourhood_count(chosen: BoolArray, half_width: int, centre: bool) -> Fl
     return np.maximum(_neighbourhood_sum(chosen.astype(np.float64), half_width, centre), 1)
 
 
-def _neighbourhood_mean(values: NDArray[Any], chosen: BoolArray, half_width: int, centre: bool) -> NDArray[Any]:
-    """Mean over the chosen lines k-h ... k+h, with or without line k itself."""
+def neighbourhood_mean(values: NDArray[Any], chosen: BoolArray, half_width: int, centre: bool = True) -> NDArray[Any]:
+    """Mean of *values* (n_line, ...) [any unit] over the *chosen* lines (n_line,) k-h ... k+h, with or without line k itself."""
     shape = (-1,) + (1,) * (values.ndim - 1)
     total = _neighbourhood_sum(np.where(chosen.reshape(shape), values, 0), half_width, centre)
     mean: NDArray[Any] = total / _neighbourhood_count(chosen, half_width, centre).reshape(shape)

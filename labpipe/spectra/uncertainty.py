@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import nnls
 
-from labpipe.arrays import ComplexArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.spectra.matrices import hermitian, inverse, without_rounding
+from labpipe.spectra.periodic import neighbourhood_mean
+
+# Degrees of freedom of the noise up to which it is averaged over neighbouring lines: few averages alone tell too little of it.
+ENOUGH_DOF = 16.0
+# Rounds of the fit of a residual's two parts, each weighted by the last, and standard errors by which a part must exceed zero.
+REWEIGHTED = 5
+SIGNIFICANT = 3.0
 
 
-def covariance_of_random(spectra: ComplexArray, response: ComplexArray, instruments: ComplexArray, averages: float) -> ComplexArray:
+def covariance_of_random(
+    spectra: ComplexArray, response: ComplexArray, instruments: ComplexArray, averages: float, half_width: int = 0
+) -> ComplexArray:
     """cov(H_oi, H_pj) = S_rr[o, p] (B_p^H S_zz[p, o] B_o)[j, i] / (n_e - n_input), B_o = (E[u z_o^H])^-1, S_rr = [-H, I] S [-H, I]^H.
 
     The error of an estimator with instruments z is d_o = sum_k r_o z_o^H B_o / n_e, r = y - H u. For H1 (z = u) the second factor is
@@ -17,12 +27,13 @@ def covariance_of_random(spectra: ComplexArray, response: ComplexArray, instrume
     H2 has the same share of its own, larger |H|^2. Exact for H1, first order in 1 / n_e for the others.
 
     spectra (n_frequency, n, n) [unit^2/Hz] of all channels, the n_input forces first; response (n_frequency, n_output, n_input) [unit/N];
-    instruments W (n_frequency, n_output or 1, n_input, n) with z_o = W_o [u; y], see estimators.INSTRUMENTS.
+    instruments W (n_frequency, n_output or 1, n_input, n) with z_o = W_o [u; y], see estimators.INSTRUMENTS. The residual's spectrum is
+    averaged over *half_width* lines to either side, where few averages alone would tell little of it (pooled_residual).
     """
     n_frequency, n_output, n_input = response.shape
     identity = np.broadcast_to(np.eye(n_output), (n_frequency, n_output, n_output))
     residual_of = np.concatenate([-response, identity], axis=2)
-    residual = residual_of @ spectra @ hermitian(residual_of)
+    residual = pooled_residual(residual_of @ spectra @ hermitian(residual_of), response, half_width)
     force_products = spectra[:, None, :n_input] @ hermitian(instruments)
     # B_o^H W_o of every response in rows, so that one product gives the spread of all pairs of responses.
     gain = hermitian(inverse(force_products)) @ instruments
@@ -33,6 +44,36 @@ def covariance_of_random(spectra: ComplexArray, response: ComplexArray, instrume
     covariance = residual[:, :, None, :, None] * (spread / max(averages - n_input, 1.0))
     n = n_output * n_input
     return without_rounding(covariance.reshape(n_frequency, n, n))
+
+
+def pooled_residual(residual: ComplexArray, response: ComplexArray, half_width: int) -> ComplexArray:
+    """The residual's spectrum (n_frequency, n_output, n_output) [unit^2/Hz] averaged over *half_width* lines to either side.
+
+    Noise of a response is broadband; noise of the force, and hits that are not alike, leave a residual as large as the *response*
+    (n_frequency, n_output, n_input) [unit/N]. Where the latter is significant, lines are averaged relative to a + b |H|^2.
+    """
+    if half_width == 0:
+        return residual
+    power = np.sum(np.abs(response) ** 2, axis=2)
+    shape = np.column_stack([_shape(residual[:, o, o].real, power[:, o], half_width) for o in range(power.shape[1])])
+    scale = np.sqrt(shape[:, :, None] * shape[:, None, :])
+    mean: ComplexArray = neighbourhood_mean(residual / scale, np.ones(residual.shape[0], bool), half_width) * scale
+    return mean
+
+
+def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArray:
+    """a + b |H|^2 (n_frequency,) of a residual's *variance* where b is SIGNIFICANT times its standard error, else 1; |H|^2 = *power*."""
+    shape = np.ones_like(variance)
+    columns = np.column_stack([shape, power / np.max(power)])
+    variance = np.maximum(variance, np.finfo(float).eps * np.max(variance))
+    variance = variance / np.max(variance) if np.max(variance) > 0 else shape
+    for _ in range(REWEIGHTED):
+        weighted = columns / shape[:, None]
+        values = nnls(weighted, variance / shape)[0]
+        shape = np.maximum(columns @ values, np.finfo(float).eps)
+    # As many lines as are averaged have ENOUGH_DOF degrees of freedom together.
+    covariance = np.linalg.pinv(weighted.T @ weighted) * (2 * half_width + 1) / ENOUGH_DOF
+    return shape if values[1] > SIGNIFICANT * np.sqrt(covariance[1, 1]) else np.ones_like(variance)
 
 
 def covariance_of_periodic(response: ComplexArray, force_inverse: ComplexArray, noise: ComplexArray) -> ComplexArray:

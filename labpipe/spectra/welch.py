@@ -32,7 +32,7 @@ class CrossSpectra:
     matrix: ComplexArray
     n_block: int
     averages: float
-    line_correlation: tuple[float, ...] = ()
+    line_correlation: tuple[complex, ...] = ()
 
 
 class WelchAverage:

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 
 # Correlation below which the noise of two lines counts as independent; no window's main lobe is wider than FURTHEST_LINE lines.
 SHARED = 1e-3
 FURTHEST_LINE = 20
+# The same for the exponential window, whose noise falls off slowly: as one over the distance.
+FAINT = 0.02
 
 
 def hann(n_sample: int) -> FloatArray:
@@ -69,6 +71,19 @@ def line_correlation(window: FloatArray, step: int, n_block: int) -> tuple[float
     shared = weight @ power
     above = np.flatnonzero(shared[1:] > SHARED * shared[0])
     return tuple(float(c) for c in shared[1 : above[-1] + 2] / shared[0]) if above.size else ()
+
+
+def exponential_correlation(window: FloatArray, origin: float) -> ComplexArray:
+    """r_d = sum_t w^2 exp(-2 pi j d (t - origin) / N) / sum w^2 of lines d = 1, 2, ... apart, (n_distance,) [1], down to FAINT.
+
+    window (n_sample,) [1] of the block; *origin* [samples]: the hit. Stationary noise n of the record gives a line of the FRF the error
+    sum_t w n exp(-j w t) / F, and F has the phase exp(-j w origin). exp(-t / tau) in a block T gives nearly 1 / (1 + j pi d tau / T).
+    """
+    power = np.fft.fft(window**2)[: window.size // 2] / np.dot(window, window)
+    above = np.flatnonzero(np.abs(power) > FAINT)
+    d = np.arange(1, above[-1] + 1)
+    correlation: ComplexArray = power[d] * np.exp(2j * np.pi * d * origin / window.size)
+    return correlation
 
 
 def effective_averages(window: FloatArray, step: int, n_block: int) -> float:

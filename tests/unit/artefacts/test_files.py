@@ -25,7 +25,7 @@ from labpipe.identify.settings import FitSettings
 from labpipe.records.finding import Finding, note
 from labpipe.records.identification import Fit, Goodness
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.response import Blocks, FrequencyResponse, Port
 from tests.unit.artefacts.any_record import complex_arrays, fits, responses, same
 
 CHECKS = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large]
@@ -113,9 +113,11 @@ def correlated(draw: st.DrawFn) -> FrequencyResponse:
     # The lower triangle is the conjugate of the upper one to the last digit, as the file keeps one of them.
     upper = np.triu(covariance, 1)
     diagonal = np.einsum("fii->fi", covariance).real[:, :, None] * np.eye(n)
-    return replace(
-        plain, covariance=upper + upper.conj().swapaxes(1, 2) + diagonal, line_correlation=draw(st.sampled_from([(), (0.4, 0.1)]))
-    )
+    correlation, n_gain = draw(st.sampled_from([((), 0), ((0.4, 0.1), 0), ((0.5 - 0.4j, 0.2j), 3)]))
+    gains = np.stack([plain.matrix / (place + 1) for place in range(n_gain)], axis=1) if n_gain else None
+    whole = upper + upper.conj().swapaxes(1, 2) + diagonal
+    blocks = draw(st.sampled_from([None, Blocks(0.5, "hann", 0.5, 40, "H1")]))
+    return replace(plain, covariance=whole, line_correlation=correlation, line_gains=gains, blocks=blocks)
 
 
 @settings(max_examples=20, suppress_health_check=CHECKS)
@@ -139,6 +141,18 @@ def test_real_and_imaginary_parts_are_columns_that_any_program_reads(tmp_path: P
     table = pq.read_table(tmp_path / "a.frf.parquet")
     assert table.column_names == ["frequency_hz", "y/f:re", "y/f:im"]
     assert table["y/f:im"].to_pylist() == [2.0, 4.0, 6.0]
+
+
+def test_a_response_of_the_first_files_has_real_correlations_and_no_gains(tmp_path: Path) -> None:
+    path = tmp_path / "a.frf.parquet"
+    write_response(path, replace(plain_response(), line_correlation=(0.45, 0.03)), HEADER)
+    table = pq.read_table(path)
+    header = json.loads(table.schema.metadata[HEADER_KEY])
+    assert header["contents"]["line_correlation"] == [0.45, 0.03]
+    del header["contents"]["line_gains"], header["contents"]["blocks"]
+    pq.write_table(table.replace_schema_metadata({HEADER_KEY: json.dumps(header)}), path)
+    response = read_response(path)
+    assert response.line_correlation == (0.45, 0.03) and response.line_gains is None and response.blocks is None
 
 
 def test_the_same_response_gives_the_same_bytes(tmp_path: Path) -> None:

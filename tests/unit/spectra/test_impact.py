@@ -86,13 +86,13 @@ def test_local_functions_move_two_poles_exactly() -> None:
     def response(at: np.ndarray) -> np.ndarray:
         return sum((1.0 + k) / (at - pole) + (1.0 + k) / (at - pole.conjugate()) for k, pole in enumerate(poles))[:, None, None]
 
-    found = without_added_damping(frequency, response(s + shift), 1 / shift)
+    found = without_added_damping(frequency, response(s + shift), 1 / shift).matrix
     # The other mode, 26 lines off, is met by the second-order numerator but for (4 / 26)^3 = 0.4 % of its size.
     np.testing.assert_allclose(found, response(s), atol=0.004 * np.abs(response(s)).max())
     np.testing.assert_allclose(found[[25, 51]], response(s)[[25, 51]], rtol=0.004)
     constant = np.full((9, 1, 1), 2.0 + 0j)
-    np.testing.assert_allclose(without_added_damping(frequency[:9], constant, 0.3), constant, rtol=1e-12)
-    np.testing.assert_array_equal(without_added_damping(frequency[:3], constant[:3], 0.3), constant[:3])
+    np.testing.assert_allclose(without_added_damping(frequency[:9], constant, 0.3).matrix, constant, rtol=1e-12)
+    np.testing.assert_array_equal(without_added_damping(frequency[:3], constant[:3], 0.3).matrix, constant[:3])
 
 
 def test_bad_hits_are_left_out_and_named(rng: np.random.Generator) -> None:
