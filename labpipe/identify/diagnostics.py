@@ -169,3 +169,14 @@ def quality_findings(response: FrequencyResponse, rows: list[int], columns: list
         return []
     remedy = "raise the force, average longer, or leave these lines out with `exclude`"
     return [Finding("low-coherence", f"{what} at {100 * share:.0f} % of the lines in the band; {remedy}")]
+
+
+def covariance_findings(response: FrequencyResponse) -> list[Finding]:
+    """A warning where the noise of the FRF is not known: nothing then tells a right model from a wrong one that follows the curve."""
+    if response.covariance is not None:
+        return []
+    message = (
+        "the FRF has no covariance (imported without it, or of a single average), so chi-square, and with it model-mismatch, could not be "
+        "checked: a high G.o.F alone does not show that the model is right. Give the variance of the FRF, or measure several averages"
+    )
+    return [Finding("no-covariance", message)]
