@@ -32,6 +32,9 @@ def write_response(path: Path, response: FrequencyResponse, header: Header) -> N
                 values = getattr(response, attribute)
                 if values is not None:
                     columns[f"{output.label}/{port.label}{suffix}"] = values[:, o, i]
+            if response.change is not None:
+                columns[f"{output.label}/{port.label}:change_re"] = response.change[:, o, i].real
+                columns[f"{output.label}/{port.label}:change_im"] = response.change[:, o, i].imag
         if response.multiple_coherence is not None:
             columns[f"{output.label}:multiple_coh"] = response.multiple_coherence[:, o]
     if response.covariance is not None:
@@ -86,6 +89,7 @@ def read_response(path: Path) -> FrequencyResponse:
         form=contents["form"],
         covariance=_covariance(columns, len(outputs) * len(inputs)),
         **by_element,
+        change=_change(columns, pairs),
         multiple_coherence=np.stack([columns[f"{o.label}:multiple_coh"] for o in outputs], 1) if has_multiple else None,
         snr=np.stack([columns[f"{name}:snr"] for name in snr_channels], 1) if snr_channels else None,
         snr_channels=snr_channels,
@@ -100,6 +104,12 @@ def read_response(path: Path) -> FrequencyResponse:
 
 def _matrix(columns: dict[str, FloatArray], pairs: list[list[str]], suffix: str) -> FloatArray:
     return np.stack([np.stack([columns[pair + suffix] for pair in row], -1) for row in pairs], 1)
+
+
+def _change(columns: dict[str, FloatArray], pairs: list[list[str]]) -> ComplexArray | None:
+    if pairs[0][0] + ":change_re" not in columns:
+        return None
+    return _matrix(columns, pairs, ":change_re") + 1j * _matrix(columns, pairs, ":change_im")
 
 
 def _covariance(columns: dict[str, FloatArray], n: int) -> ComplexArray | None:

@@ -14,6 +14,7 @@ from labpipe.identify.comparison import candidates, comparison_findings, compari
 from labpipe.identify.constraints import constrained
 from labpipe.identify.dense_curve import drawn_densely
 from labpipe.identify.diagnostics import MISMATCH_P, covariance_findings, estimate_findings, parameter_findings, quality_findings
+from labpipe.identify.drift import drift_findings
 from labpipe.identify.given_mass import mass_findings
 from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.model import DynamicModel
@@ -56,7 +57,8 @@ def fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
             fit = _fit_band(setup, model, measured, band)
         except FitError as error:
             raise FitError(f"band {band[0]:g}-{band[1]:g} Hz: {error.what}", where=error.where, hint=error.hint) from None
-        quality = (*quality_findings(response, rows, columns, lines), *covariance_findings(response))
+        drift = drift_findings(measured, fit.model, fit.values, len(bands))
+        quality = (*quality_findings(response, rows, columns, lines), *covariance_findings(response), *drift)
         curve = _curve(response, measured, fit)
         # The bands of a sliding fit are drawn as coefficients over frequency, not as curves.
         curve = _between_lines(response, curve, fit) if len(bands) == 1 else curve

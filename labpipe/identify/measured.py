@@ -19,6 +19,7 @@ class Measured:
 
     omega (n_line,) [rad/s]; matrix (n_line, n_output, n_input) [m/N]; covariance (n_line, n, n) [m^2/N^2] of vec row-major, or None;
     noise_dof: complex degrees of freedom of one line's covariance estimate; noise_lines: lines with a common one (smoothed noise).
+    change (n_line, n_output, n_input) [m/N]: of the second half of the record against the first, or None.
     shared_noise, shared_power: sum of c and of c^2 over the chosen lines, itself included, averaged over the lines, c the correlation
     of their noise (a window spreads it over neighbours): factor on the variance of a sum over lines.
     """
@@ -30,6 +31,7 @@ class Measured:
     noise_lines: float
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
+    change: ComplexArray | None = None
     shared_noise: float = 1.0
     shared_power: float = 1.0
 
@@ -88,6 +90,7 @@ def measured_part(response: FrequencyResponse, rows: list[int], columns: list[in
         noise_lines=noise_lines,
         outputs=outputs,
         inputs=inputs,
+        change=None if response.change is None else response.change[lines][:, rows][:, :, columns] / factor[:, None, None],
         shared_noise=_shared(response, lines, 1),
         shared_power=_shared(response, lines, 2),
     )

@@ -22,7 +22,7 @@ LOW_COHERENCE = 0.9
 class Parts:
     """FRF matrix (n_line, n_output, n_input) [output unit / N], covariance and quality on the measured lines.
 
-    frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input; coherences and snr [1] as in
+    frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input; coherences and snr [1], change as in
     FrequencyResponse.
     """
 
@@ -37,6 +37,7 @@ class Parts:
     partial_coherence: FloatArray | None = None
     snr: FloatArray | None = None
     line_correlation: tuple[float, ...] = ()
+    change: ComplexArray | None = None
 
 
 def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:
