@@ -43,7 +43,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     noises = [layout.padded(e, s.noise, 2) for e, s in enumerate(spectra) if s.noise is not None]
     covariance = covariance_of_periodic(matrix, inverse, np.stack(noises)) if len(noises) == len(spectra) else None
     snr = None if covariance is None else _signal_to_noise(mean, np.stack(noises))
-    findings = _no_covariance_finding(spectra[0].n_period) if covariance is None else _snr_findings(snr, layout)
+    findings = _no_covariance_finding(spectra[0].n_period) if covariance is None else _snr_findings(snr, mean, layout)
     averages = float(min(spectrum.n_period for spectrum in spectra))
     dof = min(spectrum.dof for spectrum in spectra) if covariance is not None else np.inf
     return Parts(
@@ -114,12 +114,22 @@ def _no_covariance_finding(n_period: int) -> tuple[Finding, ...]:
     return (Finding("no-covariance", message),)
 
 
-def _snr_findings(snr: FloatArray | None, layout: Layout) -> tuple[Finding, ...]:
+def _snr_findings(snr: FloatArray | None, mean: ComplexArray, layout: Layout) -> tuple[Finding, ...]:
+    """Forces line by line, since their noise makes H too small there; responses by their power over the band, as lines weigh by noise."""
     assert snr is not None
-    poor = np.mean(snr < LOW_SNR, axis=0)
-    labels = [port.label for port in (*layout.inputs, *layout.outputs)]
-    return tuple(
-        Finding("low-snr", f"channel {label}: the signal is less than {LOW_SNR:g} times its noise at {100 * share:.0f} % of the lines")
-        for label, share in zip(labels, poor, strict=True)
+    n_input = len(layout.inputs)
+    poor = np.mean(snr[:, :n_input] < LOW_SNR, axis=0)
+    forces = (
+        Finding("low-snr", f"channel {port.label}: the signal is less than {LOW_SNR:g} times its noise at {100 * share:.0f} % of the lines")
+        for port, share in zip(layout.inputs, poor, strict=True)
         if share > POOR_SHARE
     )
+    size = np.max(np.abs(mean[:, n_input:]), axis=2)
+    noise = np.divide(size, snr[:, n_input:], out=np.zeros_like(size), where=size > 0)
+    weak = np.sum(noise**2, axis=0) * LOW_SNR**2 > np.sum(size**2, axis=0)
+    responses = (
+        Finding("low-snr", f"channel {port.label}: the signal is less than {LOW_SNR:g} times its noise, in power over the band")
+        for port, is_weak in zip(layout.outputs, weak, strict=True)
+        if is_weak
+    )
+    return (*forces, *responses)

@@ -54,7 +54,7 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
         covariance=covariance_of_random(matrix, response, instruments, averages) if enough else None,
         averages=averages,
         dof=averages - n_input if enough else np.inf,
-        findings=coherence_findings(multiple, layout) if enough else _no_average_finding(averages),
+        findings=coherence_findings(multiple, np.einsum("foo->fo", s_yy).real, layout) if enough else _no_average_finding(averages),
         coherence=ordinary_coherence(s_uu, s_yu, s_yy),
         multiple_coherence=multiple,
         partial_coherence=partial_coherence(s_uu, s_yu, s_yy) if n_input > 1 else None,
