@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,8 +42,8 @@ def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions
         if levels:
             others = tuple(sorted((name, text) for name, text in stated.items() if name != levels[0]))
             groups.setdefault((levels[0], others, fit.band_hz, fit.term), []).append(_test(fit, stated[levels[0]]))
-    found = {id(test.fit): finding for group in groups.values() for test, finding in _of_group(group)}
-    return [replace(fit, findings=(*fit.findings, found[id(fit)])) if id(fit) in found else fit for fit in fits]
+    new = {id(test.fit): finding for group in groups.values() for test, finding in _of_group(group)}
+    return [replace(fit, findings=(*fit.findings, new[id(fit)])) if id(fit) in new else fit for fit in fits]
 
 
 def _test(fit: Fit, text: str) -> _Test:
@@ -55,14 +55,12 @@ def _test(fit: Fit, text: str) -> _Test:
 
 def _of_group(tests: list[_Test]) -> list[tuple[_Test, Finding]]:
     """The finding of the highest level against the lowest; none where levels are no numbers, or one."""
-    low, high = (choose(tests, key=lambda test: test.level) for choose in _EXTREMES)
+    ascending = sorted(tests, key=lambda test: test.level)
+    low, high = ascending[0], ascending[-1]
     if not low.level < high.level:
         return []
     message = _difference(low, high)
     return [(high, Finding("amplitude", message))] if message else []
-
-
-_EXTREMES: tuple[Callable[..., _Test], ...] = (min, max)
 
 
 def _difference(low: _Test, high: _Test) -> str:
