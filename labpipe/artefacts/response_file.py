@@ -48,6 +48,9 @@ def _element(response: FrequencyResponse, o: int, i: int) -> Iterator[tuple[str,
         values = getattr(response, attribute)
         if values is not None:
             yield suffix, values[:, o, i]
+    if response.change is not None:
+        yield ":change_re", response.change[:, o, i].real
+        yield ":change_im", response.change[:, o, i].imag
     if response.line_gains is not None:
         for neighbour, gains in enumerate(response.line_gains[:, :, o, i].T):
             yield f"{_gain(neighbour)}:re", gains.real
@@ -102,6 +105,7 @@ def read_response(path: Path) -> FrequencyResponse:
         form=contents["form"],
         covariance=_covariance(columns, len(outputs) * len(inputs)),
         **by_element,
+        change=_change(columns, pairs),
         multiple_coherence=np.stack([columns[f"{o.label}:multiple_coh"] for o in outputs], 1) if has_multiple else None,
         snr=np.stack([columns[f"{name}:snr"] for name in snr_channels], 1) if snr_channels else None,
         snr_channels=snr_channels,
@@ -126,6 +130,12 @@ def _line_gains(columns: dict[str, FloatArray], pairs: list[list[str]], n_gain: 
     parts = [[_matrix(columns, pairs, f"{_gain(neighbour)}:{part}") for neighbour in range(n_gain)] for part in ("re", "im")]
     gains: ComplexArray = np.stack(parts[0], 1) + 1j * np.stack(parts[1], 1)
     return gains
+
+
+def _change(columns: dict[str, FloatArray], pairs: list[list[str]]) -> ComplexArray | None:
+    if pairs[0][0] + ":change_re" not in columns:
+        return None
+    return _matrix(columns, pairs, ":change_re") + 1j * _matrix(columns, pairs, ":change_im")
 
 
 def _covariance(columns: dict[str, FloatArray], n: int) -> ComplexArray | None:

@@ -28,7 +28,6 @@ FEW_DOF = 5
 EQUATIONS_PER_PARAMETER = 3
 LOW_COHERENCE = 0.9
 LOW_SNR = 10.0
-POOR_SHARE = 0.1
 
 
 def estimate_findings(
@@ -156,21 +155,48 @@ def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:
 
 
 def quality_findings(response: FrequencyResponse, rows: list[int], columns: list[int], lines: BoolArray) -> list[Finding]:
-    """A warning for low coherence or signal-to-noise ratio on the fit's *lines*, a mask (n_frequency,)."""
+    """A warning where much of a response on the fit's *lines*, a mask (n_frequency,), is noise, by its power over all of them.
+
+    The fit weighs lines by their noise, so single lines of low coherence, beside a resonance or at an antiresonance, do no harm.
+    """
+    power = np.abs(response.matrix[lines][:, rows][:, :, columns]) ** 2
     if response.multiple_coherence is not None:
-        share = float(np.mean(np.min(response.multiple_coherence[lines][:, rows], axis=1) < LOW_COHERENCE))
-        what = f"the coherence is below {LOW_COHERENCE:g}"
+        share = _noise_share(np.sum(power, axis=2), response.multiple_coherence[lines][:, rows])
     elif response.coherence is not None:
-        share = float(np.mean(np.min(response.coherence[lines][:, rows][:, :, columns], axis=(1, 2)) < LOW_COHERENCE))
-        what = f"the coherence is below {LOW_COHERENCE:g}"
+        share = _noise_share(power, response.coherence[lines][:, rows][:, :, columns])
     elif response.variance is not None:
-        size = np.abs(response.matrix[lines][:, rows][:, :, columns])
-        std = np.sqrt(response.variance[lines][:, rows][:, :, columns])
-        share = float(np.mean(np.max(std, axis=(1, 2)) * LOW_SNR > np.max(size, axis=(1, 2))))
-        what = f"the FRF is less than {LOW_SNR:g} times its standard deviation"
+        variance = response.variance[lines][:, rows][:, :, columns]
+        if np.sum(variance) * LOW_SNR**2 <= np.sum(power):
+            return []
+        return [_low_coherence(f"the FRF is less than {LOW_SNR:g} times its standard deviation, in power over the band")]
     else:
         return []
-    if share <= POOR_SHARE:
+    if share <= 1 - LOW_COHERENCE:
         return []
-    remedy = "raise the force, average longer, or leave these lines out with `exclude`"
-    return [Finding("low-coherence", f"{what} at {100 * share:.0f} % of the lines in the band; {remedy}")]
+    return [_low_coherence(f"{100 * share:.0f} % of a response's power in the band is not explained by the forces (coherence)")]
+
+
+def _noise_share(explained: FloatArray, coherence: FloatArray) -> float:
+    """Largest share of a response's power that is noise; power due to the forces and *coherence* (n_line, n_output[, n_input]).
+
+    Forces count as equally strong at all lines: explained / coherence is the whole power.
+    """
+    whole = np.divide(explained, coherence, out=np.zeros_like(explained), where=coherence > 0)
+    total = np.sum(whole, axis=0)
+    shares = np.divide(np.sum(whole - explained, axis=0), total, out=np.ones_like(total), where=total > 0)
+    return float(np.max(shares))
+
+
+def _low_coherence(what: str) -> Finding:
+    return Finding("low-coherence", f"{what}; raise the force, average longer, or leave these lines out with `exclude`")
+
+
+def covariance_findings(response: FrequencyResponse) -> list[Finding]:
+    """A warning where the noise of the FRF is not known: nothing then tells a right model from a wrong one that follows the curve."""
+    if response.covariance is not None:
+        return []
+    message = (
+        "the FRF has no covariance (imported without it, or of a single average), so chi-square, and with it model-mismatch, could not be "
+        "checked: a high G.o.F alone does not show that the model is right. Give the variance of the FRF, or measure several averages"
+    )
+    return [Finding("no-covariance", message)]

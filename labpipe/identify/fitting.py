@@ -13,7 +13,9 @@ from labpipe.identify.bootstrap import bootstrapped
 from labpipe.identify.comparison import candidates, comparison_findings, comparison_notes
 from labpipe.identify.constraints import constrained
 from labpipe.identify.dense_curve import drawn_densely
-from labpipe.identify.diagnostics import MISMATCH_P, estimate_findings, parameter_findings, quality_findings
+from labpipe.identify.diagnostics import MISMATCH_P, covariance_findings, estimate_findings, parameter_findings, quality_findings
+from labpipe.identify.drift import drift_findings
+from labpipe.identify.given_mass import mass_findings
 from labpipe.identify.leakage import expected
 from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.model import DynamicModel
@@ -24,6 +26,7 @@ from labpipe.identify.settings import ESTIMATORS, MODELS, FitSettings
 from labpipe.identify.setup import Setup
 from labpipe.identify.short_blocks import leakage_findings
 from labpipe.identify.statistics import Estimate, condition_number, correlation, student_limit
+from labpipe.records.finding import Finding
 from labpipe.records.identification import Fit, FittedCurve, Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.bands import EDGE, lines_in
@@ -56,7 +59,8 @@ def fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
             fit = _fit_band(setup, model, measured, band)
         except FitError as error:
             raise FitError(f"band {band[0]:g}-{band[1]:g} Hz: {error.what}", where=error.where, hint=error.hint) from None
-        quality = quality_findings(response, rows, columns, lines)
+        drift = drift_findings(measured, fit.model, fit.values, len(bands))
+        quality = (*quality_findings(response, rows, columns, lines), *covariance_findings(response), *drift)
         curve = _curve(response, measured, fit)
         # The bands of a sliding fit are drawn as coefficients over frequency, not as curves.
         curve = _between_lines(response, curve, fit) if len(bands) == 1 else curve
@@ -143,6 +147,7 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
         findings=(
             *estimate_findings(estimate, model.names, measured.omega.size, settings.estimator, model.units, leaking=bool(leakage)),
             *leakage,
+            *_mass_findings(measured, model, estimate, setup),
             *parameter_findings(parameters),
             *comparison_findings(compared_models),
         ),
@@ -150,6 +155,13 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
         candidates=compared_models,
     )
     return _BandFit(fit, fitted, model, estimate.values)
+
+
+def _mass_findings(measured: Measured, model: DynamicModel | ProportionalModel, estimate: Estimate, setup: Setup) -> list[Finding]:
+    """The given mass against a free one, for models linear in their parameters and responses of reliable phase."""
+    if not isinstance(model, DynamicModel) or setup.settings.estimator == "amplitude" or not estimate.converged:
+        return []
+    return mass_findings(measured, model, estimate.values, setup)
 
 
 def _refit(setup: Setup, model: DynamicModel | ProportionalModel, measured: Measured) -> tuple[Parameter, ...]:

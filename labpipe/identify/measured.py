@@ -22,6 +22,7 @@ class Measured:
 
     omega (n_line,) [rad/s]; matrix (n_line, n_output, n_input) [m/N]; covariance (n_line, n, n) [m^2/N^2] of vec row-major, or None;
     noise_dof: complex degrees of freedom of one line's covariance estimate; noise_lines: lines with a common one (smoothed noise).
+    change (n_line, n_output, n_input) [m/N]: of the second half of the record against the first, or None.
     shared_noise, shared_power: sum of c and of c^2 over the chosen lines, itself included, averaged over the lines, c the correlation
     of their noise (a window spreads it over neighbours): factor on the variance of a sum over lines, and on that of their powers. Where
     c is complex, lines do not add up and shared_noise is the upper bound shared_power. *noise*: the same correlation line by line, None
@@ -35,6 +36,7 @@ class Measured:
     noise_lines: float
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
+    change: ComplexArray | None = None
     shared_noise: float = 1.0
     shared_power: float = 1.0
     noise: SharedNoise | None = None
@@ -104,6 +106,7 @@ def measured_part(response: FrequencyResponse, rows: list[int], columns: list[in
         blocks=response.blocks,
         leakage=_leakage(response, frequency),
         noise=SharedNoise(numbers, correlation, gains) if correlation.size and gains is not None else None,
+        change=None if response.change is None else response.change[lines][:, rows][:, :, columns] / factor[:, None, None],
     )
 
 

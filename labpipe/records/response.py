@@ -60,6 +60,7 @@ class FrequencyResponse:
     partial_coherence (n_frequency, n_output, n_input) of each force alone, or None
     distortion       (n_frequency, n_output, n_input) the part of the standard deviation [unit of the form] that is due to
                      nonlinearity, or None; the variance less its square is noise
+    change           (n_frequency, n_output, n_input) complex, H of the second half of the record less that of the first, or None
     snr              (n_frequency, n_channel) signal-to-noise amplitude ratio per channel at the line (periodic data), or None;
                      its columns are named by snr_channels
     covariance_dof   effective number of complex degrees of freedom behind the covariance estimate (inf: known)
@@ -81,6 +82,7 @@ class FrequencyResponse:
     multiple_coherence: FloatArray | None = None
     partial_coherence: FloatArray | None = None
     distortion: FloatArray | None = None
+    change: ComplexArray | None = None
     snr: FloatArray | None = None
     snr_channels: tuple[str, ...] = ()
     averages: float = 1.0
@@ -112,6 +114,7 @@ class FrequencyResponse:
             "multiple_coherence": (np.float64, (n_f, n_o)),
             "partial_coherence": (np.float64, (n_f, n_o, n_i)),
             "distortion": (np.float64, (n_f, n_o, n_i)),
+            "change": (np.complex128, (n_f, n_o, n_i)),
             "snr": (np.float64, (n_f, len(self.snr_channels))),
             "line_gains": (np.complex128, (n_f, np.shape(self.line_gains)[1] if self.line_gains is not None else 1, n_o, n_i)),
         }

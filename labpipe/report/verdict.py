@@ -10,7 +10,7 @@ from labpipe.sections import section
 
 MOST_NOTES = 12
 # Codes of findings with which a result must not be used.
-SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch", "unstable-loop")
+SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch", "mass", "drift", "unstable-loop")
 
 
 def verdict_sections(identification: Identification) -> tuple[Section, ...]:
@@ -49,7 +49,16 @@ def _judged(identification: Identification) -> tuple[Block, ...]:
     else:
         lead = Paragraph(f"ACCEPTED: all {len(outcomes)} rules hold.{doubt}", "passed")
     rows = tuple((outcome.section, outcome.rule, _outcome_text(outcome), "holds" if outcome.passed else "FAILS") for outcome in outcomes)
-    return (lead, *_not_to_be_signed(identification), Table(("section", "rule", "found (SI)", "outcome"), rows, "Rules of the pipeline"))
+    table = Table(("section", "rule", "found (SI)", "outcome"), rows, "Rules of the pipeline")
+    return (lead, *_by_goodness_alone(identification), *_not_to_be_signed(identification), table)
+
+
+def _by_goodness_alone(identification: Identification) -> tuple[Block, ...]:
+    """Fits whose rules could only look at the goodness of fit, since no noise is known that chi-square could compare with."""
+    unchecked = [origin for origin, finding in _of_fits(identification) if finding.code == "no-covariance"]
+    if not unchecked:
+        return ()
+    return (Paragraph(f"By G.o.F alone, chi-square could not be checked (no covariance): {'; '.join(unchecked)}.", "warning"),)
 
 
 def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:

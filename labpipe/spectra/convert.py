@@ -40,7 +40,8 @@ def converted(response: FrequencyResponse, form: str) -> FrequencyResponse:
     covariance = response.covariance
     if covariance is not None:
         covariance = covariance * (np.abs(factor) ** 2)[:, None, None]
-    return dataclasses.replace(response, matrix=response.matrix * factor[:, None, None], covariance=covariance, form=form)
+    change = None if response.change is None else response.change * factor[:, None, None]
+    return dataclasses.replace(response, matrix=response.matrix * factor[:, None, None], covariance=covariance, change=change, form=form)
 
 
 def dynamic_stiffness(response: FrequencyResponse) -> ComplexArray:

@@ -37,6 +37,7 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
         response,
         matrix=from_left @ response.matrix @ from_right,
         covariance=covariance,
+        change=None if response.change is None else from_left @ response.change @ from_right,
         outputs=ports,
         inputs=ports,
         coherence=None,

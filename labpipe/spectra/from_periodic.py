@@ -11,6 +11,7 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.bands import line_range
+from labpipe.spectra.halves import cut_at, rest_of_mean
 from labpipe.spectra.independence import force_inverse
 from labpipe.spectra.parts import POOR_SHARE, Parts, lines_left
 from labpipe.spectra.periodic import LineSpectrum, PeriodAverage, excited_lines, samples_per_period, smoothed_noise
@@ -28,7 +29,8 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     DataError when no line of a force exceeds its noise, or when the forces are not independent.
     """
     assert settings.period is not None
-    spectra = [_period_average(source, settings) for source in sources]
+    averaged = [_period_average(source, settings) for source in sources]
+    spectra = [spectrum for spectrum, _ in averaged]
     lines = _lines_of_all_forces(spectra, layout)
     if not np.any(lines):
         raise DataError("no line of the force exceeds its noise", hint="check `period` and `band`, or raise the level")
@@ -41,12 +43,35 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     noises = [layout.padded(e, s.noise, 2) for e, s in enumerate(spectra) if s.noise is not None]
     covariance = covariance_of_periodic(matrix, inverse, np.stack(noises)) if len(noises) == len(spectra) else None
     snr = None if covariance is None else _signal_to_noise(mean, np.stack(noises))
-    findings = _no_covariance_finding(spectra[0].n_period) if covariance is None else _snr_findings(snr, layout)
+    findings = _no_covariance_finding(spectra[0].n_period) if covariance is None else _snr_findings(snr, mean, layout)
     averages = float(min(spectrum.n_period for spectrum in spectra))
     dof = min(spectrum.dof for spectrum in spectra) if covariance is not None else np.inf
     return Parts(
-        frequency=spectra[0].frequency, matrix=matrix, covariance=covariance, averages=averages, dof=dof, findings=findings, snr=snr
+        frequency=spectra[0].frequency,
+        matrix=matrix,
+        covariance=covariance,
+        averages=averages,
+        dof=dof,
+        findings=findings,
+        snr=snr,
+        change=_change(spectra, [half for _, half in averaged], lines, layout),
     )
+
+
+def _change(
+    spectra: Sequence[LineSpectrum], halves: Sequence[LineSpectrum | None], lines: BoolArray, layout: Layout
+) -> ComplexArray | None:
+    """H of the second half of the periods less that of the first, (n_line, n_output, n_input) [output unit / N]."""
+    first = [half.select(lines) for half in halves if half is not None]
+    if len(first) < len(spectra):
+        return None
+    rest = [rest_of_mean(s.mean, s.n_period, half.mean, half.n_period) for s, half in zip(spectra, first, strict=True)]
+    before, after = (
+        np.stack([layout.padded(e, mean, 1) for e, mean in enumerate(means)], axis=2) for means in ([half.mean for half in first], rest)
+    )
+    n_input = len(layout.inputs)
+    old, new = (mean[:, n_input:] @ force_inverse(mean[:, :n_input], layout) for mean in (before, after))
+    return new - old
 
 
 def _lines_of_all_forces(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
@@ -59,16 +84,21 @@ def _lines_of_all_forces(spectra: Sequence[LineSpectrum], layout: Layout) -> Boo
     return np.all(acting, axis=1)
 
 
-def _period_average(source: SampleSource, settings: FrfSettings) -> LineSpectrum:
-    """The averaged and smoothed lines of one recording in the band."""
+def _period_average(source: SampleSource, settings: FrfSettings) -> tuple[LineSpectrum, LineSpectrum | None]:
+    """The averaged and smoothed lines of one recording in the band, and those of the first half of its periods."""
     assert settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)
     lines = line_range(n_sample, source.sample_rate, settings.band)
     average = PeriodAverage(n_sample, len(source.channels), settings.skip, lines)
-    for block in checked_blocks(source):
+    half: LineSpectrum | None = None
+    n_half = (source.n_sample // n_sample - settings.skip) // 2
+    for block, ends_half in cut_at(checked_blocks(source), (settings.skip + n_half) * n_sample):
         average.add(block)
+        if ends_half and n_half > 0:
+            half = average.spectrum(source.sample_rate)
     spectrum = average.spectrum(source.sample_rate)
-    return smoothed_noise(spectrum.select(lines_left(spectrum.frequency, settings)), settings.smooth)
+    chosen = lines_left(spectrum.frequency, settings)
+    return smoothed_noise(spectrum.select(chosen), settings.smooth), None if half is None else half.select(chosen)
 
 
 def _signal_to_noise(mean: ComplexArray, noise: ComplexArray) -> FloatArray:
@@ -84,12 +114,22 @@ def _no_covariance_finding(n_period: int) -> tuple[Finding, ...]:
     return (Finding("no-covariance", message),)
 
 
-def _snr_findings(snr: FloatArray | None, layout: Layout) -> tuple[Finding, ...]:
+def _snr_findings(snr: FloatArray | None, mean: ComplexArray, layout: Layout) -> tuple[Finding, ...]:
+    """Forces line by line, since their noise makes H too small there; responses by their power over the band, as lines weigh by noise."""
     assert snr is not None
-    poor = np.mean(snr < LOW_SNR, axis=0)
-    labels = [port.label for port in (*layout.inputs, *layout.outputs)]
-    return tuple(
-        Finding("low-snr", f"channel {label}: the signal is less than {LOW_SNR:g} times its noise at {100 * share:.0f} % of the lines")
-        for label, share in zip(labels, poor, strict=True)
+    n_input = len(layout.inputs)
+    poor = np.mean(snr[:, :n_input] < LOW_SNR, axis=0)
+    forces = (
+        Finding("low-snr", f"channel {port.label}: the signal is less than {LOW_SNR:g} times its noise at {100 * share:.0f} % of the lines")
+        for port, share in zip(layout.inputs, poor, strict=True)
         if share > POOR_SHARE
     )
+    size = np.max(np.abs(mean[:, n_input:]), axis=2)
+    noise = np.divide(size, snr[:, n_input:], out=np.zeros_like(size), where=size > 0)
+    weak = np.sum(noise**2, axis=0) * LOW_SNR**2 > np.sum(size**2, axis=0)
+    responses = (
+        Finding("low-snr", f"channel {port.label}: the signal is less than {LOW_SNR:g} times its noise, in power over the band")
+        for port, is_weak in zip(layout.outputs, weak, strict=True)
+        if is_weak
+    )
+    return (*forces, *responses)

@@ -14,6 +14,7 @@ from labpipe.records.response import Blocks
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.coherence import multiple_coherence, ordinary_coherence, partial_coherence
 from labpipe.spectra.estimators import ESTIMATORS, INSTRUMENTS
+from labpipe.spectra.halves import Halved, change_of_random, cut_at, joined_spectra
 from labpipe.spectra.independence import check_forces, check_responses
 from labpipe.spectra.parts import Parts, coherence_findings, lines_left
 from labpipe.spectra.ports import Layout
@@ -26,11 +27,13 @@ from labpipe.spectra.windows import window_values
 
 def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF from Welch averages of all recordings; DataError for recordings or forces that do not allow one."""
-    spectra = [_welch_average(source, settings) for source in sources]
+    halved = [_welch_average(source, settings) for source in sources]
+    spectra = [whole for whole, _ in halved]
     assert settings.block is not None
     n_block = sum(spectrum.n_block for spectrum in spectra)
     blocks = Blocks(settings.block, settings.window, settings.overlap, n_block, settings.estimator)
-    return replace(parts_of_spectra(spectra, settings, layout), blocks=blocks)
+    change = change_of_random(halved, settings.estimator, layout, lines_left(halved[0][0].frequency, settings))
+    return replace(parts_of_spectra(spectra, settings, layout), blocks=blocks, change=change)
 
 
 def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, layout: Layout, half_width: int = 0) -> Parts:
@@ -38,10 +41,9 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
 
     DataError when the forces, or the outputs an estimator inverts, are not independent.
     """
-    n_block = sum(spectrum.n_block for spectrum in spectra)
     chosen = lines_left(spectra[0].frequency, settings)
     n_input = len(layout.inputs)
-    matrix = np.sum([layout.padded(e, s.matrix, 2) * (s.n_block / n_block) for e, s in enumerate(spectra)], axis=0)[chosen]
+    matrix = joined_spectra(spectra, layout)[chosen]
     s_uu, s_yu, s_yy = matrix[:, :n_input, :n_input], matrix[:, n_input:, :n_input], matrix[:, n_input:, n_input:]
     check_forces(s_uu, layout)
     if settings.estimator != "H1":
@@ -57,7 +59,7 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
         covariance=covariance_of_random(matrix, response, instruments, averages, half_width) if enough else None,
         averages=averages,
         dof=averages - n_input if enough else np.inf,
-        findings=coherence_findings(multiple, layout) if enough else _no_average_finding(averages),
+        findings=coherence_findings(multiple, np.einsum("foo->fo", s_yy).real, layout) if enough else _no_average_finding(averages),
         coherence=ordinary_coherence(s_uu, s_yu, s_yy),
         multiple_coherence=multiple,
         partial_coherence=partial_coherence(s_uu, s_yu, s_yy) if n_input > 1 else None,
@@ -65,7 +67,7 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
     )
 
 
-def _welch_average(source: SampleSource, settings: FrfSettings) -> CrossSpectra:
+def _welch_average(source: SampleSource, settings: FrfSettings) -> Halved:
     assert settings.block is not None
     n_sample = round(settings.block * source.sample_rate)
     if n_sample < 4:
@@ -75,14 +77,18 @@ def _welch_average(source: SampleSource, settings: FrfSettings) -> CrossSpectra:
     # References (tacho, temperature) are not part of the FRF matrix.
     columns = [number for number, channel in enumerate(source.channels) if channel.role != "reference"]
     average = WelchAverage(window_values(settings.window, n_sample), step, len(columns), lines, settings.detrend)
-    for block in checked_blocks(source):
+    half: CrossSpectra | None = None
+    for block, ends_half in cut_at(checked_blocks(source), source.n_sample // 2):
         average.add(block if len(columns) == block.shape[1] else block[:, columns])
-    spectra = average.spectra(source.sample_rate)
-    return spectra if len(columns) == len(source.channels) else _in_all_channels(spectra, columns, len(source.channels))
+        if ends_half and source.n_sample // 2 >= n_sample:
+            half = _in_all_channels(average.spectra(source.sample_rate), columns, len(source.channels))
+    return _in_all_channels(average.spectra(source.sample_rate), columns, len(source.channels)), half
 
 
 def _in_all_channels(spectra: CrossSpectra, columns: list[int], n_channel: int) -> CrossSpectra:
     """The spectra with zeros in the rows and columns of reference channels."""
+    if len(columns) == n_channel:
+        return spectra
     matrix = np.zeros((spectra.frequency.size, n_channel, n_channel), np.complex128)
     matrix[:, np.array(columns)[:, None], columns] = spectra.matrix
     return replace(spectra, matrix=matrix)

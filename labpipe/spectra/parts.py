@@ -14,8 +14,9 @@ from labpipe.spectra.bands import lines_in
 from labpipe.spectra.ports import Layout
 from labpipe.spectra.settings import FrfSettings
 
-# Share of lines with low coherence or signal-to-noise ratio above which a warning is given.
+# Share of lines with low signal-to-noise ratio above which a warning is given.
 POOR_SHARE = 0.1
+# Share of a response's power that the forces explain.
 LOW_COHERENCE = 0.9
 
 
@@ -24,7 +25,7 @@ class Parts:
     """FRF matrix (n_line, n_output, n_input) [output unit / N], covariance and quality on the measured lines.
 
     frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input; coherences and snr [1] as in
-    FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour, n_output, n_input) likewise, and blocks.
+    FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour, n_output, n_input) likewise, change and blocks.
     """
 
     frequency: FloatArray
@@ -40,6 +41,7 @@ class Parts:
     line_correlation: tuple[complex, ...] = ()
     line_gains: ComplexArray | None = None
     blocks: Blocks | None = None
+    change: ComplexArray | None = None
 
 
 def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:
@@ -50,13 +52,15 @@ def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:
     return chosen
 
 
-def coherence_findings(multiple: FloatArray, layout: Layout) -> tuple[Finding, ...]:
-    """Warnings for outputs whose multiple coherence (n_frequency, n_output) [1] is low at many lines."""
+def coherence_findings(multiple: FloatArray, power: FloatArray, layout: Layout) -> tuple[Finding, ...]:
+    """Warnings for outputs of whose *power* (n_frequency, n_output) [unit^2/Hz] much is noise, by the *multiple* coherence (same shape).
+
+    Lines of low coherence alone are no fault: every response has some, beside its resonances and at antiresonances.
+    """
+    total = np.sum(power, axis=0)
+    noise = np.divide(np.sum((1 - multiple) * power, axis=0), total, out=np.zeros_like(total), where=total > 0)
     return tuple(
-        Finding(
-            "low-coherence",
-            f"response {port.label}: the coherence is below {LOW_COHERENCE:g} at {100 * share:.0f} % of the lines",
-        )
-        for port, share in zip(layout.outputs, np.mean(multiple < LOW_COHERENCE, axis=0), strict=True)
-        if share > POOR_SHARE
+        Finding("low-coherence", f"response {port.label}: {100 * share:.0f} % of its power in the band is not explained by the forces")
+        for port, share in zip(layout.outputs, noise, strict=True)
+        if share > 1 - LOW_COHERENCE
     )

@@ -58,11 +58,17 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
         matrix=matrix,
         covariance=(covariance + uncorrelated(distortion**2)) / m,
         distortion=distortion / np.sqrt(m),
+        change=_mean_change(responses),
         snr=None if first.snr is None else np.mean([response.snr for response in responses if response.snr is not None], axis=0),
         averages=sum(response.averages for response in responses),
         covariance_dof=min(sum(response.covariance_dof for response in responses), (m - 1) * (2 * half_width + 1.0)),
         findings=(*dict.fromkeys(f for response in responses for f in response.findings), _distortion_note(matrix, distortion, noise, m)),
     )
+
+
+def _mean_change(responses: Sequence[FrequencyResponse]) -> ComplexArray | None:
+    changes = [response.change for response in responses if response.change is not None]
+    return np.asarray(np.mean(changes, axis=0)) if len(changes) == len(responses) else None
 
 
 def _neighbours_mean(values: FloatArray, half_width: int) -> FloatArray:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from labpipe.errors import ConfigError, LabpipeError
 from labpipe.identify.fitting import identify
+from labpipe.identify.levels import with_level_findings
 from labpipe.identify.settings import FitSettings
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
@@ -18,12 +19,14 @@ from labpipe.stages.work import Work
 def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
     """Every fit on every test that it names; fits already made test by test are reused."""
     fits: list[Fit] = []
+    conditions = {response.name: response.conditions for response in work.responses}
     for fit in settings:
         if fit.name in work.test_fits:
-            fits.extend(work.test_fits[fit.name])
+            made = list(work.test_fits[fit.name])
         else:
             check_tested(fit, [response.name for response in work.responses])
-            fits.extend(fits_of(work.responses, fit.kind.begin(fit, fits), work.pipeline.path))
+            made = fits_of(work.responses, fit.kind.begin(fit, fits), work.pipeline.path)
+        fits.extend(with_level_findings(made, conditions))
     return fits
 
 

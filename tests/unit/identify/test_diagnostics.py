@@ -64,6 +64,23 @@ def test_few_lines_and_low_coherence(sdof_response) -> None:
     assert "low-coherence" in codes(sdof_response(1e-4, np.random.default_rng(2)), settings)
 
 
+def test_low_coherence_counts_by_power_not_by_lines(sdof_response) -> None:
+    """Half of the lines incoherent, but weak ones: at 60-70 Hz the resonance at 65.67 Hz has nearly all power. At the peak it counts."""
+    response = sdof_response(1e-6, np.random.default_rng(2))
+    settings = FitSettings("sdof", mass=0.79)
+    power = np.abs(response.matrix[:, 0, 0]) ** 2
+    weak = np.argsort(power)[: power.size // 2]
+    peak = np.argsort(power)[-1:]
+    for lines, said in ((weak, False), (peak, True)):
+        coherence = np.full(response.matrix.shape, 0.999)
+        coherence[lines] = 0.5
+        # A line of coherence 1/2 holds as much noise as motion: its power counts once in the noise and twice in the whole.
+        noise, motion = float(power[lines].sum()), float(power.sum())
+        assert (noise / (noise + motion) > 0.1) is said
+        for quality in ({"coherence": coherence}, {"multiple_coherence": coherence[:, :, 0]}):
+            assert ("low-coherence" in codes(replace(response, **quality), settings)) is said
+
+
 def test_a_negative_stiffness_is_called_unphysical(sdof_response) -> None:
     response = sdof_response(1e-9, np.random.default_rng(2))
     assert "unphysical" in codes(replace(response, matrix=-response.matrix), FitSettings("sdof", mass="estimate"))

@@ -156,3 +156,13 @@ def test_provenance_repeats_channels_conditions_sources_and_settings() -> None:
     (code,) = (block for block in provenance.blocks if isinstance(block, Code))
     assert table.rows == (("a.csv", "ab" * 32),) and '"period": 1.0' in code.text and "report" not in code.text
     assert "labpipe run p.yaml" in words((provenance,))["Provenance"][0][0]
+
+
+def test_acceptance_by_goodness_of_fit_alone_says_so() -> None:
+    unknown = replace(FIT, findings=(Finding("no-covariance", "the FRF has no covariance"),))
+    outcomes = (RuleOutcome("accept", "direct.gof >= 0.95", 0.98, True),)
+    for fit, said in ((unknown, True), (FIT, False)):
+        verdict = verdict_sections(Identification(fits=(fit,), outcomes=outcomes))[0]
+        texts = [block.text for block in verdict.blocks if isinstance(block, Paragraph)]
+        assert texts[0].startswith("ACCEPTED")
+        assert any("G.o.F alone" in text and "direct" in text for text in texts) is said

@@ -1,0 +1,65 @@
+"""The first and the second half of a record: what changed between them drifts, or has not settled."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.spectra.estimators import ESTIMATORS
+from labpipe.spectra.ports import Layout
+from labpipe.spectra.welch import CrossSpectra
+
+# A record of which the spectra of the whole and of its first half are known; None where that is too short.
+Halved = tuple[CrossSpectra, CrossSpectra | None]
+
+
+def cut_at(blocks: Iterable[FloatArray], middle: int) -> Iterator[tuple[FloatArray, bool]]:
+    """The *blocks* (n, n_channel) [any unit] in order, cut so that one ends before sample *middle*; True for that one."""
+    start = 0
+    for block in blocks:
+        end = start + block.shape[0]
+        if start < middle < end:
+            yield block[: middle - start], True
+            yield block[middle - start :], False
+        else:
+            yield block, end == middle
+        start = end
+
+
+def joined_spectra(spectra: Sequence[CrossSpectra], layout: Layout) -> ComplexArray:
+    """Cross-spectra of all channels (n_line, n_channel, n_channel) [unit^2/Hz], recordings weighted by their numbers of blocks."""
+    n_block = sum(spectrum.n_block for spectrum in spectra)
+    joined: ComplexArray = np.sum([layout.padded(e, s.matrix, 2) * (s.n_block / n_block) for e, s in enumerate(spectra)], axis=0)
+    return joined
+
+
+def change_of_random(halved: Sequence[Halved], estimator: str, layout: Layout, chosen: BoolArray) -> ComplexArray | None:
+    """H of the second half of all records less that of the first, (n_line, n_output, n_input) [output unit / N], at the *chosen* lines.
+
+    None where a half has too few averages for the noise of an FRF of so many forces.
+    """
+    first = [half for _, half in halved if half is not None]
+    n_input = len(layout.inputs)
+    if len(first) < len(halved) or min(half.averages for half in first) <= n_input + 1:
+        return None
+    rest = [_rest(whole, half) for (whole, _), half in zip(halved, first, strict=True)]
+    before, after = (_response(joined_spectra(half, layout)[chosen], estimator, n_input) for half in (first, rest))
+    return after - before
+
+
+def _rest(whole: CrossSpectra, half: CrossSpectra) -> CrossSpectra:
+    n_block = whole.n_block - half.n_block
+    return replace(whole, matrix=(whole.matrix * whole.n_block - half.matrix * half.n_block) / n_block, n_block=n_block)
+
+
+def _response(matrix: ComplexArray, estimator: str, n_input: int) -> ComplexArray:
+    return ESTIMATORS[estimator](matrix[:, :n_input, :n_input], matrix[:, n_input:, :n_input], matrix[:, n_input:, n_input:])
+
+
+def rest_of_mean(mean: ComplexArray, count: int, part: ComplexArray, part_count: int) -> ComplexArray:
+    """Mean (n_line, n_channel) [unit of the channel] of *count* values of that *mean* without *part_count* values of the mean *part*."""
+    rest: ComplexArray = (mean * count - part * part_count) / (count - part_count)
+    return rest
