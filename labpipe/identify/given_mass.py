@@ -15,6 +15,7 @@ from labpipe.arrays import FloatArray
 from labpipe.distributions import f_tail
 from labpipe.errors import FitError
 from labpipe.identify.corrections import Estimated, corrected
+from labpipe.identify.leakage import expected
 from labpipe.identify.line_scatter import line_scatter
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel, Term, no_matrices
@@ -98,7 +99,7 @@ def _free_fit(measured: Measured, model: DynamicModel, start: FloatArray) -> _Fr
     """
     weighted = has_noise(measured)
     try:
-        problem = OutputError(measured, model, whitener(measured) if weighted else equal_weights(measured))
+        problem = OutputError(measured, expected(measured, model), whitener(measured) if weighted else equal_weights(measured))
         minimum = minimise(problem, start, most_steps=MOST_STEPS)
         if not minimum.converged:
             return None
@@ -106,10 +107,10 @@ def _free_fit(measured: Measured, model: DynamicModel, start: FloatArray) -> _Fr
         inverse, dof = solve_scaled(jacobian, residual)[1], residual.size - minimum.values.size
         if weighted:
             doubt = weight_doubt(measured, dof)
-            after, expected = float(residual @ residual), dof * doubt.excess
-            if doubt.p_value(after / expected, dof) >= CONTRADICTED_P:
+            after, of_noise = float(residual @ residual), dof * doubt.excess
+            if doubt.p_value(after / of_noise, dof) >= CONTRADICTED_P:
                 return _FreeFit(minimum.values, doubt.inflation * inverse, dof)
-            if after - expected > (1 - EXPLAINED) * (problem.chi2(start) - expected):
+            if after - of_noise > (1 - EXPLAINED) * (problem.chi2(start) - of_noise):
                 return None
         scatter = line_scatter(jacobian, residual, measured.omega.size)
     except (FitError, np.linalg.LinAlgError):

@@ -32,8 +32,9 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     assert settings.block is not None
     n_block = sum(spectrum.n_block for spectrum in spectra)
     blocks = Blocks(settings.block, settings.window, settings.overlap, n_block, settings.estimator)
+    parts = parts_of_spectra(spectra, settings, layout)
     change = change_of_random(halved, settings.estimator, layout, lines_left(halved[0][0].frequency, settings))
-    return replace(parts_of_spectra(spectra, settings, layout), blocks=blocks, change=change)
+    return replace(parts, blocks=blocks, change=change)
 
 
 def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, layout: Layout, half_width: int = 0) -> Parts:
