@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from labpipe.records.comparison import Comparisons
-from labpipe.records.run_up_result import MeasuredRun, RunPrediction, RunUpResult
+from labpipe.records.run_up_result import REJECTED, MeasuredRun, RunPrediction, RunUpResult
 from labpipe.records.study import Studies, Study
 from labpipe.report.wording import threshold_text
 
@@ -40,7 +40,7 @@ def _study_lines(study: Study) -> Iterator[str]:
 def run_up_lines(result: RunUpResult) -> Iterator[str]:
     """Critical and threshold speed of every run, measured and by every method, in rpm; then how far each method is determined."""
     yield f"run-ups of {result.rotor}: critical speed / threshold [rpm]"
-    names = ["measured", *(method.name for method in result.methods)]
+    names = ["measured", *(f"{method.name} {REJECTED}" if method.verdict == REJECTED else method.name for method in result.methods)]
     yield f"  {'run':<12}{'load [N]':>9}" + "".join(f"{name:>17}" for name in names)
     for run in result.runs:
         columns = [run, *(method.prediction(run.name) for method in result.methods)]

@@ -9,6 +9,8 @@ from labpipe.records.finding import Finding
 from labpipe.records.parameter import Parameter
 
 TRAINED, HELD_OUT = "trained", "held-out"
+# Verdict of a method whose family chi-square rejects: its speeds are values without an interval.
+REJECTED = "rejected"
 # Name of the model without a fit: the rotor file's bearing.
 START = "start"
 # Two-sided 95 % of a normal distribution.

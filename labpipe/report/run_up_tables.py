@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.records.run_up_result import (
     HELD_OUT,
+    REJECTED,
     TWO_SIDED,
     Amount,
     MeasuredRun,
@@ -83,7 +84,7 @@ def speed_blocks(result: RunUpResult) -> tuple[Block, ...]:
 
 def _speed_table(result: RunUpResult, item: str, caption: str, models: Sequence[MetamodelResult] = ()) -> Table:
     columns: Sequence[RunUpMethod | MetamodelResult] = models or result.methods
-    header = ("run", "measured", *(SHORT.get(column.name, column.name) for column in columns))
+    header = ("run", "measured", *(_heading(column) for column in columns))
     rows = []
     for run in _runs_with(result, item):
         measured: Amount | None = getattr(run, item)
@@ -91,6 +92,12 @@ def _speed_table(result: RunUpResult, item: str, caption: str, models: Sequence[
         rows.append((_run_name(run), _measured_text(measured), *cells))
     # Cells of two numbers are text, which may wrap, so that all methods fit side by side.
     return Table(header, tuple(rows), caption)
+
+
+def _heading(column: RunUpMethod | MetamodelResult) -> str:
+    """The short name of a method or metamodel; a rejected one says so above its speeds."""
+    name = SHORT.get(column.name, column.name)
+    return f"{name}, {REJECTED}" if isinstance(column, RunUpMethod) and column.verdict == REJECTED else name
 
 
 def _runs_with(result: RunUpResult, item: str) -> list[MeasuredRun]:

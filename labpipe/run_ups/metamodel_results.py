@@ -9,7 +9,7 @@ import numpy as np
 
 from labpipe.errors import LabpipeError
 from labpipe.records.run_up import RunUp
-from labpipe.records.run_up_result import LeftOut, MetamodelResult, RunPrediction, Surface
+from labpipe.records.run_up_result import REJECTED, LeftOut, MetamodelResult, RunPrediction, Surface
 from labpipe.rigs.film_family import carried_beyond
 from labpipe.rigs.run_up_rotor import RunUpRotor
 from labpipe.rotors.threshold import CoefficientsAtSpeed
@@ -58,7 +58,9 @@ def metamodels(
     for name in settings.metamodels:
         model = _fitted(name, grid, joint, settings.seed)
         rows = tuple(_left_out_row(method) for method in left_out if method.kind == KINDS[name])
-        predictions = tuple(_prediction(model, rig, run, settings.plane) for run in runs)
+        source = by_name["joint" if name == "physical" else settings.metamodels_of].method
+        doubt = (f"of a fit that chi-square rejects, {source.title}",) if source.verdict == REJECTED else ()
+        predictions = tuple(_prediction(model, rig, run, settings.plane, doubt) for run in runs)
         results.append(
             MetamodelResult(name, TITLES[name], _surface(model, runs), rows, predictions, (f"{model.statement}.",), model.to_entries())
         )
@@ -93,11 +95,12 @@ def _at_speed(model: Metamodel, load: float) -> CoefficientsAtSpeed:
     return carried_beyond(partial(model.predict, load), *model.speeds)
 
 
-def _prediction(model: Metamodel, rig: RunUpRotor, run: RunUp, plane: str) -> RunPrediction:
+def _prediction(model: Metamodel, rig: RunUpRotor, run: RunUp, plane: str, doubt: tuple[str, ...]) -> RunPrediction:
     run_rig = with_unbalance_of(rig, run)
     remark = caution(model, run.load)
-    notes = (*((remark,) if remark else ()), *(() if isinstance(model, PhysicalFit) else (BEYOND,)))
-    eight, error = model.predict(run.load, run.speed), model.std_error(run.load, run.speed)
+    notes = (*doubt, *((remark,) if remark else ()), *(() if isinstance(model, PhysicalFit) else (BEYOND,)))
+    eight = model.predict(run.load, run.speed)
+    error = None if doubt else model.std_error(run.load, run.speed)
     return predict(run_rig, run, AtLoad(_at_speed(model, run.load), eight, error, notes=notes), plane, curves=False)
 
 

@@ -11,12 +11,13 @@ from scipy.special import chdtrc
 
 from labpipe.records.parameter import Parameter
 from labpipe.records.run_up import RunUp
-from labpipe.records.run_up_result import START, Amount, Convergence, RunUpMethod, StartSpread
+from labpipe.records.run_up_result import REJECTED, START, Amount, Convergence, RunUpMethod, StartSpread
 from labpipe.rigs.film_family import PARAMETERS, as_eight
 from labpipe.rigs.run_up_rotor import RunUpRotor
 from labpipe.run_ups.amplitudes import AmplitudeFit, fit_amplitudes, perfect_but_wrong
 from labpipe.run_ups.joint import fit_jointly
-from labpipe.run_ups.joint_result import REJECTED, JointFit
+from labpipe.run_ups.joint_result import REJECTED as LEAST_PROBABILITY
+from labpipe.run_ups.joint_result import JointFit
 from labpipe.run_ups.measured import column
 from labpipe.run_ups.metamodels_grid import Fitted, Queried
 from labpipe.run_ups.points import PointFit, fit_points
@@ -28,6 +29,7 @@ from labpipe.run_ups.settings import RunUpSettings
 # Loads are the same when they agree to a millionth.
 SAME_LOAD = 1e-6
 BEYOND = "above the last measured speed K and Omega C stay constant: its threshold is extrapolated"
+WITHOUT_INTERVAL = "chi-square rejects the fit: critical speed, threshold and coefficients are values without an interval"
 ELSEWHERE = "its coefficients exist at the fitted loads only; a metamodel extends them to this load"
 
 # Prediction of a method for a run, on a rotor with the run's unbalance; the reason, as text, where there is none.
@@ -97,7 +99,7 @@ def solve_process(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSett
     method = RunUpMethod(
         "process",
         "(d) joint fit with factors",
-        "rejected" if p_value < REJECTED else "not rejected",
+        REJECTED if p_value < LEAST_PROBABILITY else "not rejected",
         predictions=(),
         unknowns=int(fit.values.size),
         rank=fit.n_determined,
@@ -108,7 +110,7 @@ def solve_process(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSett
         n_effective=fit.n_effective,
         remarks=(f"{fit.statement}.",),
     )
-    return Solved(method, _joint_at(fit, p_value < REJECTED), anywhere=fit)
+    return Solved(method, _joint_at(fit, p_value < LEAST_PROBABILITY), anywhere=fit)
 
 
 def joint_method(name: str, title: str, fit: JointFit) -> RunUpMethod:
@@ -116,7 +118,7 @@ def joint_method(name: str, title: str, fit: JointFit) -> RunUpMethod:
     return RunUpMethod(
         name,
         title,
-        "rejected" if fit.rejected else "not rejected",
+        REJECTED if fit.rejected else "not rejected",
         predictions=(),
         unknowns=len(PARAMETERS),
         rank=fit.rank,
@@ -149,7 +151,7 @@ def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:
         caution = fit.caution(run.load)
         notes = (caution,) if caution else ()
         if rejected:
-            return AtLoad(fit.at_load(run.load), eight, notes=notes)
+            return AtLoad(fit.at_load(run.load), eight, notes=(WITHOUT_INTERVAL, *notes))
         return AtLoad(
             fit.at_load(run.load), eight, error, lambda: run_fit.critical_speed(run.load), lambda: run_fit.threshold(run.load), notes
         )

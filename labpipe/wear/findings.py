@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.records.finding import Finding
 from labpipe.wear.misfit import Misfit
 from labpipe.wear.profile import Interval
@@ -84,11 +85,11 @@ def healthy_findings(probability: float, mismatch: bool) -> list[Finding]:
     return [Finding("perhaps-healthy", f"the bearing may be healthy: {odds}")]
 
 
-def search_note(minima: Sequence[Minimum], settings: WearSettings) -> str:
-    """Starts, minima and meshes of the search, as a note."""
+def search_note(minima: Sequence[Minimum], settings: WearSettings, mesh: FilmMesh) -> str:
+    """Starts, minima and meshes of the search, as a note; *mesh*: of the films that refine a minimum."""
     total = sum(minimum.starts for minimum in minima)
     best = minima[0]
-    cells = f"{2 * settings.cells_around} x {2 * settings.cells_across}"
+    cells = f"{mesh.around} x {mesh.across}"
     return (
         f"{best.starts} of {total} starts lead to this minimum, {len(minima)} minima in all; refined on oil films of {cells} cells "
         f"around tables of {settings.cells_around} x {settings.cells_across}."

@@ -26,6 +26,7 @@ from labpipe.identify.weights import weight_doubt
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Fit, FittedCurve, Goodness, Parameter, Region
 from labpipe.records.response import FrequencyResponse
+from labpipe.wear.film_error import film_covariance, widened, widened_region
 from labpipe.wear.findings import (
     angle_findings,
     bound_findings,
@@ -56,12 +57,18 @@ NAMES = {"complex": "ml", "log": "log-amplitude"}
 
 @dataclass(frozen=True)
 class _Solved:
-    """All minima, the best first, with its misfit in standard deviations, and the least chi-square without wear."""
+    """All minima, the best first, with its misfit in standard deviations, covariances (n, n) and the least chi-square without wear."""
 
     misfit: Misfit
     minima: tuple[Minimum, ...]
-    covariance: FloatArray
+    noise_covariance: FloatArray
+    film_covariance: FloatArray
     healthy_chi2: float | None = None
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of the scaled parameters, (n, n): by the noise and by the cells of the oil films."""
+        return self.noise_covariance + self.film_covariance
 
     @property
     def best(self) -> Minimum:
@@ -105,7 +112,7 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
             *findings,
             *quality_findings(response, [0, 1], [0, 1], lines),
         ),
-        notes=(search_note(solved.minima, wear),),
+        notes=(search_note(solved.minima, wear, solved.misfit.model.film_mesh),),
         curve=_curve(measured, solved),
         region=_region(solved, parameters),
     )
@@ -134,9 +141,8 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
         if healthy.chi2 < ranked[0].chi2 + ALIKE:
             misfit, ranked = without, merged([healthy, *ranked])
     jacobian = misfit.jacobian(ranked[0].parameters)
-    return _Solved(
-        misfit, tuple(ranked), np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1])), healthy_chi2
-    )
+    covariance = np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))
+    return _Solved(misfit, tuple(ranked), covariance, film_covariance(misfit, ranked[0].parameters, covariance), healthy_chi2)
 
 
 def _size(misfit: Misfit, best: Minimum) -> float:
@@ -203,14 +209,15 @@ def _reported(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...
 
 
 def _intervals(solved: _Solved) -> dict[str, Interval]:
-    """Profile intervals of depth and angle."""
-    errors = np.sqrt(np.diag(solved.covariance))
-    limit = student_limit(solved.dof)
-    return {
-        name: profile_interval(solved.misfit, solved.best, number, float(errors[number]), limit)
-        for number, name in enumerate(solved.misfit.model.names)
-        if name in (DEPTH, ANGLE)
-    }
+    """Profile intervals of depth and angle, widened by the error of the films' mesh."""
+    model, parameters, limit = solved.misfit.model, solved.best.parameters, student_limit(solved.dof)
+    noise, film = (np.sqrt(np.diag(covariance)) for covariance in (solved.noise_covariance, solved.film_covariance))
+    intervals = {}
+    for number, name in enumerate(model.names):
+        if name in (DEPTH, ANGLE):
+            interval = profile_interval(solved.misfit, solved.best, number, float(noise[number]), limit)
+            intervals[name] = widened(interval, parameters[number], limit * film[number], model.low[number], model.high[number])
+    return intervals
 
 
 def _parameter(solved: _Solved, number: int, vif: float | None, interval: Interval | None, identifiable: bool) -> Parameter:
@@ -251,8 +258,9 @@ def _region(solved: _Solved, parameters: tuple[Parameter, ...]) -> Region | None
     model = solved.misfit.model
     if DEPTH not in model.names or next(parameter for parameter in parameters if parameter.name == ANGLE).ci95 is None:
         return None
-    outline = joint_region(solved.misfit, solved.best, solved.covariance, REGION_LEVEL)
-    return Region((DEPTH, ANGLE), outline * model.scale[:2], REGION_LEVEL)
+    outline = joint_region(solved.misfit, solved.best, solved.noise_covariance, REGION_LEVEL)
+    wide = widened_region(outline, solved.best.parameters[:2], solved.noise_covariance[:2, :2], solved.film_covariance[:2, :2])
+    return Region((DEPTH, ANGLE), np.clip(wide, model.low[:2], model.high[:2]) * model.scale[:2], REGION_LEVEL)
 
 
 def _curve(measured: WornReceptance, solved: _Solved) -> FittedCurve:

@@ -158,6 +158,22 @@ class TabledBearing:
                     slopes[:, number] = _film_slope(film, name) - by_parameter[:, number]
         return replace(self, correction=Correction(_point(bearing), np.stack([film.stiffness, film.damping]) - matrices, slopes))
 
+    def mesh_error(self, values: Mapping[str, float], mesh: FilmMesh) -> FloatArray:
+        """Estimated error of stiffness [N/m] and damping [N s/m] by the film's *mesh*, (2, 2, 2), as a standard deviation with its signs.
+
+        A third of the change from half the cells each way: the error of a second-order method.
+        """
+        bearing = self._bearing(values)
+        fine, coarse = (journal_equilibrium(bearing, self.load, self.speed, cells) for cells in (mesh, mesh.halved() or mesh))
+        return np.array([fine.stiffness - coarse.stiffness, fine.damping - coarse.damping]) / 3
+
+    def shifted(self, change: FloatArray) -> TabledBearing:
+        """This bearing, refined before, with a constant *change* (2, 2, 2) of stiffness [N/m] and damping [N s/m]."""
+        if self.fixed is not None:
+            return replace(self, fixed=Support(self.place.node, self.fixed.stiffness + change[0], self.fixed.damping + change[1]))
+        assert self.correction is not None
+        return replace(self, correction=replace(self.correction, offset=self.correction.offset + change))
+
     def _bearing(self, values: Mapping[str, float]) -> JournalBearing:
         varied = {name: values[name] for name in PARAMETERS if name in values and (self.worn or name not in WEAR)}
         return replace(self.place.film("wear"), **varied)

@@ -1,7 +1,7 @@
 """Wear found on the rig of Mendes et al. (2017), against truths made by finer oil films than the identification's.
 
 Frame: y horizontal, z up, spin y to z, wear angle from the bottom, positive with the spin. Rotor, loads and wear as published,
-targets from an independent calculation. Truth: films of 480 x 60 cells (identification: tables of 120 x 30, refined at 240 x 60).
+targets from an independent calculation. Truth: films of 960 x 120 cells (identification: tables of 120 x 30, refined at 480 x 60).
 Noise: circular, 2 % of the largest |H| on every term.
 """
 
@@ -37,7 +37,7 @@ PORTS = (Port("y", "y", "y"), Port("z", "z", "z"))
 JOINT = {"viscosity": Uncertain(0.1044, 0.03 * 0.1044), "clearance": Uncertain(90e-6, 0.02 * 90e-6)}
 # Fewer starts than an identification has by default: where minima are is tested by itself.
 FEW = {"start_depths": (20e-6, 40e-6), "start_angles": (-0.15, 0.15)}
-TRUTH, OWN = FilmMesh(480, 60), FilmMesh(240, 60)
+TRUTH, OWN = FilmMesh(960, 120), FilmMesh(480, 60)
 
 
 def measured(

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from labpipe.bearings.journal import JournalBearing, journal_equilibrium
+from labpipe.bearings.journal import JournalBearing, JournalEquilibrium, journal_equilibrium
 from labpipe.bearings.journal_curve import HIGHEST_SOMMERFELD, LOWEST_SOMMERFELD, TO_LOAD_FRAME, journal_curve, sommerfeld_number
 from labpipe.bearings.journal_film import Film
 from labpipe.bearings.journal_mesh import FilmMesh
@@ -63,20 +63,43 @@ def test_grooves_that_cannot_be_are_refused(width: float) -> None:
 
 
 def test_the_curve_gives_the_equilibrium_s_own_coefficients() -> None:
-    """Between nodes, in newtons and metres, for a bearing that was not tabulated."""
+    """Between nodes, in newtons and metres, for a bearing that was not tabulated: (4 fine - coarse) / 3 of two meshes."""
     curve = journal_curve(0.5, GROOVE, MESH, 60)
     speed, load = 180.0, 7.3
-    direct = journal_equilibrium(GROOVED, (0.0, -load), speed, MESH)
+    direct, coarse = (journal_equilibrium(GROOVED, (0.0, -load), speed, mesh) for mesh in (MESH, FilmMesh(36, 6)))
     number = sommerfeld_number(GROOVED, np.array(load), np.array(speed))
     np.testing.assert_allclose(number, direct.sommerfeld)
     found = curve.coefficients(number)
     scale = load / GROOVED.clearance
-    stiffness = TO_LOAD_FRAME @ direct.stiffness @ TO_LOAD_FRAME.T
-    damping = TO_LOAD_FRAME @ direct.damping @ TO_LOAD_FRAME.T
+    stiffness = TO_LOAD_FRAME @ (4 * direct.stiffness - coarse.stiffness) @ TO_LOAD_FRAME.T / 3
+    damping = TO_LOAD_FRAME @ (4 * direct.damping - coarse.damping) @ TO_LOAD_FRAME.T / 3
     np.testing.assert_allclose(found.stiffness * scale, stiffness, atol=2e-3 * np.abs(stiffness).max())
     np.testing.assert_allclose(found.damping * scale / speed, damping, atol=2e-3 * np.abs(damping).max())
     eccentricity, attitude = curve.rest(number)
-    np.testing.assert_allclose([eccentricity, attitude], [direct.eccentricity_ratio, direct.attitude], atol=2e-4)
+    rest = [(4 * fine - half) / 3 for fine, half in zip(_rest(direct), _rest(coarse), strict=True)]
+    np.testing.assert_allclose([eccentricity, attitude], rest, atol=2e-4)
+
+
+def _rest(film: JournalEquilibrium) -> tuple[float, float]:
+    return film.eccentricity_ratio, film.attitude
+
+
+def test_the_curve_is_nearer_to_a_fine_film_than_its_mesh_is() -> None:
+    """Three times at least, rms over the coefficients, against sixteen times the cells."""
+    curve, load = journal_curve(0.5, GROOVE, MESH, 60), 7.3
+    errors = []
+    for speed in (60.0, 120.0, 240.0):
+        own, fine = (journal_equilibrium(GROOVED, (0.0, -load), speed, mesh) for mesh in (MESH, FilmMesh(288, 48)))
+        found = curve.coefficients(np.array(fine.sommerfeld)).stiffness * load / GROOVED.clearance
+        stiffness, plain = (TO_LOAD_FRAME @ film.stiffness @ TO_LOAD_FRAME.T for film in (fine, own))
+        errors.append([np.linalg.norm(one - stiffness) / np.linalg.norm(stiffness) for one in (plain, found)])
+    plain_error, curve_error = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert curve_error < plain_error / 3
+
+
+def test_a_mesh_that_cannot_be_halved_is_refused() -> None:
+    with pytest.raises(ConfigError, match="too coarse to halve"):
+        journal_curve(0.5, 0.0, FilmMesh(26, 4), 8)
 
 
 def test_slopes_are_the_derivatives_by_the_logarithm() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from labpipe.bearings.journal import journal_equilibrium
 from labpipe.bearings.journal_curve import CURVE_MESH, TO_LOAD_FRAME
+from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.records.run_up import RunUp, Shaker
 from labpipe.rigs.film_family import as_eight
@@ -57,9 +58,9 @@ def test_largest_displacement_is_that_of_the_orbit(rng: np.random.Generator) -> 
 
 
 def test_the_start_is_the_film_s_own_equilibrium() -> None:
-    """Against one equilibrium on the curve's mesh."""
+    """Against one equilibrium on twice the cells of the curve's mesh each way."""
     speed, load = 170.0, 5.0
-    film = journal_equilibrium(RIG.place.bearing, (0.0, -load), speed, CURVE_MESH)
+    film = journal_equilibrium(RIG.place.bearing, (0.0, -load), speed, FilmMesh(2 * CURVE_MESH.around, 2 * CURVE_MESH.across))
     stiffness, damping = RIG.start_coefficients(load, np.array([speed]))
     expected = TO_LOAD_FRAME @ film.stiffness @ TO_LOAD_FRAME.T
     np.testing.assert_allclose(stiffness[0], expected, atol=1e-3 * np.abs(expected).max())

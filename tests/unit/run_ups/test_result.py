@@ -6,12 +6,16 @@ from dataclasses import replace
 
 import pytest
 
+from labpipe.cli.terminal_sections import run_up_lines
 from labpipe.records.run_up import RunUp
+from labpipe.report.document import Table
+from labpipe.report.run_up_tables import speed_blocks
 from labpipe.run_ups.joint import fit_jointly
 from labpipe.run_ups.joint_result import JointFit
 from labpipe.run_ups.measured import ReadRun
 from labpipe.run_ups.methods import _joint_at, joint_method
 from labpipe.run_ups.predictions import excited_as, predict
+from labpipe.run_ups.process import fit_with_process
 from labpipe.run_ups.result import run_up_result
 from labpipe.run_ups.settings import RunSettings, RunUpSettings
 from tests.unit.run_ups.run_up_cases import RIG, trained
@@ -46,8 +50,37 @@ def test_a_rejected_fit_has_values_and_no_interval(joint: JointFit, runs: list[R
     speeds = (prediction.critical_speed, prediction.threshold)
     assert all(speed is not None and speed.std_error is None and speed.ci95 is None for speed in speeds)
     assert any("no interval is given" in note for note in prediction.notes)
+    assert "chi-square rejects the fit: critical speed, threshold and coefficients are values without an interval" in prediction.notes
     trusted = predict(RIG, runs[0], _joint_at(joint, rejected=False)(RIG, runs[0]), "", curves=False)
     assert prediction.critical_speed.value == pytest.approx(trusted.critical_speed.value, rel=1e-9)
+
+
+def test_every_speed_of_a_rejected_method_says_so(runs: list[RunUp]) -> None:
+    """Run-ups with three hundredths of their errors: the joint fit, its metamodels, and the tables."""
+    sharp = [replace(run, amplitude_error=0.03 * run.amplitude_error, phase_error=0.03 * run.phase_error) for run in runs]
+    entries = tuple(RunSettings(file=f"{run.name}.csv") for run in sharp)
+    settings = RunUpSettings(rotor="falah.yaml", runs=entries, methods=("joint",), metamodels=("physical",), starts=1)
+    result = run_up_result(settings, RIG, [ReadRun(entry, run) for entry, run in zip(entries, sharp, strict=True)])
+    start, joint = result.methods
+    assert joint.verdict == "rejected"
+    for prediction in joint.predictions:
+        assert any("chi-square rejects the fit" in note for note in prediction.notes)
+        assert prediction.critical_speed is not None and prediction.critical_speed.ci95 is None and not prediction.std_errors
+    for prediction in result.metamodels[0].predictions:
+        assert "of a fit that chi-square rejects, (c) joint physical fit" in prediction.notes and not prediction.std_errors
+    assert not any("rejects" in note for prediction in start.predictions for note in prediction.notes)
+    assert "joint rejected" in next(line for line in run_up_lines(result) if "load [N]" in line)
+    headings = [block.header for block in speed_blocks(result) if isinstance(block, Table)]
+    assert all("(c) joint, rejected" in header for header in headings[::2])
+
+
+def test_a_rejected_fit_with_factors_says_so_at_every_load(joint: JointFit, runs: list[RunUp]) -> None:
+    """Whatever its loads: its own caution is on extrapolation only."""
+    process = fit_with_process(RIG, runs, joint)
+    for rejected, said in ((True, True), (False, False)):
+        prediction = predict(RIG, runs[0], _joint_at(process, rejected)(RIG, runs[0]), "", curves=False)
+        assert any("values without an interval" in note for note in prediction.notes) is said
+        assert prediction.threshold is not None and (prediction.threshold.ci95 is None) is said
 
 
 def test_a_rotor_file_without_unbalances_takes_those_of_the_run_ups(runs: list[RunUp]) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.bearings.journal_table import PARAMETERS
 from labpipe.errors import ConfigError, FitError
 from labpipe.records.settings import Uncertain
@@ -15,7 +16,7 @@ from labpipe.simulate.journal_rig import receptance
 from labpipe.wear.model import WornModel, worn_model
 from labpipe.wear.settings import ANGLE, DEPTH
 from labpipe.wear.tables import Ranges, tabled
-from tests.unit.wear.worn_cases import FINE, LINES, NUISANCES, RIG, wear_settings, worn_rig
+from tests.unit.wear.worn_cases import COARSE, FINE, LINES, NUISANCES, RIG, wear_settings, worn_rig
 
 BETA = Uncertain(1.6e-4, 2e-5)
 
@@ -51,8 +52,8 @@ def test_derivatives_equal_differences(model: WornModel, directional: str) -> No
 
 
 def test_refined_model_is_the_film_and_its_slopes(model: WornModel) -> None:
-    """Where it is corrected it is the response with coefficients from the films, and near it follows them."""
-    here = point(model)
+    """Where it is corrected it is the response with coefficients from the films, and near it follows them; no wear that divides them."""
+    here = point(model, depth=40.0)
     values = model.values(here)
     refined = model.refined(here)
     own = {name: values[name] for name in ("viscosity", "clearance")}
@@ -60,11 +61,11 @@ def test_refined_model_is_the_film_and_its_slopes(model: WornModel) -> None:
     def film(depth: float, angle: float) -> np.ndarray:
         return receptance_with_beta(values["beta"], worn_rig(depth, angle, **own))
 
-    np.testing.assert_allclose(refined.response(here)[0], film(22.0, 8.0), rtol=1e-6)
+    np.testing.assert_allclose(refined.response(here)[0], film(40.0, 8.0), rtol=1e-6)
     near = here + np.array([0.5, 0.5, 0, 0, 0])
-    truth = film(22.5, 8.5)
+    truth = film(40.5, 8.5)
     error = np.abs(refined.response(near)[0] - truth).max()
-    assert error < 0.1 * np.abs(truth - film(22.0, 8.0)).max()
+    assert error < 0.1 * np.abs(truth - film(40.0, 8.0)).max()
 
 
 def receptance_with_beta(beta: float, rig: RotorRig) -> np.ndarray:
@@ -122,7 +123,7 @@ def test_slopes_stand_under_their_names() -> None:
     """The bearing without wear follows viscosity and clearance, not wear; a parameter it has not has slope zero."""
     place = RIG.bearings[0]
     ranges = Ranges(50e-6, 0.3, 1.05, 1.05)
-    bearing = tabled(place, (0.0, -35.4), RIG.omega, False, ranges, FINE.halved())  # type: ignore[arg-type]
+    bearing = tabled(place, (0.0, -35.4), RIG.omega, False, ranges, FilmMesh(*COARSE))
     values = {"wear_depth": 2e-5, "wear_angle": 0.1, "viscosity": 0.1, "clearance": 9e-5}
     found = bearing.support(values, (*PARAMETERS[:4], "beta"))
     assert [bool(np.any(found.stiffness_slopes[n])) for n in range(5)] == [False, False, True, True, False]

@@ -20,8 +20,9 @@ from labpipe.wear.model import worn_model
 from labpipe.wear.settings import WearSettings
 
 RIG = load_rotor(Path(__file__).parents[3] / "configs/rotors/mendes.yaml")
-# The fits refine on films of twice the cells of their tables; the truth has those, so that a fit without noise is exact.
-COARSE, FINE = (48, 8), FilmMesh(96, 16)
+# The fits refine on films of four times the cells of their tables around, twice those across; the truth has those, so that a fit
+# without noise is exact.
+COARSE, FINE = (48, 8), FilmMesh(192, 16)
 LINES = np.array([15.9, 20.5, 25.1, 29.7, 34.3, 78.1, 79.7, 81.3, 82.9, 84.5, 86.1, 87.7])
 Y, Z = Port("y", "y", "y"), Port("z", "z", "z")
 PORTS = (Y, Z)
