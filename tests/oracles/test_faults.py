@@ -55,7 +55,7 @@ def test_the_changing_rig_without_a_change_is_the_exact_one() -> None:
     assert np.sqrt(np.mean(difference**2)) < 1e-3 * np.sqrt(np.mean(motion**2))
 
 
-@pytest.mark.parametrize("runs", [10, pytest.param(100, marks=pytest.mark.long)])
+@pytest.mark.parametrize("runs", [4, pytest.param(100, marks=pytest.mark.long)])
 def test_sound_runs_are_left_alone(runs: int) -> None:
     """At most 5 %, and its chance: of 100 runs at most 9 with 95 %; drift, mass and model-mismatch are tests of 1 % each."""
     codes, _, error = counted(range(1000, 1000 + runs))
@@ -65,9 +65,14 @@ def test_sound_runs_are_left_alone(runs: int) -> None:
         assert codes[code] <= most, codes
 
 
-@pytest.mark.parametrize("runs", [6, pytest.param(40, marks=pytest.mark.long)])
 @pytest.mark.parametrize(
-    ("fault", "looks_like"), [({"gain": 0.03}, "the gain of x1"), ({"stiffness": -0.06}, "all stiffness")], ids=["gain", "softer"]
+    ("fault", "looks_like", "runs"),
+    [
+        ({"gain": 0.03}, "the gain of x1", 2),
+        pytest.param({"gain": 0.03}, "the gain of x1", 40, marks=pytest.mark.long),
+        pytest.param({"stiffness": -0.06}, "all stiffness", 40, marks=pytest.mark.long),
+    ],
+    ids=["gain", "gain, long", "softer"],
 )
 def test_drift_is_named(fault: dict[str, float], looks_like: str, runs: int) -> None:
     codes, shapes, error = counted(range(runs), **fault)
@@ -79,7 +84,9 @@ def test_drift_is_named(fault: dict[str, float], looks_like: str, runs: int) -> 
     assert np.mean([float(shape.split(" by ")[1].split()[0]) for shape in shapes]) == pytest.approx(50 * amount, rel=0.1)
 
 
-@pytest.mark.parametrize(("share", "runs"), [(0.01, 6), (0.05, 6), pytest.param(0.01, 40, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("share", "runs"), [(0.01, 2), pytest.param(0.05, 6, marks=pytest.mark.long), pytest.param(0.01, 40, marks=pytest.mark.long)]
+)
 def test_a_mode_just_above_the_band_is_a_mismatch(share: float, runs: int) -> None:
     """A mode at 60 Hz, with 1 % and 5 % of the static compliance: model-mismatch, and no drift."""
     codes, _, _ = counted(range(runs), hidden=(60.0, 0.01, share))
@@ -87,11 +94,12 @@ def test_a_mode_just_above_the_band_is_a_mismatch(share: float, runs: int) -> No
     assert codes["drift"] <= max(1, 0.05 * runs)
 
 
-@pytest.mark.parametrize("runs", [4, pytest.param(20, marks=pytest.mark.long)])
+@pytest.mark.long
 @pytest.mark.parametrize(("cubic", "least", "most"), [(5e8, 0.9, 1.0), (0.0, 0.0, 0.05)], ids=["cubic", "linear"])
-def test_cubic_springs_are_named_between_two_levels(cubic: float, least: float, most: float, runs: int) -> None:
+def test_cubic_springs_are_named_between_two_levels(cubic: float, least: float, most: float) -> None:
     """Springs to ground with 5e8 N/m^3: about 3 % more stiffness at 10 N than at 5 N. One level alone looks like noise."""
     conditions = {"quiet": {"level": "5 N"}, "loud": {"level": "10 N"}}
+    runs = 20
     quiet, loud = (fits(range(runs), cubic=cubic, force=force, length=100.0) for force in (5.0, 10.0))
     named = [
         _level_finding(replace(low, test="quiet"), replace(high, test="loud"), conditions) for low, high in zip(quiet, loud, strict=True)

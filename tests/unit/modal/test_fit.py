@@ -79,6 +79,7 @@ def sdof_like() -> FrequencyResponse:
     return with_known_noise(replace(response, matrix=h[:, None, None]), 1e-6, 11)
 
 
+@pytest.mark.long
 def test_coverage_with_known_noise() -> None:
     f, zeta, _ = chain_truth()
     clean = chain_response(np.linspace(5, 120, 300))
