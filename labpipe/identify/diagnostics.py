@@ -196,7 +196,8 @@ def covariance_findings(response: FrequencyResponse) -> list[Finding]:
     if response.covariance is not None:
         return []
     message = (
-        "the FRF has no covariance (imported without it, or of a single average), so chi-square, and with it model-mismatch, could not be "
-        "checked: a high G.o.F alone does not show that the model is right. Give the variance of the FRF, or measure several averages"
+        "the FRF has no covariance (imported without it, or of a single average), so chi-square could not be checked: a high G.o.F alone "
+        "does not show that the model is right, and of fits by ml only the structure of the residual does. Give the variance of the FRF, "
+        "or measure several averages"
     )
     return [Finding("no-covariance", message)]

@@ -22,6 +22,7 @@ from labpipe.identify.model import DynamicModel
 from labpipe.identify.motions import motion_notes
 from labpipe.identify.proportional import ProportionalModel
 from labpipe.identify.reported import mismatch_factor, reported_parameters
+from labpipe.identify.residual_structure import structure_findings
 from labpipe.identify.settings import ESTIMATORS, MODELS, FitSettings
 from labpipe.identify.setup import Setup
 from labpipe.identify.short_blocks import leakage_findings
@@ -60,7 +61,9 @@ def fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
         except FitError as error:
             raise FitError(f"band {band[0]:g}-{band[1]:g} Hz: {error.what}", where=error.where, hint=error.hint) from None
         drift = drift_findings(measured, fit.model, fit.values, len(bands))
-        quality = (*quality_findings(response, rows, columns, lines), *covariance_findings(response), *drift)
+        judged = settings.estimator == "ml" and not response.line_correlation
+        structure = structure_findings(measured, fit.model, fit.values, len(bands)) if judged else []
+        quality = (*quality_findings(response, rows, columns, lines), *covariance_findings(response), *drift, *structure)
         curve = _curve(response, measured, fit)
         # The bands of a sliding fit are drawn as coefficients over frequency, not as curves.
         curve = _between_lines(response, curve, fit) if len(bands) == 1 else curve
