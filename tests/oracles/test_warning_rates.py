@@ -16,12 +16,15 @@ import pytest
 
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
+from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.signals.screening import ChannelScreen
 from labpipe.simulate.magnetic_rig import MAGNETIC_RIG
 from labpipe.simulate.magnetic_settings import VirtualMagneticRig
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 from tests.oracles.four_dof_rig import MASS, FourDofRig, recordings
+from tests.unit.identify.test_residual_structure import response as response_of_one_mode
 
 PAGE = Path(__file__).parents[2] / "docs/pages/statistics.md"
 RANDOM = FrfSettings(excitation="random", block=4.0, band=(5.0, 50.0))
@@ -73,6 +76,40 @@ def unknown_noise(seed: int, known: bool) -> frozenset[str]:
     return codes(replace(response, covariance=uncorrelated(np.full(h.shape, 2e-12))) if known else response, FitSettings("sdof", mass=1.0))
 
 
+def short_blocks(seed: int, block: float) -> frozenset[str]:
+    """The pedestal's mode (65.7 Hz, damping ratio .6 %: .75 Hz wide) under 200 s of white force, H1 of Hann blocks."""
+    rng = np.random.default_rng(seed)
+    rate, n = 512.0, 102_400
+    k, c, m = 134.5e3, 3.7, 0.79
+    f = np.fft.rfftfreq(n, 1 / rate)
+    force = rng.normal(size=n)
+    # The record is periodic in itself, so that its response is exact; blocks of it see no period.
+    motion = np.fft.irfft(np.fft.rfft(force) / (k - m * (2 * np.pi * f) ** 2 + 2j * np.pi * f * c), n)
+    samples = np.stack([force, motion + 0.01 * np.std(motion) * rng.normal(size=n)], axis=-1)
+    channels = (Channel("f", "force", "input", "y"), Channel("y", "displacement", "output", "y"))
+    settings = FrfSettings(excitation="random", block=block, band=(50.0, 80.0))
+    return codes(measure([Recording(channels, samples, rate, "blocks")], settings), replace(PEDESTAL, band=(55.0, 75.0)))
+
+
+def residual_of_unknown_noise(seed: int, fault: str) -> frozenset[str]:
+    return codes(response_of_one_mode(fault, seed), FitSettings("sdof"))
+
+
+def screened(seed: int, fault: str) -> frozenset[str]:
+    """A random signal of a 16-bit logger, in a band of a tenth of half the sampling rate, with one fault of its samples."""
+    values = np.convolve(np.random.default_rng(seed).normal(size=20_000), np.hanning(20) / np.sqrt(7.1), mode="same")
+    if fault == "clipped":
+        values = np.clip(values, -2.0, 2.0)
+    values = np.round(values * 8192) / 8192
+    if fault == "gap":
+        values[700:703] = np.nan
+    if fault == "constant":
+        values[:] = values[0]
+    screen = ChannelScreen(["y"])
+    screen.add(values[:, None])
+    return frozenset(finding.code for finding in screen.findings())
+
+
 Run = Callable[[int], frozenset[str]]
 
 
@@ -84,6 +121,10 @@ class Case:
     fault: str
     sound: Run
     faulty: Run
+
+
+def _with(fault: str) -> Run:
+    return lambda seed: residual_of_unknown_noise(seed, fault)
 
 
 EIGHT = FitSettings("rotor-2dof", mass=0.92)
@@ -100,6 +141,14 @@ CASES = (
     Case(
         "unphysical", "mass far too small above resonance", pedestal, lambda s: pedestal(s, replace(PEDESTAL, mass=0.1, band=(68.0, 80.0)))
     ),
+    Case("leakage", "blocks of one inverse half-power width", lambda s: short_blocks(s, 8.0), lambda s: short_blocks(s, 1.25)),
+    *(
+        Case("model-mismatch", f"{fault}, noise not known", lambda s: residual_of_unknown_noise(s, ""), _with(fault))
+        for fault in ("second mode", "mode beside the band", "random gain", "step of gain")
+    ),
+    Case("clipped", "range of two standard deviations", lambda s: screened(s, ""), lambda s: screened(s, "clipped")),
+    Case("gap", "three samples missing", lambda s: screened(s, ""), lambda s: screened(s, "gap")),
+    Case("constant", "dead channel", lambda s: screened(s, ""), lambda s: screened(s, "constant")),
     Case("no-covariance", "imported without variance", lambda s: unknown_noise(s, True), lambda s: unknown_noise(s, False)),
 )
 
