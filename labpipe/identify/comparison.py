@@ -34,10 +34,10 @@ class _Variant:
     inside: tuple[str, ...] = ()
 
 
-def candidates(measured: Measured, setup: Setup, own: Estimate | None = None) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
+def candidates(measured: Measured, setup: Setup, ml_estimate: Estimate | None = None) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
     """Every variant fitted by ml, in ascending order of AIC = chi-square + 2 parameters, and the names of those that did not converge.
 
-    None for an unknown noise. *own*: the estimate of the fit itself where it is by ml; else this model is fitted again. Every descent is
+    None for an unknown noise. *ml_estimate*: that of the fit itself, where it is by ml; else this model is fitted again. Every descent is
     bounded. Without `compare` only the alternative to proportional damping: independent damping coefficients.
     p_value: probability of an equal or larger decrease of chi-square to the richest variant that contains this one, if this one is true
     (likelihood ratio, chi-square with as many degrees of freedom as additional parameters).
@@ -50,7 +50,7 @@ def candidates(measured: Measured, setup: Setup, own: Estimate | None = None) ->
     results: dict[str, Candidate | None] = {}
     for name, model in models.items():
         if model is not None:
-            estimate = own if own and name.startswith(THIS) else _estimate(measured, model)
+            estimate = ml_estimate if ml_estimate and name.startswith(THIS) else _estimate(measured, model)
             results[name] = _candidate(name, measured, estimate) if estimate and estimate.converged else None
     if whole:
         results.update(_orders(measured, len(setup.outputs)))

@@ -130,8 +130,10 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
         notes = (*notes, note)
     notes = (*notes, *motion_notes(measured))
     # Candidates show whether proportional damping is justified.
-    own = estimate if settings.estimator == "ml" and not settings.eliminate else None
-    compared_models, left_out = candidates(measured, setup, own) if settings.compare or settings.damping == "proportional" else ((), ())
+    ml_estimate = estimate if settings.estimator == "ml" and not settings.eliminate else None
+    compared_models, left_out = (
+        candidates(measured, setup, ml_estimate) if settings.compare or settings.damping == "proportional" else ((), ())
+    )
     notes = (*notes, *comparison_notes(left_out))
     fit = Fit(
         name=settings.name,

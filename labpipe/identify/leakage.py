@@ -125,13 +125,13 @@ def leaking_noise(measured: Measured, model: ResponseModel, parameters: FloatArr
     apparent = _apparent(leakage, deviation, power) / measured.noise_dof
     noise = _noise_beside(measured.covariance, apparent)
     white = np.asarray(np.linalg.inv(np.linalg.cholesky(noise + apparent)), np.complex128)
-    own = white @ np.linalg.cholesky(noise)
+    of_noise = white @ np.linalg.cholesky(noise)
     pairs = []
     for distance in range(leakage.correlation.size + 2):
         first, second = leakage.pairs(distance)
         covariance, turned = _scatter(leakage, deviation, power, distance)
         shared = float(([1.0, *leakage.correlation, 0.0])[distance])
-        correlated = white[first] @ covariance @ hermitian(white[second]) + shared * (own[first] @ hermitian(own[second]))
+        correlated = white[first] @ covariance @ hermitian(white[second]) + shared * (of_noise[first] @ hermitian(of_noise[second]))
         pairs.append(LinePairs(first, second, correlated, white[first] @ turned @ white[second].swapaxes(1, 2)))
     return LineBlocks(measured.omega.size, tuple(pairs))
 

@@ -77,18 +77,18 @@ def residual_structure(residual: FloatArray, jacobian: FloatArray, size: FloatAr
     n_line = size.shape[0]
     if n_line <= LAGS + DEGREE + 1:
         return None
-    own = _by_line(residual, n_line)
-    levels = np.sqrt(np.mean(np.abs(own) ** 2, axis=0))
+    errors = _by_line(residual, n_line)
+    levels = np.sqrt(np.mean(np.abs(errors) ** 2, axis=0))
     if np.any(levels == 0):
         return None
-    n_draw = int(np.clip(VALUES // own.size, FEWEST_DRAWS, DRAWS))
-    if n_draw * own.size > MOST_VALUES:
+    n_draw = int(np.clip(VALUES // errors.size, FEWEST_DRAWS, DRAWS))
+    if n_draw * errors.size > MOST_VALUES:
         return None
     basis = np.linalg.qr(jacobian)[0]
     noise = np.random.default_rng(n_line).standard_normal((residual.size, n_draw))
     noise *= np.tile(levels, 2 * n_line)[:, None]
     noise -= basis @ (basis.T @ noise)
-    return _least_p(_statistics(own[:, :, None], size)[0], _statistics(_by_line(noise, n_line), size))
+    return _least_p(_statistics(errors[:, :, None], size)[0], _statistics(_by_line(noise, n_line), size))
 
 
 def _by_line(values: FloatArray, n_line: int) -> ComplexArray:
@@ -110,10 +110,10 @@ def _statistics(residual: ComplexArray, size: FloatArray) -> FloatArray:
     return np.stack([*statistics, np.sum(energy, axis=(0, 1))], axis=-1)
 
 
-def _least_p(own: FloatArray, draws: FloatArray) -> Structure:
-    """The least p-value of the statistics *own* (4,), against the least ones of the draws (n_draw, 4)."""
+def _least_p(observed: FloatArray, draws: FloatArray) -> Structure:
+    """The least p-value of the statistics *observed* (4,), against the least ones of the draws (n_draw, 4)."""
     n_draw = draws.shape[0]
-    p_values = (1 + np.sum(draws >= own, axis=0)) / (n_draw + 1)
+    p_values = (1 + np.sum(draws >= observed, axis=0)) / (n_draw + 1)
     ranks = n_draw - np.argsort(np.argsort(draws, axis=0), axis=0)
     least = np.min(ranks / (n_draw + 1), axis=1)
     best = int(np.argmin(p_values))

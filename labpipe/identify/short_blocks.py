@@ -44,11 +44,11 @@ def _narrowest(measured: Measured, whole: Matrices) -> tuple[float, float] | Non
     """(frequency, half-power width) [Hz] of the most lightly damped mode in the band, None without one."""
     if np.linalg.matrix_rank(whole.mass) < whole.mass.shape[0]:
         return None
-    found = modes(Matrices(whole.stiffness[None], whole.damping[None], whole.mass[None], whole.force[None]))
-    if found is None:
+    modal = modes(Matrices(whole.stiffness[None], whole.damping[None], whole.mass[None], whole.force[None]))
+    if modal is None:
         return None
-    frequency: FloatArray = found.frequency[0]
-    width = 2 * found.damping[0] * frequency
+    frequency: FloatArray = modal.frequency[0]
+    width = 2 * modal.damping[0] * frequency
     band = measured.omega[[0, -1]] / (2 * np.pi)
     inside = (frequency >= band[0]) & (frequency <= band[1]) & (width > 0)
     if not np.any(inside):

@@ -115,8 +115,8 @@ class _State:
     def with_noise(self) -> _State:
         """The noise E|n|^2 of every element from its residual: complex lines less the complex parameters that it has for itself."""
         psi, _ = shapes_of(self.sums, self.participation, self.variance)
-        own = self.terms.count + self.n_mode / self.participation.shape[1]
-        return replace(self, variance=_rss(self.sums, self.participation, psi) / max(self.lines.omega.size - own, 1.0))
+        n_per_element = self.terms.count + self.n_mode / self.participation.shape[1]
+        return replace(self, variance=_rss(self.sums, self.participation, psi) / max(self.lines.omega.size - n_per_element, 1.0))
 
     def after(self, step: FloatArray) -> _State | None:
         """The state at the parameters moved by *step* (n,); None with an unstable pole."""

@@ -156,8 +156,8 @@ def whole_covariance_fit(measured: Measured, terms: ResidualTerms, refined: Refi
     minimum = minimise(problem, start)
     _, inverse = solve_scaled(problem.jacobian(minimum.values), problem.residual(minimum.values))
     reduced = problem.chi2(minimum.values) / dof / doubt.excess
-    found = _refined(model, minimum, doubt.inflation * inverse, refined)
-    return ModalEstimate(found, model.receptance(minimum.values, measured.omega), dof, reduced, doubt.p_value(reduced, dof))
+    again = _refined(model, minimum, doubt.inflation * inverse, refined)
+    return ModalEstimate(again, model.receptance(minimum.values, measured.omega), dof, reduced, doubt.p_value(reduced, dof))
 
 
 def _refined(model: ModalReceptance, minimum: Minimum, covariance: FloatArray, before: Refined) -> Refined:

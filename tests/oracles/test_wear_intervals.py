@@ -102,6 +102,7 @@ def test_two_independent_films_agree(depth: float) -> None:
         np.testing.assert_allclose(film, other, atol=1.5e-3 * np.abs(other).max())
 
 
+@pytest.mark.long
 def test_the_error_of_the_films_is_in_the_standard_error() -> None:
     """Where wear divides the film (25.9 um here) intervals of the noise alone missed the depth in ten of ten draws, by .32 um."""
     ((depth, angle),) = errors(states()[8], 1, 8)

@@ -113,6 +113,7 @@ def test_bad_hits_are_left_out_and_named(rng: np.random.Generator) -> None:
     assert np.max(np.abs(response.matrix[:, 0, 0] - expected)[inside]) < 0.02 * np.abs(expected).max()
 
 
+@pytest.mark.long
 def test_predicted_variance_is_the_scatter_of_repeats(rng: np.random.Generator) -> None:
     # Recipe: 200 simulated tests of 8 hits each, exponential window with its damping taken out.
     impact = ImpactSettings(decay=0.25)
