@@ -99,7 +99,7 @@ def test_joint_method_under_noise_and_model_error(wears: list[tuple[float, float
     assert sum(held) >= stats.binom.ppf(5e-4, len(held), 0.95)
 
 
-@pytest.mark.parametrize("step", [8, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.parametrize("step", [4, pytest.param(1, marks=pytest.mark.long)])
 def test_another_cavitation_pressure_is_seen_and_calibrated(step: int) -> None:
     """Truth -0.3 bar: chi-square says so; calibrated on the healthy rig, at most 1.5 um and .7 deg. Coarser films on both sides.
 
