@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +11,6 @@ import pytest
 
 PACKAGE = Path(__file__).parents[2] / "labpipe"
 MODULES = sorted(PACKAGE.rglob("*.py"))
-TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in MODULES}
 LONGEST_MODULE, MEDIAN_MODULE = 400, 200
 LONGEST_BODY, USUAL_BODY, MEDIAN_BODY = 60, 30, 10
 # The one protocol that every linear model of a response fulfils.
@@ -38,7 +38,11 @@ def body_length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     return (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
 
 
-BODIES = sorted((body_length(function), name_of(path), function.name) for path, tree in TREES.items() for function in functions(tree))
+# Parsed when the first test asks, not when tests are collected.
+@functools.cache
+def trees() -> dict[Path, ast.Module]:
+    """Every module's syntax tree."""
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in MODULES}
 
 
 def length(path: Path) -> int:
@@ -52,14 +56,15 @@ def test_modules_are_short() -> None:
 
 
 def test_function_bodies_are_short() -> None:
-    assert [body for body in BODIES if body[0] > LONGEST_BODY] == []
-    assert BODIES[int(0.9 * len(BODIES))][0] <= USUAL_BODY
-    assert BODIES[len(BODIES) // 2][0] <= MEDIAN_BODY
+    bodies = sorted((body_length(function), name_of(path), function.name) for path, tree in trees().items() for function in functions(tree))
+    assert [body for body in bodies if body[0] > LONGEST_BODY] == []
+    assert bodies[int(0.9 * len(bodies))][0] <= USUAL_BODY
+    assert bodies[len(bodies) // 2][0] <= MEDIAN_BODY
 
 
 def test_classes_have_few_methods() -> None:
     """Ten public ones at most, properties left out."""
-    for path, tree in TREES.items():
+    for path, tree in trees().items():
         for owner in (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)):
             methods = [node for node in owner.body if isinstance(node, ast.FunctionDef)]
             own = [one.name for one in methods if not one.name.startswith("_") and not one.decorator_list]
@@ -69,7 +74,7 @@ def test_classes_have_few_methods() -> None:
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
 def test_every_module_has_a_home_and_says_what_it_is(path: Path) -> None:
     assert path.stem not in HOMELESS
-    assert path.stem == "__init__" or ast.get_docstring(TREES[path]), "the first line of a module says what it is"
+    assert path.stem == "__init__" or ast.get_docstring(trees()[path]), "the first line of a module says what it is"
 
 
 def imported(tree: ast.AST) -> Iterator[str]:
@@ -93,10 +98,13 @@ def at_import(tree: ast.AST) -> Iterator[ast.AST]:
         yield from at_import(node)
 
 
-IMPORTS = {name: {one for one in imported(TREES[path]) if one in NAMES and one != name} for name, path in NAMES.items()}
+@functools.cache
+def imports() -> dict[str, set[str]]:
+    """Module -> the modules of labpipe that it imports."""
+    return {name: {one for one in imported(trees()[path]) if one in NAMES and one != name} for name, path in NAMES.items()}
 
 
-def ring(imports: dict[str, set[str]]) -> list[str]:
+def ring(graph: dict[str, set[str]]) -> list[str]:
     """A ring of imports, or nothing: depth first, a name that is met again on its own way closes one."""
     clear: set[str] = set()
 
@@ -105,14 +113,14 @@ def ring(imports: dict[str, set[str]]) -> list[str]:
             return [*way[way.index(name) :], name]
         if name in clear:
             return []
-        for other in sorted(imports.get(name, ())):
+        for other in sorted(graph.get(name, ())):
             found = visit(other, [*way, name])
             if found:
                 return found
         clear.add(name)
         return []
 
-    return next((found for name in sorted(imports) if (found := visit(name, []))), [])
+    return next((found for name in sorted(graph) if (found := visit(name, []))), [])
 
 
 def test_a_ring_is_seen() -> None:
@@ -121,7 +129,7 @@ def test_a_ring_is_seen() -> None:
 
 
 def test_no_ring_of_imports() -> None:
-    assert ring(IMPORTS) == []
+    assert ring(imports()) == []
 
 
 def test_the_command_s_table_loads_nothing_heavy() -> None:
@@ -134,11 +142,11 @@ def test_the_command_s_table_loads_nothing_heavy() -> None:
         seen.add(name)
         parts = name.split(".")
         waiting.extend(".".join(parts[:n]) for n in range(1, len(parts)))
-        waiting.extend(IMPORTS[name])
+        waiting.extend(imports()[name])
     for name in seen:
         outside = {
             alias.split(".")[0]
-            for node in at_import(TREES[NAMES[name]])
+            for node in at_import(trees()[NAMES[name]])
             if isinstance(node, (ast.Import, ast.ImportFrom))
             for alias in ([node.module or ""] if isinstance(node, ast.ImportFrom) else [one.name for one in node.names])
         }
