@@ -12,6 +12,9 @@ from labpipe.records.finding import Finding
 
 # Equal consecutive samples that count as clipping; fewer occur by chance at a coarse resolution.
 CLIPPED_RUN = 3
+# Or this many times as many samples at the extreme as at each of the NEXT_VALUES next ones: where the signal leaves its extreme at
+# once, as white noise does, no run is long. The slow turn of a sine holds 5 times as many.
+CLIPPED_CROWD, NEXT_VALUES = 10, 15
 # A time step may differ from the mean by this share, beside the rounding of printed times.
 JITTER = 1e-3
 # Distance to the end of the range (share of the range) that counts as the end itself: unit conversion rounds.
@@ -104,8 +107,8 @@ class ChannelScreen:
         return [Finding("clipped", message)]
 
 
-class _EndRuns:
-    """Samples in runs of at least CLIPPED_RUN equal values at the extreme of a channel, over block borders.
+class _EndValues:
+    """Samples at the extreme of a channel, over block borders: those in runs of at least CLIPPED_RUN, or all where they crowd there.
 
     *sign* +1 follows the maximum, -1 the minimum. Only runs at the extreme so far are kept: a higher value starts afresh.
     """
@@ -113,36 +116,52 @@ class _EndRuns:
     def __init__(self, sign: float) -> None:
         self._sign = sign
         self._extreme = -np.inf
-        self._count = 0
-        self._first = -1
+        self._in_runs = 0
+        self._first = self._first_in_runs = -1
         self._open = 0
+        # The NEXT_VALUES + 1 outermost different values, ascending, and how many samples have each.
+        self._values, self._counts = np.empty(0), np.empty(0, np.int64)
 
     def add(self, column: FloatArray, start: int) -> None:
         values = self._sign * column
+        self._count_outermost(values)
         peak = np.max(values, initial=-np.inf, where=np.isfinite(values))
         if peak > self._extreme:
-            self._extreme, self._count, self._first, self._open = float(peak), 0, -1, 0
+            self._extreme, self._in_runs, self._first, self._first_in_runs, self._open = float(peak), 0, -1, -1, 0
         at_end = values == self._extreme
         if not at_end.any():
             self._open = 0
             return
+        if self._first < 0:
+            self._first = start + int(np.argmax(at_end))
         edges = np.flatnonzero(np.diff(np.concatenate([[False], at_end, [False]]).astype(np.int8)))
         for begin, end in zip(edges[::2], edges[1::2], strict=True):
             carried = self._open if begin == 0 else 0
             self._count_run(int(begin), int(end), carried, start)
         self._open = int(edges[-1] - edges[-2]) + (self._open if edges[-2] == 0 else 0) if edges[-1] == values.size else 0
 
+    def _count_outermost(self, values: FloatArray) -> None:
+        """Counts values that agree in single precision as one: computed numbers differ by rounding, no logger is finer."""
+        lowest = self._values[0] if self._values.size > NEXT_VALUES else -np.inf
+        outer = values[np.isfinite(values) & (values >= lowest - AT_LIMIT * abs(lowest))]
+        fresh, counts = np.unique(outer.astype(np.float32).astype(float), return_counts=True)
+        joined, place = np.unique(np.concatenate([self._values, fresh]), return_inverse=True)
+        total = np.bincount(place, np.concatenate([self._counts, counts]), joined.size).astype(np.int64)
+        self._values, self._counts = joined[-NEXT_VALUES - 1 :], total[-NEXT_VALUES - 1 :]
+
     def _count_run(self, begin: int, end: int, carried: int, start: int) -> None:
         length = end - begin + carried
         if length < CLIPPED_RUN:
             return
-        self._count += length if carried < CLIPPED_RUN else end - begin
-        if self._first < 0:
-            self._first = start + begin - carried
+        self._in_runs += length if carried < CLIPPED_RUN else end - begin
+        if self._first_in_runs < 0:
+            self._first_in_runs = start + begin - carried
 
     def clipped(self) -> tuple[int, int]:
         """(clipped samples, first of them)."""
-        return self._count, self._first
+        if self._counts.size > NEXT_VALUES and self._counts[-1] >= CLIPPED_CROWD * np.mean(self._counts[:-1]):
+            return int(self._counts[-1]), self._first
+        return self._in_runs, self._first_in_runs
 
 
 class _AtLimit:
@@ -166,10 +185,10 @@ class _AtLimit:
         return self._count, self._first
 
 
-def _both_ends(limits: tuple[float, float] | None) -> tuple[_EndRuns, _EndRuns] | tuple[_AtLimit, _AtLimit]:
+def _both_ends(limits: tuple[float, float] | None) -> tuple[_EndValues, _EndValues] | tuple[_AtLimit, _AtLimit]:
     """Detectors of clipping at the lower and the upper end: by the known range, otherwise by repeated extreme values."""
     if limits is None:
-        return _EndRuns(-1.0), _EndRuns(1.0)
+        return _EndValues(-1.0), _EndValues(1.0)
     return _AtLimit(-1.0, limits), _AtLimit(1.0, limits)
 
 

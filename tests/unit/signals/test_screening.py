@@ -102,6 +102,30 @@ def test_two_equal_peaks_are_chance() -> None:
     assert screened(samples, 3).findings() == ()
 
 
+@pytest.mark.parametrize("block", [500, 20_000])
+def test_white_noise_that_is_cut_off_is_seen_though_no_run_is_long(block: int) -> None:
+    """At two standard deviations 2.3 % of the samples stand at either end, and hardly ever three in a row."""
+    noise = np.round(8192 * np.random.default_rng(5).normal(size=20_000)) / 8192
+    assert screened(noise[:, None], block).findings() == ()
+    cut = np.clip(noise, -2.0, 2.0)
+    (finding,) = screened(cut[:, None], block).findings()
+    assert finding.code == "clipped" and f"{np.sum(np.abs(cut) == 2.0)} samples" in finding.message
+    assert f"the first is sample {np.argmax(np.abs(cut) == 2.0)}" in finding.message
+
+
+@pytest.mark.parametrize("amplitude", [20.2, 64.5, 127.0])
+def test_the_turn_of_a_coarse_sine_is_no_clipping(amplitude: float) -> None:
+    """A quantised sine dwells at its extreme: of 2 q / A samples several times as many as on the next step, but not ten times."""
+    t = np.arange(20_000) / 1000
+    for phase in np.linspace(0, 6, 13):
+        assert screened(np.round(amplitude * np.sin(2 * np.pi * 137.3 * t + phase))[:, None], 4096).findings() == ()
+
+
+def test_a_sine_in_step_with_the_samples_is_no_clipping() -> None:
+    """Eight samples a period: the same values again and again, but for rounding."""
+    assert screened(np.sin(2 * np.pi * 125 * np.arange(20_000) / 1000)[:, None], 4096).findings() == ()
+
+
 def axis(times: np.ndarray, block: int = 7) -> TimeAxisScreen:
     screen = TimeAxisScreen("t [s]")
     for start in range(0, times.size, block):
