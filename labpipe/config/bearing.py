@@ -10,10 +10,10 @@ from typing import Any
 from labpipe.bearings.coefficients import BearingCoefficients
 from labpipe.bearings.kinds import BEARINGS, BearingKind
 from labpipe.config.faults import Faults, join
-from labpipe.config.file_kinds import FileKind
 from labpipe.config.reader import read_settings
 from labpipe.errors import LabpipeError
 from labpipe.marked_yaml import Marked, load_marked, set_entry
+from labpipe.records.file_kind import FileKind
 from labpipe.registry import nearest
 
 

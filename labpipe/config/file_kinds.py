@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
+from labpipe.records.file_kind import FileKind
 from labpipe.records.settings import settings_of
 from labpipe.registry import Registry
-
-
-@dataclass(frozen=True)
-class FileKind:
-    """*load*: the content of a file, ConfigError where it cannot be read; *files*: the file and every file that it names itself."""
-
-    load: Callable[[Path], Any]
-    files: Callable[[Path], tuple[Path, ...]] = lambda path: (path,)
-
 
 FILE_KINDS = Registry(
     "file kind",
@@ -28,6 +20,7 @@ FILE_KINDS = Registry(
         "run-up-rotor": "labpipe.config.run_up_rotor:RUN_UP_ROTOR_FILE",
         "virtual-rig": "labpipe.config.virtual_rig:VIRTUAL_RIG_FILE",
         "bearing": "labpipe.config.bearing:BEARING_FILE",
+        "geometry": "labpipe.formats.geometry:GEOMETRY_FILE",
     },
 )
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from labpipe.config.faults import Faults, join
-from labpipe.config.file_kinds import FileKind
 from labpipe.config.reader import read_settings
 from labpipe.config.sensor_response import read_sensor_response
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.quantities import QUANTITIES, Unit, UnitError, check_dimension, parse_unit, parse_value
+from labpipe.records.file_kind import FileKind
 from labpipe.records.recording import ROLES, Channel
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
 from labpipe.records.settings import Settings, setting

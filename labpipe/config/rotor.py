@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 
 from labpipe.config.bearing import kind_of
 from labpipe.config.faults import Faults, join
-from labpipe.config.file_kinds import FileKind
 from labpipe.config.reader import read_setting, read_settings
 from labpipe.config.rotor_parts import (
     DampingSettings,
@@ -23,6 +22,7 @@ from labpipe.config.rotor_parts import (
 )
 from labpipe.errors import ConfigError
 from labpipe.marked_yaml import Marked, load_marked, set_entry
+from labpipe.records.file_kind import FileKind
 from labpipe.records.settings import Setting
 from labpipe.registry import nearest
 from labpipe.rigs.rotor_rig import BearingPlace, RotorRig, Unbalance

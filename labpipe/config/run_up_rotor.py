@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.config.faults import Faults, join
-from labpipe.config.file_kinds import FileKind
 from labpipe.config.reader import read_settings
 from labpipe.config.rotor import LISTS, build_rotor, read_bearings, read_entries, read_materials, tried
 from labpipe.config.rotor_parts import DampingSettings
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.marked_yaml import Marked, load_marked, set_entry
+from labpipe.records.file_kind import FileKind
 from labpipe.records.settings import Settings, setting
 from labpipe.registry import nearest
 from labpipe.rigs.rotor_rig import Unbalance

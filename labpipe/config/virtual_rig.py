@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from labpipe.config.faults import Faults
-from labpipe.config.file_kinds import FileKind
 from labpipe.config.reader import read_settings
 from labpipe.marked_yaml import load_marked, set_entry
+from labpipe.records.file_kind import FileKind
 from labpipe.registry import nearest
 from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS, VirtualRig, VirtualRigKind
 

@@ -40,7 +40,7 @@ def _rounded(value: float) -> float | int | None:
 
 
 def figure_json(chart: Chart) -> str:
-    """The chart for the page's script; no text of it can end the script element that it stands in."""
+    """The chart for the page's script."""
     numbers = NumberList()
     entry = {
         "height": chart.size[1],
@@ -49,6 +49,11 @@ def figure_json(chart: Chart) -> str:
         "panels": [_panel(chart, number, numbers) for number in range(len(chart.panels))],
         "numbers": numbers.lists,
     }
+    return json_text(entry)
+
+
+def json_text(entry: dict[str, Any]) -> str:
+    """An entry as JSON; no text of it can end the script element that it stands in."""
     text = json.dumps(entry, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
@@ -60,6 +65,7 @@ def _panel(chart: Chart, number: int, numbers: NumberList) -> dict[str, Any]:
         "note": panel.note,
         "share": chart.heights[number // chart.columns],
         "equal": panel.equal,
+        "pick": panel.pick,
         "x": _axis(panel.x, chart.limits(number, "x"), chart.group(number, "x")),
         "y": _axis(panel.y, chart.limits(number, "y"), chart.group(number, "y")),
         "series": [_series(series, numbers) for series in panel.series],

@@ -9,12 +9,14 @@ from functools import cache
 from html import escape
 from importlib.resources import files
 
-from labpipe.document.figure_numbers import figure_json
+from labpipe.document.figure_numbers import figure_json, json_text
 from labpipe.document.saving import canvas_of, svg_text
-from labpipe.report.chart import Chart
+from labpipe.document.shape_drawing import shape_numbers
+from labpipe.report.chart import Chart, Graphic
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
+from labpipe.report.shape_figure import KIND as SHAPES
 
-SCRIPTS = ("scale.js", "panel.js", "reading.js", "zoom.js", "figure.js")
+SCRIPTS = ("scale.js", "panel.js", "reading.js", "zoom.js", "choose.js", "figure.js", "shape.js")
 # Many sections need a way to them; few do not.
 LEAST_LISTED = 4
 # A hundredth of a point is finer than any screen.
@@ -66,14 +68,22 @@ class _Figures:
         """A figure with its number: the drawing for print and without scripts, the numbers of a chart for the script, the caption."""
         self.count += 1
         numbers, kind = "", ""
-        if isinstance(figure.graphic, Chart):
+        living = live_json(figure.graphic)
+        if living is not None:
             self.alive = True
-            numbers, kind = f'<script type="application/json">{figure_json(figure.graphic)}</script>', ' class="numbers"'
+            kind, numbers = f' class="{living[0]}"', f'<script type="application/json">{living[1]}</script>'
         return (
             f'<figure id="figure-{self.count}" role="group" aria-label="{escape(figure.alternative)}"{kind}>'
             f'<div class="static">{inline_svg(figure, self.count)}</div>{numbers}'
             f"<figcaption><b>Figure {self.count}.</b> {escape(figure.caption)}</figcaption></figure>"
         )
+
+
+def live_json(graphic: Graphic) -> tuple[str, str] | None:
+    """(class of the figure, numbers) for the script of the page; None for what is a drawing only."""
+    if isinstance(graphic, Chart):
+        return "numbers", figure_json(graphic)
+    return ("shapes", json_text(shape_numbers(graphic.subject))) if graphic.kind == SHAPES else None
 
 
 def inline_svg(figure: Figure, number: int) -> str:

@@ -21,6 +21,7 @@ DRAWINGS = Registry(
         "rotor": "labpipe.document.rotor_drawing:rotor_canvas",
         "film": "labpipe.document.film_drawing:film_canvas",
         "surfaces": "labpipe.document.surface_drawing:surface_canvas",
+        "mode-shapes": "labpipe.document.shape_drawing:shape_canvas",
     },
 )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -14,8 +15,10 @@ from labpipe.artefacts.response_file import read_response
 from labpipe.errors import DataError
 from labpipe.formats.frf_csv import write_frf_csv
 from labpipe.formats.mat_frf import write_frf_mat, write_recording_mat
+from labpipe.formats.uff_shapes import write_shapes_uff
 from labpipe.formats.uff_write import write_frf_uff, write_recording_uff
 from labpipe.records.finding import WARNING, of_level
+from labpipe.records.identification import Fit
 from labpipe.registry import Registry
 
 WRITERS = Registry(
@@ -26,6 +29,7 @@ WRITERS = Registry(
         "uff": "labpipe.formats.exports:write_uff",
         "uff58b": "labpipe.formats.exports:write_uff58b",
         "mat": "labpipe.formats.exports:write_mat",
+        "shapes": "labpipe.formats.exports:write_shapes",
     },
 )
 
@@ -52,9 +56,10 @@ def write_parquet(artefact: Path, target: Path) -> None:
 
 
 def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
-    """A recording or an FRF as a universal file, numbers as text."""
+    """A recording or an FRF as a universal file, numbers as text; of a result its mode shapes (records 15, 82 and 55)."""
     if artefact.suffix == ".json":
-        raise DataError("parameters cannot be written as a universal file", where=str(artefact), hint="known: csv, parquet")
+        write_shapes_uff(target, modal_fits(artefact))
+        return
     if artefact.name.endswith(RECORDING_SUFFIX):
         write_recording_uff(target, open_recording(artefact).in_memory(), binary)
     else:
@@ -74,6 +79,38 @@ def write_mat(artefact: Path, target: Path) -> None:
         write_recording_mat(target, open_recording(artefact).in_memory())
     else:
         write_frf_mat(target, read_response(artefact))
+
+
+def write_shapes(artefact: Path, target: Path) -> None:
+    """The mode shapes of a result as a table: one row per mode and point."""
+    if artefact.suffix != ".json":
+        raise DataError("holds no mode shapes", where=str(artefact), hint="they stand in identification.json")
+    shape_table(modal_fits(artefact)).to_csv(target, index=False)
+
+
+def modal_fits(artefact: Path) -> tuple[Fit, ...]:
+    """The fits of a result that have modes; DataError where there is none."""
+    fits = tuple(fit for fit in read_identification(artefact).fits if fit.modes is not None)
+    if not fits:
+        raise DataError("holds no mode shapes", where=str(artefact), hint="parameters are written as csv or parquet")
+    return fits
+
+
+def shape_table(fits: Sequence[Fit]) -> pd.DataFrame:
+    """One row per fit, mode and point: the complex shape with its standard error, and the place of the point where it is known."""
+    rows = []
+    for fit in fits:
+        assert fit.modes is not None
+        modes = fit.modes
+        places = modes.geometry.positions[[modes.geometry.place(dof)[0] for dof in modes.dofs]] if modes.geometry else None
+        for mode, (frequency, ratio) in enumerate(zip(modes.frequency, modes.damping_ratio, strict=True)):
+            for n, point in enumerate(modes.points):
+                place = dict(zip(("x_m", "y_m", "z_m"), places[n], strict=True)) if places is not None else {}
+                value, error = modes.shapes[n, mode], modes.shape_std_errors[n, mode]
+                shape = {"point": point, "dof": modes.dofs[n], **place, "real": value.real, "imaginary": value.imag, "std_error": error}
+                head = {"fit": fit.name, "test": fit.test, "mode": mode + 1, "frequency_hz": frequency, "damping_ratio": ratio}
+                rows.append({**head, **shape})
+    return pd.DataFrame(rows)
 
 
 def recording_table(artefact: Path) -> pd.DataFrame:

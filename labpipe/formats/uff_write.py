@@ -18,7 +18,7 @@ from labpipe.formats.uff_units import FORMS, SI_UNITS
 from labpipe.records.recording import Recording
 from labpipe.records.response import FrequencyResponse, Port
 
-_UNITS = "    -1\n   164\n         1SI                           2\n{0:25.17E}{0:25.17E}{0:25.17E}\n{1:25.17E}\n    -1\n"
+UNITS = "    -1\n   164\n         1SI                           2\n{0:25.17E}{0:25.17E}{0:25.17E}\n{1:25.17E}\n    -1\n"
 _KINDS = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13, "pressure": 15}
 _NO_AXIS, _TIME_AXIS, _FREQUENCY_AXIS = UffAxis(0, "", ""), UffAxis(17, "Time", "s"), UffAxis(18, "Frequency", "Hz")
 _FORCE_AXIS = UffAxis(13, "Force", "N")
@@ -36,7 +36,7 @@ def write_frf_uff(path: Path, response: FrequencyResponse, binary: bool = False)
     outputs, inputs = points[: len(response.outputs)], points[len(response.outputs) :]
     ordinate = UffAxis(kind, response.form, SI_UNITS[kind])
     with path.open("wb") as stream:
-        stream.write(_UNITS.format(1.0, 0.0).encode())
+        stream.write(UNITS.format(1.0, 0.0).encode())
         for o, i in itertools.product(range(len(outputs)), range(len(inputs))):
             ends = (outputs[o], inputs[i])
             _write(stream, response.name, FRF, ends, response.frequency, response.matrix[:, o, i], (ordinate, _FORCE_AXIS), binary)
@@ -50,7 +50,7 @@ def write_recording_uff(path: Path, recording: Recording, binary: bool = False) 
     time = np.arange(recording.n_sample) / recording.sample_rate
     points = _points([Port(channel.name, channel.name, channel.dof, channel.angle) for channel in recording.channels])
     with path.open("wb") as stream:
-        stream.write(_UNITS.format(1.0, 0.0).encode())
+        stream.write(UNITS.format(1.0, 0.0).encode())
         for channel, point, samples in zip(recording.channels, points, recording.samples.T, strict=True):
             axes = (UffAxis(_KINDS.get(channel.quantity, 0), channel.quantity, channel.unit), _NO_AXIS)
             _write(stream, channel.name, TIME, (point, _SCALAR), time, samples, axes, binary)

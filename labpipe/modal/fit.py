@@ -70,6 +70,8 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     band = settings.band or (float(response.frequency[0]), float(response.frequency[-1]))
     chosen = lines_in(response.frequency, band) & (response.frequency > 0)
     sides = _sides(measured_part(response, rows, columns, chosen), response.form)
+    if modal.structure is not None:
+        modal.structure.check([port.dof for port in sides.points])
     highest = _highest_order(sides.lines, modal)
     equations = normal_equations(sides.lines.omega, sides.lines.matrix, highest)
     edges = float(sides.lines.omega[0]), float(sides.lines.omega[-1])
@@ -87,7 +89,8 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     fit = replace(fit, notes=(*fit.notes, *dropped))
     quality = quality_findings(response, rows, columns, chosen)
     modes = shape_record(estimate.refined, terms, sides.points, sides.references, sides.forces_move, _diagram_record(sides.lines, diagram))
-    modes = replace(modes, driving_points=tuple(place.dof for place in strongest_points(estimate.refined, sides.driving_points)))
+    driving = tuple(place.dof for place in strongest_points(estimate.refined, sides.driving_points))
+    modes = replace(modes, driving_points=driving, geometry=modal.structure)
     curve = _curve(response.form, sides, estimate)
     return replace(fit, findings=(*fit.findings, *quality), curve=curve, modes=modes)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from labpipe.errors import ConfigError
+from labpipe.records.geometry import Geometry
 from labpipe.records.settings import Settings, setting
 
 # Lowest highest order: below it no mode can be told from noise by its return.
@@ -17,6 +18,10 @@ class ModalSettings(Settings):
 
     order: int = setting("integer", "highest order of the stabilisation diagram", default=60)
     poles: tuple[float, ...] = setting("values", "natural frequencies chosen by hand; default: automatic", unit="Hz", default=())
+    geometry: str = setting(
+        "file", "positions of the points: CSV, or UFF 15, 2411, 82, 2412", file_kind="geometry", into="structure", default=""
+    )
+    structure: Geometry | None = None
 
     def __post_init__(self) -> None:
         if self.order < LEAST_ORDER:

@@ -38,6 +38,7 @@ def shape_record(
         scale=scale,
         points=tuple(port.label for port in points),
         references=tuple(port.label for port in references),
+        dofs=tuple(port.dof for port in points),
         forces_move=forces_move,
         mac=similarity(shapes.T, shapes.T),
         collinearity=phase_collinearity(shapes),

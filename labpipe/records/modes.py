@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.records.geometry import Geometry
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,7 @@ class Modes:
     shapes; collinearity (n_mode,) [1]: modal phase collinearity, 1 for a real shape (Juang and Pappa 1985).
     lower, upper: numbers of residual terms s^-2, s^-4 ... and 1, s^2 ... in the fit. driving_points: dof at which mass, stiffness and
     damping of each mode are given, that with its largest residue; empty where no point is a reference.
+    dofs: place and direction of every point of the shapes; geometry: where they are, if it is known.
     """
 
     frequency: FloatArray
@@ -53,3 +55,5 @@ class Modes:
     upper: int
     driving_points: tuple[str, ...] = ()
     diagram: StabilisationDiagram | None = None
+    dofs: tuple[str, ...] = ()
+    geometry: Geometry | None = None

@@ -170,7 +170,10 @@ def named_ticks(names: Sequence[str], first: float = 0.0) -> Ticks:
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes; *equal*: both have one scale; *share* of the height among the rows; *note*: text where there is no series."""
+    """One pair of axes; *equal*: both have one scale; *share* of the height among the rows; *note*: text where there is no series.
+
+    pick: key of a pipeline for which values of x can be chosen on a page with a click, '' for none.
+    """
 
     x: Axis
     y: Axis
@@ -179,6 +182,7 @@ class Panel:
     equal: bool = False
     share: float = 1.0
     note: str = ""
+    pick: str = ""
 
 
 @dataclass(frozen=True)

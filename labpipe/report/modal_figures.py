@@ -9,6 +9,7 @@ from labpipe.records.modes import Modes, StabilisationDiagram
 from labpipe.report.chart import GREY, WIDTH, Axis, Chart, Panel, Series, cells, curve, dots, level, look, named_ticks, stacked, upright
 from labpipe.report.document import Block, Figure, Table
 from labpipe.report.figures import FREQUENCY
+from labpipe.report.shape_figure import shape_figures
 from labpipe.report.wording import fit_title
 
 # Largest number of points whose names stand below the panels of the shapes.
@@ -25,7 +26,7 @@ def modal_blocks(fit: Fit) -> list[Block]:
     diagram = [] if fit.modes.diagram is None else [diagram_figure(fit, fit.modes, fit.modes.diagram)]
     alike = [mac_figure(fit, fit.modes)] if fit.modes.frequency.size > 1 and len(fit.modes.points) > 1 else []
     shapes = [shapes_figure(fit, fit.modes)] if len(fit.modes.points) > 1 else []
-    return [modes_table(fit, fit.modes), *diagram, *shapes, *alike]
+    return [modes_table(fit, fit.modes), *diagram, *shape_figures(fit_title(fit), fit.modes), *shapes, *alike]
 
 
 def modes_table(fit: Fit, modes: Modes) -> Table:
@@ -58,11 +59,12 @@ def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Fig
     poles.append(dots("pole of a mode", diagram.frequency[chosen], diagram.order[chosen], 0, size=4.0))
     panels = [
         Panel(FREQUENCY, Axis("CMIF", "", logarithmic=True), tuple(indicators)),
-        Panel(FREQUENCY, Axis("order"), tuple(poles), share=1.4),
+        Panel(FREQUENCY, Axis("order"), tuple(poles), share=1.4, pick="poles"),
     ]
     caption = (
         f"{fit_title(fit)}: singular values of the FRF matrix (complex mode indicator function), and the stable poles of all orders. Poles "
-        "that return at the same place are modes of the structure; dotted: the modes of the fit."
+        "that return at the same place are modes of the structure; dotted: the modes of the fit. In the page a click on a pole chooses it; "
+        "the line `poles:` for the section `modal:` then stands below."
     )
     return Figure(stacked(panels, 5.0), caption, f"Stabilisation diagram of fit {fit_title(fit)}")
 

@@ -1,6 +1,7 @@
 // A figure: its panels side by side as far as the page is wide, its legend, its buttons. Each takes its numbers from the page.
 const NARROWEST = 175;
 const AT_ONCE = 8;
+const PICK_HINT = " Click a point, or Enter on a reading, to choose it.";
 const HINT = "Drag a box to zoom; click, then wheel; arrow keys read values; 0 shows all. Touch a curve to read it.";
 
 function start(holder, number) {
@@ -65,7 +66,10 @@ function draw(figure) {
     panel.margins = marginsOf(figure, panel, panel.lowest);
   });
   const left = Math.max(...figure.panels.map((panel) => panel.margins.left));
-  for (const panel of figure.panels) drawPanel(panel, width, left, panel.lowest);
+  for (const panel of figure.panels) {
+    drawPanel(panel, width, left, panel.lowest);
+    drawChosen(figure, panel);
+  }
   figure.box.hidden = true;
 }
 
@@ -95,7 +99,7 @@ function controls(figure, holder) {
   button("+", "Zoom in", () => zoomAbout(figure, first(), "x", 0.5, 0.7));
   button("−", "Zoom out", () => zoomAbout(figure, first(), "x", 0.5, 1 / 0.7));
   button("All", "Show all", () => showAll(figure));
-  bar.title = HINT;
+  bar.title = HINT + (figure.spec.panels.some((panel) => panel.pick) ? PICK_HINT : "");
 }
 
 function legendButton(figure, legend, name) {

@@ -67,7 +67,9 @@ function follow(figure, panel) {
     start = null;
     frame?.remove();
     frame = null;
-    if (from && event.type === "pointerup") zoomToBox(figure, panel, from, placeOf(panel, event));
+    if (!from || event.type !== "pointerup") return;
+    const to = placeOf(panel, event);
+    if (!zoomToBox(figure, panel, from, to)) choose(figure, panel, nearestIn(panel, ...to));
   };
   svg.addEventListener("pointerup", end);
   svg.addEventListener("pointercancel", end);
@@ -96,6 +98,7 @@ function key(figure, panel, event) {
   else if (event.key in moves && (moves[event.key][0] || !panel.orderly)) step(figure, panel, moves[event.key]);
   else if (event.key === "+" || event.key === "=") zoomAbout(figure, panel, "x", shareOfCursor(figure, panel), 0.7);
   else if (event.key === "-") zoomAbout(figure, panel, "x", shareOfCursor(figure, panel), 1 / 0.7);
+  else if (event.key === "Enter" && panel.spec.pick && !figure.box.hidden) choose(figure, panel, figure.place);
   else if (event.key === "0" || event.key === "Escape") { hideReading(figure); showAll(figure); }
   else return;
   event.preventDefault();

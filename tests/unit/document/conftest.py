@@ -11,6 +11,8 @@ import pytest
 
 from labpipe.bearings.coefficients import PressureField
 from labpipe.config.rotor import load_rotor
+from labpipe.records.geometry import Geometry
+from labpipe.records.modes import Modes
 from labpipe.report.chart import (
     GREY,
     Axis,
@@ -32,6 +34,7 @@ from labpipe.report.chart import (
 from labpipe.report.film_figure import film_figure
 from labpipe.report.rotor_figure import rotor_figure
 from labpipe.report.run_up_coefficients import CoefficientSurfaces
+from labpipe.report.shape_figure import shape_figures
 
 X = np.array([1.0, 2.0, 4.0])
 
@@ -78,5 +81,25 @@ def drawings() -> dict[str, Drawing]:
     film = PressureField(theta, np.array([-0.005, 0.0, 0.005]), np.outer(1.5 + np.sin(theta), [1e5, 3e5, 1e5]), 5e-5 + 1e-5 * np.cos(theta))
     values = np.arange(24.0).reshape(4, 2, 3)
     surfaces = CoefficientSurfaces(np.array([500.0, 1000.0, 1500.0]), np.array([3.0, 6.0]), values, ("k_xx", "k_xy", "k_yx", "k_yy"))
-    graphics = (rotor_figure(rig).graphic, film_figure("journal", film).graphic, Drawing("surfaces", surfaces, (7.2, 6.2)))
+    geometry = Geometry(("1", "2", "3"), 0.1 * np.eye(3), np.array([[0, 1], [1, 2]]))
+    modes = Modes(
+        np.array([20.0, 30.0]),
+        np.array([0.01, 0.02]),
+        shapes=np.array([[1.0, 1j], [0.5, -1]]),
+        shape_std_errors=np.full((2, 2), 0.01),
+        participation=np.ones((2, 1), complex),
+        scale=np.ones(2, complex),
+        points=("1", "3"),
+        references=("f",),
+        forces_move=False,
+        mac=np.eye(2),
+        collinearity=np.ones(2),
+        lower=0,
+        upper=1,
+        dofs=("1.x", "3.z"),
+        geometry=geometry,
+    )
+    (shapes,) = shape_figures("modes", modes)
+    surface = Drawing("surfaces", surfaces, (7.2, 6.2))
+    graphics = (rotor_figure(rig).graphic, film_figure("journal", film).graphic, surface, shapes.graphic)
     return {graphic.kind: graphic for graphic in graphics if isinstance(graphic, Drawing)}

@@ -51,11 +51,11 @@ def test_every_format_renders_an_identification(name: str) -> None:
     assert len(RENDERERS.load(name)(RESULT)) > 500
 
 
-def test_the_page_has_numbers_for_charts_only(document: Document, every_kind: Chart) -> None:
+def test_the_page_has_numbers_for_charts_and_shapes_only(document: Document, every_kind: Chart) -> None:
     html = DOCUMENTS.load("html")(document).decode()
     figures = re.findall(r"<figure .*?</figure>", html, re.DOTALL)
     numbers = [re.search(r'<script type="application/json">(.*?)</script>', figure) for figure in figures]
-    assert [found is not None for found in numbers] == [True, True, False, False, False]
+    assert [found is not None for found in numbers] == [True, True, False, False, False, True]
     assert numbers[0] is not None
     panels = json.loads(numbers[0][1])["panels"]
     assert [len(panel["series"]) for panel in panels] == [len(panel.series) for panel in every_kind.panels]
@@ -74,7 +74,7 @@ def test_every_figure_is_drawn_once(module: object, name: str, document: Documen
     draw = module.canvas_of  # type: ignore[attr-defined]
     monkeypatch.setattr(module, "canvas_of", lambda graphic: drawn.append(graphic) or draw(graphic))
     DOCUMENTS.load(name)(document)
-    assert len(drawn) == 5 and len(set(map(id, drawn))) == 5
+    assert len(drawn) == 6 and len(set(map(id, drawn))) == 6
 
 
 def test_pages_of_a_pdf_are_a_cover_and_what_its_figures_need(document: Document) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labpipe.records.geometry import Geometry
 from labpipe.records.response import FrequencyResponse, Port
 
 FREQUENCIES = np.array([20.0, 33.0, 46.0, 46.46, 61.0, 78.0, 95.0, 118.0, 140.0])
@@ -77,3 +78,33 @@ def chain_response(frequency: np.ndarray, n_dof: int = 2) -> FrequencyResponse:
     outputs = tuple(Port(f"x{n}", f"x{n}", f"x{n}") for n in range(n_dof))
     inputs = tuple(Port(f"f{n}", f"f{n}", f"x{n}") for n in range(n_dof))
     return FrequencyResponse(frequency, matrix, outputs, inputs, name="chain")
+
+
+BEAM_FREQUENCIES, BEAM_DAMPING, BEAM_POINTS = np.array([20.0, 80.0, 180.0]), 0.01, 9
+
+
+def beam_shapes() -> np.ndarray:
+    """sin(n pi x / l) of a beam on two hinges at nine points between them, (n_point, 3), the largest 1 (Euler-Bernoulli)."""
+    place = np.arange(1, BEAM_POINTS + 1) / (BEAM_POINTS + 1)
+    shapes = np.sin(np.pi * place[:, None] * np.arange(1, 4))
+    return shapes / np.max(np.abs(shapes), axis=0)
+
+
+def beam(seed: int) -> FrequencyResponse:
+    """Receptance of this beam along z under a force at its second point, 1 % noise; f_n in the ratio 1 : 4 : 9."""
+    frequency = np.arange(10.0, 230.0, 0.25)
+    w, w_n, shapes = 2 * np.pi * frequency, 2 * np.pi * BEAM_FREQUENCIES, beam_shapes()
+    modal = 1 / (w_n**2 - w[:, None] ** 2 + 2j * BEAM_DAMPING * w_n * w[:, None])
+    matrix = (modal @ (shapes * shapes[1]).T)[:, :, None]
+    noise = np.random.default_rng(seed).normal(size=(2, *matrix.shape))
+    matrix = matrix + 0.01 * np.sqrt(np.mean(np.abs(matrix) ** 2, axis=0)) * (noise[0] + 1j * noise[1]) / np.sqrt(2)
+    outputs = tuple(Port(f"{n}.z", f"{n}.z", f"{n}.z") for n in range(1, BEAM_POINTS + 1))
+    return FrequencyResponse(frequency, matrix, outputs, (Port("f", "f", "2.z"),), name="beam")
+
+
+def beam_geometry() -> Geometry:
+    """The points of the beam along x, 100 mm apart, and its ends, which nothing measures."""
+    names = ("left", *(str(n) for n in range(1, BEAM_POINTS + 1)), "right")
+    x = 0.1 * np.arange(len(names))
+    lines = np.stack([np.arange(len(names) - 1), np.arange(1, len(names))], axis=-1)
+    return Geometry(names, np.stack([x, 0 * x, 0 * x], axis=-1), lines)
