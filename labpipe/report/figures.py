@@ -33,6 +33,8 @@ PHASE = Axis("phase", "deg")
 # Least signal-to-noise ratio that a logarithmic axis shows.
 LEAST_SNR = 1e-3
 LEAST_SIDE = 2.2
+# Elements of an FRF matrix that have a curve each.
+MOST_CURVES = 24
 HIGHEST_COHERENCE = 1.02
 
 
@@ -168,7 +170,12 @@ def response_figure(response: FrequencyResponse) -> Figure:
 
 
 def _elements(response: FrequencyResponse, values: FloatArray) -> list[Series]:
-    """One curve for every element of (n_frequency, n_output, n_input)."""
+    """One curve for every element of (n_frequency, n_output, n_input); of very many the largest, the median and the least."""
+    if values[0].size > MOST_CURVES:
+        flat = values.reshape(values.shape[0], -1)
+        statistics = {"largest": np.max(flat, axis=1), "median": np.median(flat, axis=1), "least": np.min(flat, axis=1)}
+        named = enumerate(statistics.items())
+        return [curve(f"{name} of {flat.shape[1]}", response.frequency, over, *look(number)) for number, (name, over) in named]
     return [curve(name, response.frequency, values[:, o, i], *look(number)) for number, (o, i, name) in enumerate(element_names(response))]
 
 

@@ -10,7 +10,7 @@ from labpipe.records.identification import Fit, Identification
 from labpipe.report import figures
 from labpipe.report.candidates import candidate_blocks
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
-from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figure
+from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figures
 from labpipe.report.modal_figures import modal_blocks
 from labpipe.report.wear_figures import wear_figures
 from labpipe.report.wording import STARS_EXPLAINED, band_text, fit_title, inflated_text, parameter_row, unit_text
@@ -29,7 +29,7 @@ def fit_figures(fit: Fit) -> list[Figure]:
     shown: list[Figure] = []
     if fit.curve is not None:
         many = len(fit.curve.outputs) * len(fit.curve.inputs) > MOST_TOGETHER
-        shown.append(matrix_figure(fit, fit.curve) if many else figures.fitted_curve_figure(fit, fit.curve))
+        shown.extend(matrix_figures(fit, fit.curve) if many else [figures.fitted_curve_figure(fit, fit.curve)])
     shown.extend(wear_figures(fit))
     if fit.correlation.shape[0] > 1:
         shown.append(figures.correlation_figure(fit))

@@ -114,3 +114,12 @@ def test_slopes_of_a_calibration_stand_by_name_from_zero() -> None:
 
 def test_units_of_forms() -> None:
     assert form_unit("receptance") == ("um/N", pytest.approx(1e6)) and form_unit("voltage ratio") == ("SI", 1.0)
+
+
+def test_of_very_many_elements_largest_median_and_least_have_a_curve() -> None:
+    """25 elements of 1 to 25 um/N."""
+    matrix = np.tile(1e-6 * np.arange(1.0, 26.0).reshape(25, 1), (3, 1, 1)).astype(complex)
+    outputs = tuple(Port(f"p{n}", f"p{n}", f"p{n}") for n in range(25))
+    amplitude = response_figure(replace(RESPONSE, matrix=matrix, outputs=outputs)).graphic.panels[0]
+    curves = {name: series.y[0] for name, series in named(amplitude).items()}
+    assert curves == pytest.approx({"largest of 25": 25.0, "median of 25": 13.0, "least of 25": 1.0})

@@ -11,7 +11,7 @@ from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness
 from labpipe.records.study import StudiedParameter, Study, StudyCase, StudyThreshold
 from labpipe.report.candidates import candidate_blocks
 from labpipe.report.document import Figure, Paragraph, Table
-from labpipe.report.matrix_figure import matrix_figure
+from labpipe.report.matrix_figure import matrix_figure, matrix_figures
 from labpipe.report.study import study_blocks
 from labpipe.report.wording import inflated_text, parameter_row, threshold_text
 
@@ -123,6 +123,20 @@ def test_every_element_of_a_large_matrix_has_its_panel() -> None:
     measured, fitted = panels[5].series
     np.testing.assert_allclose(measured.y, np.abs(matrix[:, 1, 2]) * 1e6)
     np.testing.assert_allclose(fitted.y, 1.1 * np.abs(matrix[:, 1, 2]) * 1e6)
+
+
+def test_of_very_many_elements_the_mean_and_the_worst_are_shown() -> None:
+    """30 elements; the residual of number n is n per cent of it."""
+    frequency = np.array([1.0, 2.0, 3.0])
+    matrix = np.full((3, 10, 3), 2e-6 + 0j)
+    fitted = matrix * (1 + 0.01 * np.arange(30).reshape(10, 3))
+    curve = FittedCurve(frequency, matrix, fitted, variance=None, outputs=tuple("0123456789"), inputs=("a", "b", "c"), form="receptance")
+    mean, worst = matrix_figures(replace(FIT, curve=curve), curve)
+    measured, _, residual = mean.graphic.panels[0].series
+    np.testing.assert_allclose(measured.y, 2.0)
+    np.testing.assert_allclose(residual.y, 2.0 * np.sqrt(np.mean((0.01 * np.arange(30)) ** 2)))
+    assert [panel.title for panel in worst.graphic.panels] == [f"{n // 3}/{'abc'[n % 3]}" for n in range(29, 17, -1)]
+    assert "the 12 of 30 elements" in worst.caption and "residual 29 to 18 %" in worst.caption
 
 
 def test_soft_springs_stay_in_newtons_per_metre_but_tables_keep_one_unit() -> None:
