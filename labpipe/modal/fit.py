@@ -16,7 +16,7 @@ from labpipe.identify.weights import has_noise
 from labpipe.modal.findings import mismatch, modal_findings, modal_notes
 from labpipe.modal.growth import refine_with_terms
 from labpipe.modal.lscf import NormalEquations, Poles, normal_equations
-from labpipe.modal.missing import Completed, completed, kept_modes
+from labpipe.modal.missing import Completed, completed, kept_modes, with_real_modes
 from labpipe.modal.residual_terms import Lines
 from labpipe.modal.residual_test import LineNoise
 from labpipe.modal.settings import LEAST_ORDER, ModalSettings
@@ -83,8 +83,11 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     # Lines that the band leaves out in its middle are no neighbours, which the correlation of a window would need.
     line_noise = LineNoise(response.line_correlation)
     whole = completed(sides.lines, refined, terms, line_noise, adding=not modal.poles)
+    real = modal.shapes == "real"
+    if real:
+        whole = with_real_modes(sides.lines, whole, line_noise)
     terms = whole.terms
-    estimate = whole_covariance_fit(sides.measured, terms, whole.refined)
+    estimate = whole_covariance_fit(sides.measured, terms, whole.refined, real=real)
     fit = _reported(settings, band, sides, whole, estimate)
     fit = replace(fit, notes=(*fit.notes, *dropped))
     quality = quality_findings(response, rows, columns, chosen)

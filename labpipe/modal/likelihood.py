@@ -4,6 +4,8 @@ H(s) = s^p (sum over modes of psi l^T / (s - lambda) + conj. + sum over terms of
 accelerance. Given lambda and l everything else is linear, separately for each output, and is eliminated; the Gram matrix of
 u = a + b, v = j (a - b) with a = s^p / (s - lambda), b = s^p / (s - conj lambda), of their derivatives and of the residual terms, and
 its products with the data are all that an iteration needs of the lines.
+
+Real modes (damping in proportion to mass and stiffness) have imaginary psi and real l: R = psi l^T then is psi_real l^T / (2 j w_d).
 """
 
 from __future__ import annotations
@@ -64,12 +66,21 @@ class _Sums:
     size: FloatArray
 
 
-def refine(lines: Lines, terms: ResidualTerms, poles: ComplexArray, participation: ComplexArray, most_steps: int = MOST_STEPS) -> Refined:
-    """Gauss-Newton from *poles* (n_mode,) [rad/s] and *participation* (n_mode, n_input) [1].
+def refine(
+    lines: Lines,
+    terms: ResidualTerms,
+    poles: ComplexArray,
+    participation: ComplexArray,
+    most_steps: int = MOST_STEPS,
+    *,
+    real: bool = False,
+) -> Refined:
+    """Gauss-Newton from *poles* (n_mode,) [rad/s] and *participation* (n_mode, n_input) [1]; *real*: real modes.
 
     The noise of every element, the same at all lines, is estimated from its residual after each step.
     """
-    state = _State.at(lines, terms, poles, _normalised(participation))
+    start = _normalised(participation)
+    state = _State.at(lines, terms, poles, start.real + 0j if real else start, real)
     for steps in range(1, most_steps + 1):
         step, std_errors = state.step()
         if np.all(np.abs(step) <= NEGLIGIBLE * std_errors):
@@ -101,21 +112,22 @@ class _State:
     poles: ComplexArray
     participation: ComplexArray
     variance: FloatArray
+    real: bool = False
 
     @property
     def n_mode(self) -> int:
         return int(self.poles.size)
 
     @classmethod
-    def at(cls, lines: Lines, terms: ResidualTerms, poles: ComplexArray, participation: ComplexArray) -> _State:
+    def at(cls, lines: Lines, terms: ResidualTerms, poles: ComplexArray, participation: ComplexArray, real: bool) -> _State:
         """The state at start values; shapes of equal weights give the first estimate of the noise."""
         even = np.ones(lines.matrix.shape[1:])
-        return cls(lines, terms, _sums(lines, terms, poles), poles, participation, even).with_noise().with_noise()
+        return cls(lines, terms, _sums(lines, terms, poles), poles, participation, even, real).with_noise().with_noise()
 
     def with_noise(self) -> _State:
         """The noise E|n|^2 of every element from its residual: complex lines less the complex parameters that it has for itself."""
-        psi, _ = shapes_of(self.sums, self.participation, self.variance)
-        n_per_element = self.terms.count + self.n_mode / self.participation.shape[1]
+        psi, _ = self._shapes()
+        n_per_element = self.terms.count + self.n_mode / self.participation.shape[1] / (2 if self.real else 1)
         return replace(self, variance=_rss(self.sums, self.participation, psi) / max(self.lines.omega.size - n_per_element, 1.0))
 
     def after(self, step: FloatArray) -> _State | None:
@@ -127,12 +139,16 @@ class _State:
         change = step[2 * self.n_mode :]
         rows, columns = _free(self.participation)
         participation[rows, columns] += change[0::2] + 1j * change[1::2]
-        return _State(self.lines, self.terms, _sums(self.lines, self.terms, poles), poles, participation, self.variance)
+        sums = _sums(self.lines, self.terms, poles)
+        return replace(self, sums=sums, poles=poles, participation=participation)
+
+    def _shapes(self) -> tuple[ComplexArray, FloatArray]:
+        return shapes_of(self.sums, self.participation, self.variance, real=self.real)
 
     @property
     def chi2(self) -> float:
         """Sum of |residual|^2 over the variance, all elements."""
-        psi, _ = shapes_of(self.sums, self.participation, self.variance)
+        psi, _ = self._shapes()
         return float(np.sum(_rss(self.sums, self.participation, psi) / self.variance))
 
     def step(self) -> tuple[FloatArray, FloatArray]:
@@ -143,10 +159,12 @@ class _State:
 
     def _schur(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, ComplexArray]:
         """Normal matrix (n, n) and gradient (n,) with the shapes eliminated, A^-1 and A^-1 B of the outputs, and the shapes."""
-        psi, inverse = shapes_of(self.sums, self.participation, self.variance)
+        psi, inverse = self._shapes()
         of_shapes = _shape_columns(self.participation)
         weight = 1 / self.variance[:, :, None, None]
         by_theta = _theta_columns(self.participation, psi)
+        if self.real:
+            by_theta[..., 2 * self.n_mode + 1 :: 2] = 0.0
         gram, k, n = self.sums.gram, 2 * self.n_mode, by_theta.shape[-1]
         weighted = weight * np.matmul(gram, by_theta)
         d = by_theta.reshape(-1, n).T @ weighted.reshape(-1, n)
@@ -251,13 +269,15 @@ def _theta_columns(participation: ComplexArray, psi: ComplexArray) -> FloatArray
     return values
 
 
-def shapes_of(sums: _Sums, participation: ComplexArray, variance: FloatArray) -> tuple[ComplexArray, FloatArray]:
+def shapes_of(sums: _Sums, participation: ComplexArray, variance: FloatArray, *, real: bool = False) -> tuple[ComplexArray, FloatArray]:
     """Shapes (n_output, n_mode) of least misfit, and the inverse of their normal matrices (n_output, 2 n_mode, 2 n_mode).
 
-    *participation* (n_mode, n_input) [1]; *variance* (n_output, n_input) [square of the FRF's unit].
+    *participation* (n_mode, n_input) [1]; *variance* (n_output, n_input) [square of the FRF's unit]; *real* modes: shapes are
+    imaginary, and the inverse is zero for their real parts.
     """
     k = 2 * participation.shape[0]
-    columns = _shape_columns(participation)
+    chosen = slice(1, None, 2) if real else slice(None)
+    columns = _shape_columns(participation)[:, :, chosen]
     single = columns.swapaxes(1, 2) @ sums.gram[:k, :k] @ columns
     normal = np.tensordot(1 / variance, single, 1)
     right_side = np.sum((sums.data[:k] / variance).transpose(2, 1, 0) @ columns, axis=0)
@@ -267,9 +287,11 @@ def shapes_of(sums: _Sums, participation: ComplexArray, variance: FloatArray) ->
         inverse = np.linalg.inv(scaled)
     except np.linalg.LinAlgError:
         inverse = np.linalg.pinv(scaled, rcond=ROUNDING, hermitian=True)
-    inverse /= scale[:, :, None] * scale[:, None, :]
-    values = np.einsum("omn,on->om", inverse, right_side)
-    return values[:, 0::2] + 1j * values[:, 1::2], inverse
+    whole = np.zeros((normal.shape[0], k, k))
+    whole[:, chosen, chosen] = inverse / (scale[:, :, None] * scale[:, None, :])
+    values = np.zeros((normal.shape[0], k))
+    values[:, chosen] = np.einsum("omn,on->om", whole[:, chosen, chosen], right_side)
+    return values[:, 0::2] + 1j * values[:, 1::2], whole
 
 
 def _coefficients(participation: ComplexArray, psi: ComplexArray) -> FloatArray:

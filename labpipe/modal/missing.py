@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
 from labpipe.identify.diagnostics import MISMATCH_P
 from labpipe.modal.growth import criterion, refine_with_terms
-from labpipe.modal.likelihood import Refined, remaining
+from labpipe.modal.likelihood import Refined, refine, remaining
 from labpipe.modal.residual_terms import Lines, ResidualTerms
 from labpipe.modal.residual_test import LineNoise, loudest_line, whiteness
 
@@ -87,6 +87,12 @@ def completed(lines: Lines, refined: Refined, terms: ResidualTerms, noise: LineN
             break
         done = more
     return done
+
+
+def with_real_modes(lines: Lines, done: Completed, noise: LineNoise) -> Completed:
+    """The same modes with real shapes and participation, and the probability of the residual that they leave as noise."""
+    refined = refine(lines, done.terms, done.refined.poles, done.refined.participation, real=True)
+    return replace(done, refined=refined, p_noise=whiteness(remaining(lines, done.terms, refined), noise))
 
 
 def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed | None:

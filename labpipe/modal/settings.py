@@ -18,6 +18,9 @@ class ModalSettings(Settings):
 
     order: int = setting("integer", "highest order of the stabilisation diagram", default=60)
     poles: tuple[float, ...] = setting("values", "natural frequencies chosen by hand; default: automatic", unit="Hz", default=())
+    shapes: str = setting(
+        "choice", "complex, or real as with damping in proportion to mass and stiffness", choices=("complex", "real"), default="complex"
+    )
     geometry: str = setting(
         "file", "positions of the points: CSV, or UFF 15, 2411, 82, 2412", file_kind="geometry", into="structure", default=""
     )

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.output_error import OutputError
@@ -41,12 +41,14 @@ class ModalReceptance:
 
     These are Re and Im in turn of the poles, of the participation other than the fixed 1 of each mode, of the shapes (output by output)
     and of the factors of the terms (element by element).
+    *real* modes lack the imaginary parts of the participation and the real parts of the shapes.
     """
 
     terms: ResidualTerms
     fixed: IntArray
     n_output: int
     n_input: int
+    real: bool = False
 
     @property
     def n_mode(self) -> int:
@@ -54,7 +56,18 @@ class ModalReceptance:
 
     @property
     def n_parameter(self) -> int:
-        return 2 * (self.n_mode * (1 + self.n_input - 1 + self.n_output) + self.n_output * self.n_input * self.terms.count)
+        return int(np.count_nonzero(self.free))
+
+    @cached_property
+    def free(self) -> BoolArray:
+        """Which of the real numbers of `split` are parameters, (n,)."""
+        numbers = (self.n_mode, self.n_mode * (self.n_input - 1), self.n_mode * self.n_output)
+        free = np.ones((sum(numbers) + self.n_output * self.n_input * self.terms.count, 2), np.bool_)
+        if self.real:
+            ends = np.cumsum(numbers)
+            free[ends[0] : ends[1], 1] = False
+            free[ends[1] : ends[2], 0] = False
+        return free.ravel()
 
     @cached_property
     def basis(self) -> ComplexArray:
@@ -72,7 +85,9 @@ class ModalReceptance:
 
         *parameters* (n_parameter,) [parameter units].
         """
-        values = parameters[0::2] + 1j * parameters[1::2]
+        numbers = np.zeros(self.free.size)
+        numbers[self.free] = parameters
+        values = numbers[0::2] + 1j * numbers[1::2]
         ends = np.cumsum([self.n_mode, self.n_mode * (self.n_input - 1), self.n_mode * self.n_output])
         poles, free, shapes, factors = np.split(values, ends)
         participation = np.ones((self.n_mode, self.n_input), np.complex128)
@@ -85,7 +100,7 @@ class ModalReceptance:
         rest = (measured.matrix - poles).reshape(measured.omega.size, -1)
         factors = (self.terms.basis.conj().T @ (rest * self._form[:, None])).T
         values = np.concatenate([refined.poles, refined.participation[self._free], refined.shapes.ravel(), factors.ravel()])
-        return np.stack([values.real, values.imag], axis=-1).ravel()
+        return np.asarray(np.stack([values.real, values.imag], axis=-1).ravel()[self.free])
 
     @cached_property
     def _free(self) -> tuple[IntArray, IntArray]:
@@ -111,7 +126,7 @@ class ModalReceptance:
         poles, participation, shapes, _ = self.split(parameters)
         s = 1j * omega[:, None]
         a, b = 1 / (s - poles), 1 / (s - poles.conj())
-        slopes = np.zeros((self.n_parameter // 2, 2, omega.size, self.n_output, self.n_input), np.complex128)
+        slopes = np.zeros((self.free.size // 2, 2, omega.size, self.n_output, self.n_input), np.complex128)
         at = 0
         for mode in range(self.n_mode):
             residue = np.outer(shapes[:, mode], participation[mode])
@@ -129,7 +144,7 @@ class ModalReceptance:
                 for term in self.basis.T:
                     slopes[at, 0, :, output, column], slopes[at, 1, :, output, column] = term, 1j * term
                     at += 1
-        return slopes.reshape(self.n_parameter, omega.size, self.n_output, self.n_input)
+        return np.asarray(slopes.reshape(self.free.size, omega.size, self.n_output, self.n_input)[self.free])
 
 
 def _pair(a: ComplexArray, b: ComplexArray, factor: ComplexArray) -> ComplexArray:
@@ -138,12 +153,13 @@ def _pair(a: ComplexArray, b: ComplexArray, factor: ComplexArray) -> ComplexArra
     return np.stack([first + second, 1j * (first - second)])
 
 
-def whole_covariance_fit(measured: Measured, terms: ResidualTerms, refined: Refined) -> ModalEstimate:
+def whole_covariance_fit(measured: Measured, terms: ResidualTerms, refined: Refined, *, real: bool = False) -> ModalEstimate:
     """The refined modes again, with the covariance of the FRF as weight where there is one and the Jacobian can be held in memory.
 
-    Without it the estimate is that of *refined*, whose noise comes from the residual.
+    Without it the estimate is that of *refined*, whose noise comes from the residual; *real*: real modes.
     """
-    model = ModalReceptance(terms, np.argmax(refined.participation == 1, axis=1), *measured.matrix.shape[1:])
+    _, n_output, n_input = measured.matrix.shape
+    model = ModalReceptance(terms, np.argmax(refined.participation == 1, axis=1), n_output, n_input, real)
     start = model.joined(refined, measured)
     dof = measured.n_equation - model.n_parameter
     if not has_noise(measured) or model.n_parameter * measured.n_equation > MOST_ENTRIES:
@@ -163,6 +179,8 @@ def whole_covariance_fit(measured: Measured, terms: ResidualTerms, refined: Refi
 def _refined(model: ModalReceptance, minimum: Minimum, covariance: FloatArray, before: Refined) -> Refined:
     """The parts of the covariance (n_parameter, n_parameter) that concern poles, participation and the shape of each output."""
     poles, participation, shapes, _ = model.split(minimum.values)
+    whole = np.zeros((model.free.size, model.free.size))
+    whole[np.ix_(model.free, model.free)] = covariance
     n, k = 2 * model.n_mode * model.n_input, 2 * model.n_mode
     blocks = [slice(n + k * output, n + k * (output + 1)) for output in range(model.n_output)]
     return replace(
@@ -170,9 +188,9 @@ def _refined(model: ModalReceptance, minimum: Minimum, covariance: FloatArray, b
         poles=poles,
         participation=participation,
         shapes=shapes,
-        covariance=covariance[:n, :n],
-        shape_covariance=np.array([covariance[block, block] for block in blocks]),
-        crossed=np.array([covariance[block, :n] for block in blocks]),
+        covariance=whole[:n, :n],
+        shape_covariance=np.array([whole[block, block] for block in blocks]),
+        crossed=np.array([whole[block, :n] for block in blocks]),
         converged=minimum.converged,
         steps=minimum.steps,
     )
