@@ -14,7 +14,7 @@ from labpipe.config.file_kinds import FileKind
 from labpipe.config.reader import read_settings
 from labpipe.config.sensor_response import read_sensor_response
 from labpipe.marked_yaml import Marked, load_marked, set_entry
-from labpipe.quantities import QUANTITIES, Unit, UnitError, check_dimension, parse_unit, parse_value
+from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
 from labpipe.records.recording import ROLES, Channel
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
 from labpipe.records.settings import Settings, setting
@@ -171,10 +171,10 @@ def _calibration(settings: ChannelSettings, node: Marked, key: str, faults: Faul
     si_unit = QUANTITIES[settings.quantity].si_unit
     unit_node = node.content.get("unit", node)
     try:
-        unit = parse_unit(settings.unit or si_unit)
         if not settings.sensitivity:
-            check_dimension(settings.unit or si_unit, unit, si_unit)
+            unit = unit_of(settings.unit or si_unit, si_unit)
             return unit.factor, unit.offset
+        unit = parse_unit(settings.unit or si_unit)
     except UnitError as error:
         faults.add_unit(unit_node, join(key, "unit"), error)
         return 1.0, 0.0
@@ -192,15 +192,15 @@ def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
     match = re.match(r"^\s*(\S+)\s+(.+)$", text)
     if match is None:
         raise UnitError(f"'{text}' is not a sensitivity", "for example '8 V/mm'")
-    dimension = parse_unit(match[2]).dimension
     wanted = tuple(u - q for u, q in zip(unit.dimension, parse_unit(si_unit).dimension, strict=True))
-    value = parse_value(text, match[2]) * parse_unit(match[2]).factor
-    if value == 0:
+    number = parse_value(text, match[2])
+    if number == 0:
         raise UnitError(f"the sensitivity '{text}' is zero")
-    if dimension == wanted:
-        return value
-    if dimension == tuple(-w for w in wanted):
-        return 1.0 / value
+    for reading in readings(match[2]):
+        if reading.dimension == wanted:
+            return number * reading.factor
+        if reading.dimension == tuple(-w for w in wanted):
+            return 1.0 / (number * reading.factor)
     raise UnitError(f"'{match[2]}' does not lead from the channel's unit to {si_unit}", "write recorded unit per quantity, e.g. 'V/mm'")
 
 

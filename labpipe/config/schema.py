@@ -7,6 +7,7 @@ from typing import Any
 from labpipe.config.pipeline import ReportSettings
 from labpipe.config.rig import ChannelSettings, RigSettings
 from labpipe.identify.settings import MODELS, FitSettings, model_kind
+from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.settings import Setting, settings_of
 from labpipe.sections import PipelineSection, sections
 from labpipe.spectra.settings import FrfSettings
@@ -33,11 +34,13 @@ def pipeline_schema() -> dict[str, Any]:
         "additionalProperties": False,
     }
     recordings = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"anyOf": [{"type": "string"}, entry]}}]}
+    described = _object(FrfLayout)
+    frfs = {"anyOf": [{"type": "string"}, described, {"type": "array", "items": {"anyOf": [{"type": "string"}, described]}}]}
     conditions = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
     test = {
         "name": {"type": "string"},
         "recordings": recordings,
-        "frfs": _TEXTS,
+        "frfs": frfs,
         "each": {**recordings, "description": "files of which each is a test of its own, under the file's name"},
         "pattern": {"type": "string", "description": "conditions in the file's name, for example {preload}-{direction}"},
         "conditions": conditions,
@@ -48,7 +51,7 @@ def pipeline_schema() -> dict[str, Any]:
         "rig": {"type": "string", "description": "rig file, relative to this file"},
         "recordings": recordings,
         "tests": {"type": "array", "items": {"type": "object", "properties": test, "additionalProperties": False}},
-        "frfs": _TEXTS,
+        "frfs": frfs,
         "conditions": conditions,
         "frf": _object(FrfSettings),
         **{name: _section(entry) for name, entry in sections()},

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import glob
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from labpipe.config.faults import Faults, join
+from labpipe.config.file_names import conditions_in, files_of, listed
+from labpipe.config.ready_frf import ReadyFrf, read_ready_frfs
 from labpipe.config.rig import load_rig, override_channels
 from labpipe.errors import ConfigError
 from labpipe.marked_yaml import Marked
@@ -33,7 +33,7 @@ class Test:
 
     name: str
     recordings: tuple[SourceFile, ...] = ()
-    frfs: tuple[Path, ...] = ()
+    frfs: tuple[ReadyFrf, ...] = ()
     conditions: dict[str, str] = field(default_factory=dict)
 
 
@@ -102,9 +102,7 @@ class TestReader:
     def _test(self, name: str, node: Marked, key: str) -> Test:
         entries = node.content if isinstance(node.content, dict) else {}
         recordings = self._source_files(entries["recordings"], join(key, "recordings")) if "recordings" in entries else []
-        frfs: list[Path] = []
-        for item in _listed(entries["frfs"]) if "frfs" in entries else []:
-            frfs.extend(self._files(item, join(key, "frfs")))
+        frfs = read_ready_frfs(entries["frfs"], join(key, "frfs"), self.faults) if "frfs" in entries else []
         if not recordings and not frfs and not len(self.faults):
             self.faults.add(node if node.place else self.top["title"], key, "neither recordings nor frfs")
         return Test(name, tuple(recordings), tuple(frfs), self._conditions(entries))
@@ -116,7 +114,7 @@ class TestReader:
 
     def _source_files(self, node: Marked, key: str) -> list[SourceFile]:
         sources: list[SourceFile] = []
-        for entry in _listed(node):
+        for entry in listed(node):
             rig, file = self.rig, entry
             if isinstance(entry.content, dict):
                 self.faults.unknown_keys(entry, key, ("file", "rig", "channels"))
@@ -124,7 +122,7 @@ class TestReader:
                 rig = self._recording_rig(entry, key)
             elif rig is None and "rig" not in self.top:
                 self.faults.add(node, key, "no rig file is named", "add rig: FILE")
-            paths = self._files(file, key)
+            paths = files_of(file, key, self.faults)
             sources.extend(SourceFile(path, rig) for path in paths if rig is not None)
         return sources
 
@@ -141,36 +139,3 @@ class TestReader:
         except ConfigError as error:
             self.faults.merge(error)
             return None
-
-    def _files(self, node: Marked, key: str) -> list[Path]:
-        """The files that a path or glob names, sorted; a fault when there is none."""
-        if not node.text:
-            self.faults.add(node, key, "a file name is needed")
-            return []
-        path = self.folder / node.text
-        if glob.has_magic(node.text):
-            matches = sorted(Path(name) for name in glob.glob(str(path), recursive=True))
-            if not matches:
-                self.faults.add(node, key, f"no file matches '{node.text}'", "paths are relative to the pipeline file")
-            return matches
-        if not path.exists():
-            self.faults.add(node, key, f"no such file '{node.text}'", "paths are relative to the pipeline file")
-            return []
-        return [path]
-
-
-def _listed(node: Marked) -> list[Marked]:
-    return node.content if isinstance(node.content, list) else [node]
-
-
-def conditions_in(name: str, pattern: str) -> dict[str, str] | None:
-    """The conditions in a file's *name*: '427N-up' by '{preload}-{direction}' is preload 427N, direction up; None where it differs.
-
-    '{}' stands for a part that is no condition.
-    """
-    parts = re.split(r"\{(\w*)\}", pattern)
-    wanted = [part for part in parts[1::2] if part]
-    groups = iter(parts[1::2])
-    expression = "".join(re.escape(part) + ("(.+?)" if next(groups, "") else ".+?") for part in parts[:-1:2]) + re.escape(parts[-1])
-    match = re.fullmatch(expression, name)
-    return None if match is None else dict(zip(wanted, match.groups(), strict=True))

@@ -15,7 +15,7 @@ from labpipe.artefacts.recording_file import SUFFIX, RecordingWriter, StoredReco
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError
 from labpipe.formats.table import Table, check_columns, open_table
-from labpipe.quantities import UnitError, parse_unit
+from labpipe.quantities import UnitError, readings
 from labpipe.records.rig import Rig, RigChannel
 from labpipe.signals.screening import ChannelScreen, TimeAxisScreen
 
@@ -110,10 +110,10 @@ def _check_unit(table: Table, channel: RigChannel) -> None:
     if stated is None:
         return
     try:
-        theirs, ours = parse_unit(stated), parse_unit(channel.unit)
+        theirs, ours = readings(stated), readings(channel.unit)
     except UnitError:
         return
-    if theirs != ours:
+    if not set(theirs) & set(ours):
         what = f"column '{channel.column}' is in {stated} by the file's own header, in {channel.unit} by the rig file"
         raise DataError(what, where=str(table.path), hint=f"correct the unit of channel '{channel.channel.name}'")
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from labpipe.config.file_names import conditions_in
 from labpipe.config.pipeline import Pipeline, load_pipeline
-from labpipe.config.tests import conditions_in
 from labpipe.errors import ConfigErrors
 
 RIG = "name: {name}\nsample_rate: 1 kHz\nmass: {mass}\nchannels:\n  f: {{quantity: force, dof: x}}\n  x: {{quantity: displacement}}\n"
@@ -69,7 +69,7 @@ def test_tests_without_a_name_are_numbered(folder: Path) -> None:
 
 def test_ready_responses_need_no_rig(folder: Path) -> None:
     (test,) = load(folder, "frfs: h.frf.csv\nidentify: {a: {model: sdof}}\n").tests
-    assert [path.name for path in test.frfs] == ["h.frf.csv"] and test.recordings == ()
+    assert [path.name for ready in test.frfs for path in ready.paths] == ["h.frf.csv"] and test.recordings == ()
 
 
 def test_a_recording_may_have_a_rig_of_its_own(folder: Path) -> None:
