@@ -60,7 +60,10 @@ def _described(node: Marked, key: str, faults: Faults) -> list[ReadyFrf]:
         files = [tuple(path for item in listed(node.content["each"]) for path in files_of(item, join(key, "each"), faults))]
     frfs = []
     for paths in filter(None, files):
-        outputs, inputs = zip(*(_dofs(path, layout, node, key, faults) for path in paths), strict=True)
+        before = len(faults)
+        # Files of one pattern do not match it alike; the first says so.
+        dofs = [_dofs(path, layout, node, key, faults) for path in paths if len(faults) == before]
+        outputs, inputs = zip(*dofs, strict=True)
         if layout.table is not None:
             for word, names in (("output", outputs[0]), ("input", inputs[0])):
                 _check_dofs(word, names, layout, node, key, faults)

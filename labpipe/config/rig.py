@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from labpipe.config.faults import Faults, join
 from labpipe.config.file_kinds import FileKind
 from labpipe.config.reader import read_settings
 from labpipe.config.sensor_response import read_sensor_response
+from labpipe.errors import ConfigError
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
 from labpipe.records.recording import ROLES, Channel
@@ -72,6 +73,28 @@ def override_channels(path: Path, entry: Marked, faults: Faults, key: str) -> Ri
         else:
             channel.content.update(faults.mapping(node, join(key, name)))
     return read_rig(tree, faults)
+
+
+def moved(rig: Rig, dofs: Mapping[str, str]) -> Rig:
+    """The rig with channels in other dofs, by channel; `output` and `input` stand for the only channel of that role.
+
+    ConfigError for a name that is no channel of the rig.
+    """
+    places: dict[str, str] = {}
+    for name, dof in dofs.items():
+        of_role = [channel.channel.name for channel in rig.channels if channel.channel.role == name]
+        known = [channel.channel.name for channel in rig.channels]
+        if name not in known and len(of_role) != 1:
+            what = f"'{name}' is no channel of the rig" if not of_role else f"the rig has {len(of_role)} channels of the role {name}"
+            raise ConfigError(what, hint=nearest(name, known))
+        places[name if name in known else of_role[0]] = dof
+    return replace(rig, channels=tuple(_at(channel, places.get(channel.channel.name)) for channel in rig.channels))
+
+
+def _at(channel: RigChannel, dof: str | None) -> RigChannel:
+    if dof is None:
+        return channel
+    return replace(channel, channel=replace(channel.channel, dof=dof, angle=AXIS_ANGLES.get(dof)))
 
 
 def read_rig(tree: Marked, faults: Faults) -> Rig | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from labpipe.config.pipeline import ReportSettings
+from labpipe.config.recordings import BY
 from labpipe.config.rig import ChannelSettings, RigSettings
 from labpipe.identify.settings import MODELS, FitSettings, model_kind
 from labpipe.records.frf_layout import FrfLayout
@@ -29,8 +30,15 @@ def pipeline_schema() -> dict[str, Any]:
     """The schema of a pipeline file."""
     entry = {
         "type": "object",
-        "properties": {"file": {"type": "string"}, "rig": {"type": "string"}, "channels": {"type": "object"}},
-        "required": ["file"],
+        "properties": {
+            "file": {"type": "string", "description": "a file or a glob"},
+            "each": {**_TEXTS, "description": "files, of which each is a recording"},
+            "join": {**_TEXTS, "description": "files that hold channels of one run"},
+            "by": {"enum": list(BY), "description": "how files are joined; default: on time where all have the rig's time column"},
+            "pattern": {"type": "string", "description": "dofs in the files' names, by channel, input or output: point_{output}_{input}"},
+            "rig": {"type": "string"},
+            "channels": {"type": "object"},
+        },
         "additionalProperties": False,
     }
     recordings = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"anyOf": [{"type": "string"}, entry]}}]}

@@ -7,24 +7,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from labpipe.config.faults import Faults, join
-from labpipe.config.file_names import conditions_in, files_of, listed
+from labpipe.config.file_names import conditions_in
 from labpipe.config.ready_frf import ReadyFrf, read_ready_frfs
-from labpipe.config.rig import load_rig, override_channels
-from labpipe.errors import ConfigError
+from labpipe.config.recordings import RecordingReader, SourceFile
 from labpipe.marked_yaml import Marked
 from labpipe.records.rig import Rig
 
 SINGLE = ("recordings", "frfs", "conditions")
 LISTED = ("name", *SINGLE)
 EACH = ("each", "pattern", "conditions")
-
-
-@dataclass(frozen=True)
-class SourceFile:
-    """One recorded file and the rig that recorded it."""
-
-    path: Path
-    rig: Rig
 
 
 @dataclass(frozen=True)
@@ -35,20 +26,6 @@ class Test:
     recordings: tuple[SourceFile, ...] = ()
     frfs: tuple[ReadyFrf, ...] = ()
     conditions: dict[str, str] = field(default_factory=dict)
-
-
-def read_rig(node: Marked | None, folder: Path, faults: Faults, key: str) -> Rig | None:
-    """The rig of a rig file that an entry names; None and a fault when it cannot be read."""
-    if node is None:
-        return None
-    try:
-        return load_rig(folder / node.text)
-    except ConfigError as error:
-        if error.what == "no such file":
-            faults.add(node, key, f"no such file '{node.text}'", "paths are relative to the pipeline file")
-        else:
-            faults.merge(error)
-    return None
 
 
 @dataclass(frozen=True)
@@ -92,7 +69,7 @@ class TestReader:
     def _tests_per_file(self, entries: dict[str, Marked], key: str) -> Iterator[Test]:
         """One test per file, named after it; conditions from the name by the pattern."""
         common = self._conditions(entries)
-        for source in self._source_files(entries["each"], join(key, "each")):
+        for source in self._recordings(entries["each"], join(key, "each")):
             name = source.path.name.split(".")[0]
             conditions = conditions_in(name, entries["pattern"].text) if "pattern" in entries else {}
             if conditions is None:
@@ -101,41 +78,16 @@ class TestReader:
 
     def _test(self, name: str, node: Marked, key: str) -> Test:
         entries = node.content if isinstance(node.content, dict) else {}
-        recordings = self._source_files(entries["recordings"], join(key, "recordings")) if "recordings" in entries else []
+        recordings = self._recordings(entries["recordings"], join(key, "recordings")) if "recordings" in entries else []
         frfs = read_ready_frfs(entries["frfs"], join(key, "frfs"), self.faults) if "frfs" in entries else []
         if not recordings and not frfs and not len(self.faults):
             self.faults.add(node if node.place else self.top["title"], key, "neither recordings nor frfs")
         return Test(name, tuple(recordings), tuple(frfs), self._conditions(entries))
 
+    def _recordings(self, node: Marked, key: str) -> list[SourceFile]:
+        return RecordingReader(self.rig, self.top.get("rig"), self.folder, self.faults).sources(node, key)
+
     def _conditions(self, entries: dict[str, Marked]) -> dict[str, str]:
         if "conditions" not in entries:
             return {}
         return {key: node.text for key, node in self.faults.mapping(entries["conditions"], "conditions").items()}
-
-    def _source_files(self, node: Marked, key: str) -> list[SourceFile]:
-        sources: list[SourceFile] = []
-        for entry in listed(node):
-            rig, file = self.rig, entry
-            if isinstance(entry.content, dict):
-                self.faults.unknown_keys(entry, key, ("file", "rig", "channels"))
-                file = entry.content.get("file", Marked(None, entry.where))
-                rig = self._recording_rig(entry, key)
-            elif rig is None and "rig" not in self.top:
-                self.faults.add(node, key, "no rig file is named", "add rig: FILE")
-            paths = files_of(file, key, self.faults)
-            sources.extend(SourceFile(path, rig) for path in paths if rig is not None)
-        return sources
-
-    def _recording_rig(self, entry: Marked, key: str) -> Rig | None:
-        """The rig of one recording: its rig file, with the recording's channel entries."""
-        rig_node = entry.content.get("rig", self.top.get("rig"))
-        if rig_node is None:
-            self.faults.add(entry, key, "no rig file is named", "add rig: FILE")
-            return None
-        if "channels" not in entry.content:
-            return self.rig if "rig" not in entry.content else read_rig(rig_node, self.folder, self.faults, join(key, "rig"))
-        try:
-            return override_channels(self.folder / rig_node.text, entry.content["channels"], self.faults, join(key, "channels"))
-        except ConfigError as error:
-            self.faults.merge(error)
-            return None

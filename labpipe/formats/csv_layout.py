@@ -10,6 +10,7 @@ from pathlib import Path
 
 from labpipe.errors import DataError
 from labpipe.formats.packed import PACKED, damaged, open_unpacked
+from labpipe.formats.time_stamps import is_stamp
 from labpipe.quantities import UnitError, parse_unit
 
 HEAD_BYTES = 1 << 18
@@ -28,7 +29,10 @@ IsNumber = Callable[[str, str], bool]
 
 @dataclass(frozen=True)
 class Layout:
-    """*names* has one entry per field of a data row (empty after a trailing delimiter); *first_line* is 0-based."""
+    """*names* has one entry per field of a data row (empty after a trailing delimiter); *first_line* is 0-based.
+
+    *stamps*: the fields that hold times of day or dates.
+    """
 
     encoding: str
     delimiter: str
@@ -36,6 +40,12 @@ class Layout:
     names: tuple[str, ...]
     units: dict[str, str]
     first_line: int
+    stamps: tuple[int, ...] = ()
+
+
+def is_cell(field: str, decimal: str) -> bool:
+    """True if a field is one number with this decimal sign, or a time of day."""
+    return is_number(field, decimal) or (":" in field and is_stamp(field))
 
 
 def is_number(field: str, decimal: str) -> bool:
@@ -50,7 +60,7 @@ def is_number(field: str, decimal: str) -> bool:
     return "_" not in text
 
 
-def is_number_or_missing(field: str, decimal: str, number: IsNumber = is_number) -> bool:
+def is_number_or_missing(field: str, decimal: str, number: IsNumber = is_cell) -> bool:
     """True if a field is a number or a known mark for a missing one."""
     return field.strip().strip('"') in MISSING or number(field, decimal)
 
@@ -60,7 +70,7 @@ def fields_of(line: str, delimiter: str) -> list[str]:
     return line.split() if delimiter == BLANKS else line.split(delimiter)
 
 
-def find_layout(path: Path, number: IsNumber = is_number) -> Layout:
+def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers; *number* knows what a number is."""
     encoding, lines = _head(path)
     sample = _sample(len(lines))
@@ -81,7 +91,8 @@ def find_layout(path: Path, number: IsNumber = is_number) -> Layout:
         n for n, line in enumerate(lines) if len(fields_of(line, delimiter)) == n_field and _is_numeric(line, delimiter, decimal, number)
     )
     names, units = _header(lines[:first], delimiter, n_field)
-    return Layout(encoding, delimiter, decimal, names, units, first)
+    stamps = tuple(n for n, field in enumerate(fields_of(lines[first], delimiter)) if is_stamp(field))
+    return Layout(encoding, delimiter, decimal, names, units, first, stamps)
 
 
 def _head(path: Path) -> tuple[str, list[str]]:

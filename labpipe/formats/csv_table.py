@@ -17,6 +17,7 @@ from labpipe.errors import DataError
 from labpipe.formats.csv_layout import BLANKS, MISSING, fields_of, find_layout, is_number_or_missing
 from labpipe.formats.packed import PACKED, damaged, open_unpacked
 from labpipe.formats.squeezed import SqueezedBlanks
+from labpipe.formats.time_stamps import StampClock
 
 BLOCK_BYTES = 1 << 23
 
@@ -34,11 +35,12 @@ class CsvTable:
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, n_column) [unit of the file]; DataError names line and column of the first row that is not numbers."""
         fields = [str(self.layout.names.index(name)) for name in columns]
+        clocks = {str(n): StampClock(self.layout.names[n]) for n in self.layout.stamps}
         try:
             with self._bytes() as source:
                 for batch in self._open(source, fields):
                     if batch.num_rows:
-                        yield np.column_stack([batch.column(field).to_numpy(zero_copy_only=False) for field in fields])
+                        yield np.column_stack([self._numbers(batch.column(field), clocks.get(field)) for field in fields])
         except pa.ArrowInvalid as error:
             raise self._located(columns, str(error)) from None
         except OSError as error:
@@ -58,12 +60,18 @@ class CsvTable:
             ),
             pc.ParseOptions(delimiter=layout.delimiter),
             pc.ConvertOptions(
-                column_types={field: pa.float64() for field in fields},
+                column_types={field: pa.string() if int(field) in layout.stamps else pa.float64() for field in fields},
                 include_columns=fields,
                 null_values=sorted(MISSING),
                 decimal_point=layout.decimal,
             ),
         )
+
+    @staticmethod
+    def _numbers(column: pa.Array, clock: StampClock | None) -> FloatArray:
+        """The numbers of a column, or the seconds of its times of day."""
+        values: FloatArray = column.to_numpy(zero_copy_only=False) if clock is None else clock.seconds(column.to_pylist())
+        return values
 
     @contextmanager
     def _bytes(self) -> Iterator[Any]:

@@ -8,6 +8,7 @@ from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, unit_of
 from labpipe.records.response import FORMS
 from labpipe.records.settings import Settings, setting
+from labpipe.records.windowed import WindowedSettings
 
 MECHANICAL = tuple(form for form in FORMS if form != "other")
 AXES = ("frequency", "output", "input")
@@ -85,6 +86,9 @@ class FrfLayout(Settings):
     unit: str = setting("text", "unit of the numbers, for example g/N; default: SI", default="")
     output: tuple[str, ...] = setting("names", "dof of the response; of a matrix: of every row", default=())
     input: tuple[str, ...] = setting("names", "dof of the force; of a matrix: of every column", default=())
+    windowed: WindowedSettings | None = setting(
+        "section", "window of the hits behind the FRF: its damping is taken out", section=WindowedSettings, default=None
+    )
 
     def __post_init__(self) -> None:
         if bool(self.file) == bool(self.each):

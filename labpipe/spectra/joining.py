@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from labpipe.records.response import FrequencyResponse, Port
 
 # Relative tolerance between the frequency axes, which files print with six digits.
 SAME_AXIS = 1e-5
+# What a response has for each element beside H.
+QUALITIES = ("coherence", "partial_coherence", "distortion", "change", "line_gains")
 
 
 def joined(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
@@ -28,27 +31,37 @@ def joined(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
         _check_alike(response, first)
     outputs = _ports([port for response in responses for port in response.outputs])
     inputs = _ports([port for response in responses for port in response.inputs])
-    shape = (first.n_frequency, len(outputs), len(inputs))
-    matrix, coherence = np.zeros(shape, np.complex128), np.zeros(shape)
     rows, columns = ({port.label: number for number, port in enumerate(ports)} for ports in (outputs, inputs))
     _check_complete(responses, rows, columns)
-    for response in responses:
-        o = np.array([rows[port.label] for port in response.outputs])[:, None]
-        i = np.array([columns[port.label] for port in response.inputs])
-        matrix[:, o, i] = response.matrix
-        if response.coherence is not None:
-            coherence[:, o, i] = response.coherence
-    complete = all(response.coherence is not None for response in responses)
+    whole = {name: _placed(responses, name, rows, columns) for name in ("matrix", *QUALITIES)}
+    windows = {response.line_correlation for response in responses}
     return FrequencyResponse(
-        first.frequency,
-        matrix,
-        outputs,
-        inputs,
+        frequency=first.frequency,
+        outputs=outputs,
+        inputs=inputs,
         form=first.form,
-        coherence=coherence if complete else None,
         covariance=_covariance(responses, rows, columns),
         covariance_dof=min(response.covariance_dof for response in responses),
+        averages=min(response.averages for response in responses),
+        line_correlation=windows.pop() if len(windows) == 1 else (),
+        blocks=first.blocks if all(response.blocks == first.blocks for response in responses) else None,
+        findings=tuple(dict.fromkeys(finding for response in responses for finding in response.findings)),
+        conditions=first.conditions,
+        **whole,
     )
+
+
+def _placed(responses: Sequence[FrequencyResponse], name: str, rows: dict[str, int], columns: dict[str, int]) -> Any:
+    """An array by output and input, its last two dimensions, of all responses; None where one has none."""
+    parts = [getattr(response, name) for response in responses]
+    if any(part is None for part in parts):
+        return None
+    whole = np.zeros((*parts[0].shape[:-2], len(rows), len(columns)), parts[0].dtype)
+    for response, part in zip(responses, parts, strict=True):
+        o = np.array([rows[port.label] for port in response.outputs])[:, None]
+        i = np.array([columns[port.label] for port in response.inputs])
+        whole[..., o, i] = part
+    return whole
 
 
 def _covariance(responses: Sequence[FrequencyResponse], rows: dict[str, int], columns: dict[str, int]) -> ComplexArray | None:
@@ -76,7 +89,7 @@ def _check_complete(responses: Sequence[FrequencyResponse], rows: Iterable[str],
             holders[pair] = response.name
     missing = [f"{output}/{port}" for output, port in itertools.product(rows, columns) if (output, port) not in holders]
     if missing:
-        raise DataError(f"no file holds {', '.join(missing[:5])}", hint="every output needs every input")
+        raise DataError(f"{', '.join(missing[:5])} was not measured", hint="every output needs every input")
 
 
 def _check_alike(response: FrequencyResponse, first: FrequencyResponse) -> None:

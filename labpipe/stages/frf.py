@@ -24,6 +24,7 @@ from labpipe.formats.table import TEXT_SUFFIXES, open_table
 from labpipe.formats.uff import TIME, UFF_SUFFIXES, read_uff
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.response import FrequencyResponse, Port
+from labpipe.spectra.damping import undamped
 from labpipe.spectra.joining import joined
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
@@ -101,6 +102,8 @@ def load_ready(frf: ReadyFrf, test: str = "", conditions: dict[str, str] | None 
         for path, outputs, inputs in zip(frf.paths, frf.outputs, frf.inputs, strict=True)
     ]
     response = joined(responses) if frf.layout.each else responses[0]
+    if frf.layout.windowed is not None:
+        response = undamped(response, frf.layout.windowed.exponential)
     return dataclasses.replace(response, name=name, conditions=conditions or response.conditions)
 
 

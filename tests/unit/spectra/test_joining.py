@@ -43,7 +43,7 @@ def test_coherence_and_noise_stay_with_their_elements() -> None:
     ("second", "fault"),
     [
         (part("a", "f", 2, "b.txt"), "a/f lies in a.txt and in b.txt"),
-        (part("b", "g", 2, "b.txt"), "no file holds a/g, b/f"),
+        (part("b", "g", 2, "b.txt"), "a/g, b/f was not measured"),
         (part("b", "f", 2, "b.txt", form="receptance"), "b.txt is a receptance, a.txt a mobility"),
         (part("b", "f", 2, "b.txt", frequency=np.array([1.0, 2.0, 3.1])), "b.txt differ from those of a.txt: 3.1 and 3 Hz at line 3"),
     ],
