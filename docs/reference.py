@@ -115,12 +115,17 @@ def rig_page() -> str:
 
 def pipeline_page() -> str:
     from labpipe.config.pipeline import ReportSettings, section_names
+    from labpipe.records.frf_layout import FrfLayout
     from labpipe.sections import sections
     from labpipe.spectra.settings import FrfSettings
 
     named = ", ".join(f"`{name}`" for name in section_names())
     head = (DOCS / "pipeline-head.md").read_text(encoding="utf-8").strip()
     words = {
+        "frfs": (
+            "An entry that describes its file. How it is used: [FRFs of any layout](../how-to/files.md#frfs-of-any-layout).",
+            FrfLayout,
+        ),
         "frf": ("How recordings become frequency responses.", FrfSettings),
         **{name: (section.words, section.load("settings")) for name, section in sections()},
         "report": ("What `labpipe run` writes.", ReportSettings),

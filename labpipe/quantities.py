@@ -69,6 +69,7 @@ _BASE: dict[str, Unit] = {
     "C": Unit(1.0, _dimension(s=1, a=1)),
     "Hz": Unit(1.0, _dimension(s=-1)),
     "strain": Unit(1.0, NONE),
+    "gn": Unit(_G, _dimension(m=1, s=-2)),
 }
 _FIXED: dict[str, Unit] = {
     "1": Unit(1.0, NONE),
@@ -83,11 +84,12 @@ _FIXED: dict[str, Unit] = {
     "h": Unit(3600.0, _dimension(s=1)),
     "in": Unit(0.0254, _dimension(m=1)),
     "mil": Unit(2.54e-5, _dimension(m=1)),
+    "ft": Unit(0.3048, _dimension(m=1)),
+    "t": Unit(1e3, _dimension(kg=1)),
     "lb": Unit(0.45359237, _dimension(kg=1)),
     "lbf": Unit(0.45359237 * _G, _dimension(m=1, kg=1, s=-2)),
     "kgf": Unit(_G, _dimension(m=1, kg=1, s=-2)),
     "psi": Unit(0.45359237 * _G / 0.0254**2, _dimension(m=-1, kg=1, s=-2)),
-    "gn": Unit(_G, _dimension(m=1, s=-2)),
     "degC": Unit(1.0, _dimension(k=1), 273.15),
     "°C": Unit(1.0, _dimension(k=1), 273.15),
 }
@@ -125,6 +127,8 @@ QUANTITIES: dict[str, Quantity] = {
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _VALUE = re.compile(rf"^\s*({_NUMBER})\s*(.*?)\s*$")
+# The g of a gram that may as well be standard gravity, with the prefix of either; kg is a mass, always.
+_GRAM = re.compile(r"(?<![^\W\d_])([mu]?)g(?![^\W\d_])")
 _TOKEN = re.compile(r"\^\([^)]*\)|\^[+-]?\d+(?:\.\d+)?|[^\W\d_]+|[%°]C?|\d+|[/()]|[.*·\s]+|.")
 
 
@@ -193,6 +197,29 @@ def parse_unit(text: str) -> Unit:
     return Unit(factor, (dimension[0], dimension[1], dimension[2], dimension[3], dimension[4], dimension[5]))
 
 
+def readings(text: str) -> tuple[Unit, ...]:
+    """The units that *text* may mean: g is the gram, and for those who measure accelerations standard gravity ("g/N", "mV/g").
+
+    Raises UnitError as parse_unit does.
+    """
+    gravity = _GRAM.sub(r"\1gn", text)
+    return (parse_unit(text),) if gravity == text else (parse_unit(text), parse_unit(gravity))
+
+
+def unit_of(text: str, si_unit: str) -> Unit:
+    """The unit written as *text*, of the dimension of *si_unit*: g is 9.80665 m/s^2 where an acceleration is needed, the gram else.
+
+    Raises UnitError for an unknown unit or a wrong dimension.
+    """
+    units = readings(text)
+    dimension = parse_unit(si_unit).dimension
+    for unit in units:
+        if unit.dimension == dimension:
+            return unit
+    check_dimension(text, units[0], si_unit)
+    return units[0]
+
+
 def parse_value(text: str | float, si_unit: str) -> float:
     """The value of ``"90 um"`` in the SI unit given; a bare number is refused unless the SI unit is a pure number.
 
@@ -209,8 +236,7 @@ def parse_value(text: str | float, si_unit: str) -> float:
         if target.dimension == NONE or number == 0:
             return _finite(number, text)
         raise UnitError(f"'{text}' has no unit", f"write it with its unit, e.g. '{match[1]} {si_unit}'")
-    unit = parse_unit(unit_text)
-    check_dimension(unit_text, unit, si_unit)
+    unit = unit_of(unit_text, si_unit)
     return _finite((number * unit.factor + unit.offset) / target.factor * _angle_per_period(unit, target), text)
 
 

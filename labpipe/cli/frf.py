@@ -11,7 +11,8 @@ from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
 from labpipe.cli.many import echo_failed, manner
 from labpipe.config.pipeline import Pipeline, load_pipeline
-from labpipe.config.tests import SourceFile, Test
+from labpipe.config.recordings import SourceFile
+from labpipe.config.tests import Test
 from labpipe.errors import ConfigError
 from labpipe.pipeline.run import measure_tests
 from labpipe.records.finding import WARNING, of_level

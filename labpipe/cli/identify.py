@@ -6,14 +6,14 @@ from pathlib import Path
 
 import click
 
-from labpipe.artefacts.header import source_ref
+from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
 from labpipe.cli.terminal import echo_identification
 from labpipe.config.pipeline import Pipeline, load_pipeline
 from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse
-from labpipe.stages.frf import frf_file_name, load_response
+from labpipe.stages.frf import DESCRIPTION, frf_file_name, load_ready, load_response, ready_refs
 from labpipe.stages.identify import identify_stage
 
 
@@ -32,31 +32,29 @@ def identify(frfs: tuple[Path, ...], pipeline_path: Path, output: Path, override
     pipeline = load_pipeline(pipeline_path, overrides)
     options.teller(quiet, verbose)(f"identify  {pipeline.title}")
     with output_folder(output) as folder:
-        responses = [load_response(path) for path in frfs] or _pipeline_responses(pipeline, folder)
-        inputs = [source_ref(path, path.parent) for path in frfs or _pipeline_paths(pipeline, folder)]
-        sources = [*inputs, *(source_ref(path, pipeline.folder) for path in pipeline.side_files)]
+        if frfs:
+            responses, inputs = [load_response(path) for path in frfs], [source_ref(path, path.parent) for path in frfs]
+        else:
+            responses, inputs = _of_pipeline(pipeline, folder)
+        files = [reference for reference in inputs if reference.path != DESCRIPTION]
+        sources = [*files, *(source_ref(path, pipeline.folder) for path in pipeline.side_files)]
         identification = identify_stage(pipeline, responses, sources, folder, inputs=inputs)
     echo_identification(identification, quiet)
     return 0 if identification.accepted else 1
 
 
-def _pipeline_responses(pipeline: Pipeline, folder: OutputFolder) -> list[FrequencyResponse]:
-    """The responses of the pipeline's tests; those under frfs: with the name and the conditions of their test."""
-    ready = {path: test for test in pipeline.tests for path in test.frfs}
-    return [
-        load_response(path, ready[path].name or path.stem, ready[path].conditions) if path in ready else load_response(path)
-        for path in _pipeline_paths(pipeline, folder)
-    ]
-
-
-def _pipeline_paths(pipeline: Pipeline, folder: OutputFolder) -> list[Path]:
-    """The response files of the pipeline's tests: in the folder, or those under frfs:."""
-    paths: list[Path] = []
+def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[FrequencyResponse], list[SourceRef]]:
+    """The responses of the pipeline's tests, in the folder or under frfs: with name and conditions of their test; what they depend on."""
+    responses: list[FrequencyResponse] = []
+    references: list[SourceRef] = []
     for test in pipeline.tests:
-        paths.extend(test.frfs)
+        for ready in test.frfs:
+            responses.append(load_ready(ready, test.name, test.conditions))
+            references.extend(ready_refs(ready))
         measured_path = folder.read_path(frf_file_name(test.name))
         if test.recordings and not measured_path.exists():
             raise DataError("no such file", where=str(measured_path), hint="run `labpipe frf` first, or `labpipe run` for all stages")
         if test.recordings:
-            paths.append(measured_path)
-    return paths
+            responses.append(load_response(measured_path))
+            references.append(source_ref(measured_path, measured_path.parent))
+    return responses, references

@@ -11,8 +11,9 @@ from labpipe.config.faults import Faults, join
 from labpipe.config.file_kinds import named_files
 from labpipe.config.reader import read_settings
 from labpipe.config.reading import Reading
+from labpipe.config.recordings import read_rig
 from labpipe.config.rules import Rule, read_rules
-from labpipe.config.tests import Test, TestReader, read_rig
+from labpipe.config.tests import Test, TestReader
 from labpipe.errors import ConfigError
 from labpipe.identify.settings import FitSettings
 from labpipe.marked_yaml import Marked, load_marked, set_entry

@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
 from labpipe.config.sensor_response import read_sensor_response
+from labpipe.errors import ConfigError
 from labpipe.marked_yaml import Marked, load_marked, set_entry
-from labpipe.quantities import QUANTITIES, Unit, UnitError, check_dimension, parse_unit, parse_value
+from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
 from labpipe.records.file_kind import FileKind
 from labpipe.records.recording import ROLES, Channel
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
@@ -72,6 +73,28 @@ def override_channels(path: Path, entry: Marked, faults: Faults, key: str) -> Ri
         else:
             channel.content.update(faults.mapping(node, join(key, name)))
     return read_rig(tree, faults)
+
+
+def moved(rig: Rig, dofs: Mapping[str, str]) -> Rig:
+    """The rig with channels in other dofs, by channel; `output` and `input` stand for the only channel of that role.
+
+    ConfigError for a name that is no channel of the rig.
+    """
+    places: dict[str, str] = {}
+    for name, dof in dofs.items():
+        of_role = [channel.channel.name for channel in rig.channels if channel.channel.role == name]
+        known = [channel.channel.name for channel in rig.channels]
+        if name not in known and len(of_role) != 1:
+            what = f"'{name}' is no channel of the rig" if not of_role else f"the rig has {len(of_role)} channels of the role {name}"
+            raise ConfigError(what, hint=nearest(name, known))
+        places[name if name in known else of_role[0]] = dof
+    return replace(rig, channels=tuple(_at(channel, places.get(channel.channel.name)) for channel in rig.channels))
+
+
+def _at(channel: RigChannel, dof: str | None) -> RigChannel:
+    if dof is None:
+        return channel
+    return replace(channel, channel=replace(channel.channel, dof=dof, angle=AXIS_ANGLES.get(dof)))
 
 
 def read_rig(tree: Marked, faults: Faults) -> Rig | None:
@@ -171,10 +194,10 @@ def _calibration(settings: ChannelSettings, node: Marked, key: str, faults: Faul
     si_unit = QUANTITIES[settings.quantity].si_unit
     unit_node = node.content.get("unit", node)
     try:
-        unit = parse_unit(settings.unit or si_unit)
         if not settings.sensitivity:
-            check_dimension(settings.unit or si_unit, unit, si_unit)
+            unit = unit_of(settings.unit or si_unit, si_unit)
             return unit.factor, unit.offset
+        unit = parse_unit(settings.unit or si_unit)
     except UnitError as error:
         faults.add_unit(unit_node, join(key, "unit"), error)
         return 1.0, 0.0
@@ -192,15 +215,15 @@ def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
     match = re.match(r"^\s*(\S+)\s+(.+)$", text)
     if match is None:
         raise UnitError(f"'{text}' is not a sensitivity", "for example '8 V/mm'")
-    dimension = parse_unit(match[2]).dimension
     wanted = tuple(u - q for u, q in zip(unit.dimension, parse_unit(si_unit).dimension, strict=True))
-    value = parse_value(text, match[2]) * parse_unit(match[2]).factor
-    if value == 0:
+    number = parse_value(text, match[2])
+    if number == 0:
         raise UnitError(f"the sensitivity '{text}' is zero")
-    if dimension == wanted:
-        return value
-    if dimension == tuple(-w for w in wanted):
-        return 1.0 / value
+    for reading in readings(match[2]):
+        if reading.dimension == wanted:
+            return number * reading.factor
+        if reading.dimension == tuple(-w for w in wanted):
+            return 1.0 / (number * reading.factor)
     raise UnitError(f"'{match[2]}' does not lead from the channel's unit to {si_unit}", "write recorded unit per quantity, e.g. 'V/mm'")
 
 

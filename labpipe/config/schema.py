@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from labpipe.config.pipeline import ReportSettings
+from labpipe.config.recordings import BY
 from labpipe.config.rig import ChannelSettings, RigSettings
 from labpipe.identify.settings import MODELS, FitSettings, model_kind
+from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.settings import Setting, settings_of
 from labpipe.sections import PipelineSection, sections
 from labpipe.spectra.settings import FrfSettings
@@ -28,16 +30,25 @@ def pipeline_schema() -> dict[str, Any]:
     """The schema of a pipeline file."""
     entry = {
         "type": "object",
-        "properties": {"file": {"type": "string"}, "rig": {"type": "string"}, "channels": {"type": "object"}},
-        "required": ["file"],
+        "properties": {
+            "file": {"type": "string", "description": "a file or a glob"},
+            "each": {**_TEXTS, "description": "files, of which each is a recording"},
+            "join": {**_TEXTS, "description": "files that hold channels of one run"},
+            "by": {"enum": list(BY), "description": "how files are joined; default: on time where all have the rig's time column"},
+            "pattern": {"type": "string", "description": "dofs in the files' names, by channel, input or output: point_{output}_{input}"},
+            "rig": {"type": "string"},
+            "channels": {"type": "object"},
+        },
         "additionalProperties": False,
     }
     recordings = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"anyOf": [{"type": "string"}, entry]}}]}
+    described = _object(FrfLayout)
+    frfs = {"anyOf": [{"type": "string"}, described, {"type": "array", "items": {"anyOf": [{"type": "string"}, described]}}]}
     conditions = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
     test = {
         "name": {"type": "string"},
         "recordings": recordings,
-        "frfs": _TEXTS,
+        "frfs": frfs,
         "each": {**recordings, "description": "files of which each is a test of its own, under the file's name"},
         "pattern": {"type": "string", "description": "conditions in the file's name, for example {preload}-{direction}"},
         "conditions": conditions,
@@ -48,7 +59,7 @@ def pipeline_schema() -> dict[str, Any]:
         "rig": {"type": "string", "description": "rig file, relative to this file"},
         "recordings": recordings,
         "tests": {"type": "array", "items": {"type": "object", "properties": test, "additionalProperties": False}},
-        "frfs": _TEXTS,
+        "frfs": frfs,
         "conditions": conditions,
         "frf": _object(FrfSettings),
         **{name: _section(entry) for name, entry in sections()},

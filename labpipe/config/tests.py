@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import glob
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from labpipe.config.faults import Faults, join
-from labpipe.config.rig import load_rig, override_channels
-from labpipe.errors import ConfigError
+from labpipe.config.file_names import conditions_in
+from labpipe.config.ready_frf import ReadyFrf, read_ready_frfs
+from labpipe.config.recordings import RecordingReader, SourceFile
 from labpipe.marked_yaml import Marked
 from labpipe.records.rig import Rig
 
@@ -20,35 +19,13 @@ EACH = ("each", "pattern", "conditions")
 
 
 @dataclass(frozen=True)
-class SourceFile:
-    """One recorded file and the rig that recorded it."""
-
-    path: Path
-    rig: Rig
-
-
-@dataclass(frozen=True)
 class Test:
     """One test: recordings that together give one FRF matrix, or ready FRFs; *conditions* as text of the file."""
 
     name: str
     recordings: tuple[SourceFile, ...] = ()
-    frfs: tuple[Path, ...] = ()
+    frfs: tuple[ReadyFrf, ...] = ()
     conditions: dict[str, str] = field(default_factory=dict)
-
-
-def read_rig(node: Marked | None, folder: Path, faults: Faults, key: str) -> Rig | None:
-    """The rig of a rig file that an entry names; None and a fault when it cannot be read."""
-    if node is None:
-        return None
-    try:
-        return load_rig(folder / node.text)
-    except ConfigError as error:
-        if error.what == "no such file":
-            faults.add(node, key, f"no such file '{node.text}'", "paths are relative to the pipeline file")
-        else:
-            faults.merge(error)
-    return None
 
 
 @dataclass(frozen=True)
@@ -92,7 +69,7 @@ class TestReader:
     def _tests_per_file(self, entries: dict[str, Marked], key: str) -> Iterator[Test]:
         """One test per file, named after it; conditions from the name by the pattern."""
         common = self._conditions(entries)
-        for source in self._source_files(entries["each"], join(key, "each")):
+        for source in self._recordings(entries["each"], join(key, "each")):
             name = source.path.name.split(".")[0]
             conditions = conditions_in(name, entries["pattern"].text) if "pattern" in entries else {}
             if conditions is None:
@@ -101,76 +78,16 @@ class TestReader:
 
     def _test(self, name: str, node: Marked, key: str) -> Test:
         entries = node.content if isinstance(node.content, dict) else {}
-        recordings = self._source_files(entries["recordings"], join(key, "recordings")) if "recordings" in entries else []
-        frfs: list[Path] = []
-        for item in _listed(entries["frfs"]) if "frfs" in entries else []:
-            frfs.extend(self._files(item, join(key, "frfs")))
+        recordings = self._recordings(entries["recordings"], join(key, "recordings")) if "recordings" in entries else []
+        frfs = read_ready_frfs(entries["frfs"], join(key, "frfs"), self.faults) if "frfs" in entries else []
         if not recordings and not frfs and not len(self.faults):
             self.faults.add(node if node.place else self.top["title"], key, "neither recordings nor frfs")
         return Test(name, tuple(recordings), tuple(frfs), self._conditions(entries))
+
+    def _recordings(self, node: Marked, key: str) -> list[SourceFile]:
+        return RecordingReader(self.rig, self.top.get("rig"), self.folder, self.faults).sources(node, key)
 
     def _conditions(self, entries: dict[str, Marked]) -> dict[str, str]:
         if "conditions" not in entries:
             return {}
         return {key: node.text for key, node in self.faults.mapping(entries["conditions"], "conditions").items()}
-
-    def _source_files(self, node: Marked, key: str) -> list[SourceFile]:
-        sources: list[SourceFile] = []
-        for entry in _listed(node):
-            rig, file = self.rig, entry
-            if isinstance(entry.content, dict):
-                self.faults.unknown_keys(entry, key, ("file", "rig", "channels"))
-                file = entry.content.get("file", Marked(None, entry.where))
-                rig = self._recording_rig(entry, key)
-            elif rig is None and "rig" not in self.top:
-                self.faults.add(node, key, "no rig file is named", "add rig: FILE")
-            paths = self._files(file, key)
-            sources.extend(SourceFile(path, rig) for path in paths if rig is not None)
-        return sources
-
-    def _recording_rig(self, entry: Marked, key: str) -> Rig | None:
-        """The rig of one recording: its rig file, with the recording's channel entries."""
-        rig_node = entry.content.get("rig", self.top.get("rig"))
-        if rig_node is None:
-            self.faults.add(entry, key, "no rig file is named", "add rig: FILE")
-            return None
-        if "channels" not in entry.content:
-            return self.rig if "rig" not in entry.content else read_rig(rig_node, self.folder, self.faults, join(key, "rig"))
-        try:
-            return override_channels(self.folder / rig_node.text, entry.content["channels"], self.faults, join(key, "channels"))
-        except ConfigError as error:
-            self.faults.merge(error)
-            return None
-
-    def _files(self, node: Marked, key: str) -> list[Path]:
-        """The files that a path or glob names, sorted; a fault when there is none."""
-        if not node.text:
-            self.faults.add(node, key, "a file name is needed")
-            return []
-        path = self.folder / node.text
-        if glob.has_magic(node.text):
-            matches = sorted(Path(name) for name in glob.glob(str(path), recursive=True))
-            if not matches:
-                self.faults.add(node, key, f"no file matches '{node.text}'", "paths are relative to the pipeline file")
-            return matches
-        if not path.exists():
-            self.faults.add(node, key, f"no such file '{node.text}'", "paths are relative to the pipeline file")
-            return []
-        return [path]
-
-
-def _listed(node: Marked) -> list[Marked]:
-    return node.content if isinstance(node.content, list) else [node]
-
-
-def conditions_in(name: str, pattern: str) -> dict[str, str] | None:
-    """The conditions in a file's *name*: '427N-up' by '{preload}-{direction}' is preload 427N, direction up; None where it differs.
-
-    '{}' stands for a part that is no condition.
-    """
-    parts = re.split(r"\{(\w*)\}", pattern)
-    wanted = [part for part in parts[1::2] if part]
-    groups = iter(parts[1::2])
-    expression = "".join(re.escape(part) + ("(.+?)" if next(groups, "") else ".+?") for part in parts[:-1:2]) + re.escape(parts[-1])
-    match = re.fullmatch(expression, name)
-    return None if match is None else dict(zip(wanted, match.groups(), strict=True))

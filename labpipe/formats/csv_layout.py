@@ -4,25 +4,35 @@ from __future__ import annotations
 
 import codecs
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from labpipe.errors import DataError
 from labpipe.formats.packed import PACKED, damaged, open_unpacked
+from labpipe.formats.time_stamps import is_stamp
 from labpipe.quantities import UnitError, parse_unit
 
 HEAD_BYTES = 1 << 18
 # Lines analysed from either end of the head; no header is longer.
 SAMPLE_LINES = 200
-DELIMITERS = ("\t", ";", ",", "|")
+# Blanks: any number of them stands between two fields.
+BLANKS = " "
+DELIMITERS = ("\t", ";", ",", "|", BLANKS)
 MISSING = frozenset(("", "nan", "NaN", "NAN", "NA", "N/A", "#N/A", "null", "-", "--", "---"))
 _COMMENT = re.compile(r"^\s*(?:#|%|//|!)+\s?")
 _BRACKETS = re.compile(r"[\[(]([^\])]+)[\])]\s*$")
 
 
+IsNumber = Callable[[str, str], bool]
+
+
 @dataclass(frozen=True)
 class Layout:
-    """*names* has one entry per field of a data row (empty after a trailing delimiter); *first_line* is 0-based."""
+    """*names* has one entry per field of a data row (empty after a trailing delimiter); *first_line* is 0-based.
+
+    *stamps*: the fields that hold times of day or dates.
+    """
 
     encoding: str
     delimiter: str
@@ -30,6 +40,12 @@ class Layout:
     names: tuple[str, ...]
     units: dict[str, str]
     first_line: int
+    stamps: tuple[int, ...] = ()
+
+
+def is_cell(field: str, decimal: str) -> bool:
+    """True if a field is one number with this decimal sign, or a time of day."""
+    return is_number(field, decimal) or (":" in field and is_stamp(field))
 
 
 def is_number(field: str, decimal: str) -> bool:
@@ -44,27 +60,39 @@ def is_number(field: str, decimal: str) -> bool:
     return "_" not in text
 
 
-def is_number_or_missing(field: str, decimal: str) -> bool:
+def is_number_or_missing(field: str, decimal: str, number: IsNumber = is_cell) -> bool:
     """True if a field is a number or a known mark for a missing one."""
-    return field.strip().strip('"') in MISSING or is_number(field, decimal)
+    return field.strip().strip('"') in MISSING or number(field, decimal)
 
 
-def find_layout(path: Path) -> Layout:
-    """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers."""
+def fields_of(line: str, delimiter: str) -> list[str]:
+    """The fields of a line."""
+    return line.split() if delimiter == BLANKS else line.split(delimiter)
+
+
+def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
+    """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers; *number* knows what a number is."""
     encoding, lines = _head(path)
     sample = _sample(len(lines))
     candidates = [
-        (delimiter, decimal, *_numeric_rows(lines, sample, delimiter, decimal))
+        (delimiter, decimal, *_numeric_rows(lines, sample, delimiter, decimal, number))
         for delimiter in DELIMITERS
         for decimal in (".", ",")
         if delimiter != decimal
     ]
-    delimiter, decimal, rows, n_field = max(candidates, key=lambda c: (_rank(c[2]), _header_fits(lines, c), c[3]))
+    # Of equal rows blanks delimit none: they stand beside other delimiters, too.
+    delimited = (_rank(c[2]) for c in candidates if c[0] != BLANKS and c[3] > 1)
+    most = max(delimited, default=0)
+    known = [c for c in candidates if c[0] != BLANKS or _rank(c[2]) > most]
+    delimiter, decimal, rows, n_field = max(known, key=lambda c: (_rank(c[2]), _header_fits(lines, c), c[3]))
     if not rows:
         raise DataError("no row of numbers in it", where=str(path), hint="a table of numbers below one header line is needed")
-    first = next(n for n, line in enumerate(lines) if len(line.split(delimiter)) == n_field and _is_numeric(line, delimiter, decimal))
+    first = next(
+        n for n, line in enumerate(lines) if len(fields_of(line, delimiter)) == n_field and _is_numeric(line, delimiter, decimal, number)
+    )
     names, units = _header(lines[:first], delimiter, n_field)
-    return Layout(encoding, delimiter, decimal, names, units, first)
+    stamps = tuple(n for n, field in enumerate(fields_of(lines[first], delimiter)) if is_stamp(field))
+    return Layout(encoding, delimiter, decimal, names, units, first, stamps)
 
 
 def _head(path: Path) -> tuple[str, list[str]]:
@@ -101,18 +129,18 @@ def _sample(n_line: int) -> list[int]:
     return [*range(SAMPLE_LINES), *range(n_line - SAMPLE_LINES, n_line)]
 
 
-def _is_numeric(line: str, delimiter: str, decimal: str) -> bool:
+def _is_numeric(line: str, delimiter: str, decimal: str, number: IsNumber) -> bool:
     """True if a line is a row of numbers, some of which may be missing."""
-    fields = line.split(delimiter)
-    return any(is_number(field, decimal) for field in fields) and all(is_number_or_missing(field, decimal) for field in fields)
+    fields = fields_of(line, delimiter)
+    return any(number(field, decimal) for field in fields) and all(is_number_or_missing(field, decimal, number) for field in fields)
 
 
-def _numeric_rows(lines: list[str], sample: list[int], delimiter: str, decimal: str) -> tuple[list[int], int]:
+def _numeric_rows(lines: list[str], sample: list[int], delimiter: str, decimal: str, is_cell: IsNumber) -> tuple[list[int], int]:
     """The lines of the sample that are rows of numbers, and their number of fields (the most frequent one)."""
     counts: dict[int, list[int]] = {}
     for number in sample:
-        if _is_numeric(lines[number], delimiter, decimal):
-            counts.setdefault(len(lines[number].split(delimiter)), []).append(number)
+        if _is_numeric(lines[number], delimiter, decimal, is_cell):
+            counts.setdefault(len(fields_of(lines[number], delimiter)), []).append(number)
     n_field = max(counts, key=lambda n: (len(counts[n]), n), default=0)
     return counts.get(n_field, []), n_field
 
@@ -125,13 +153,15 @@ def _rank(rows: list[int]) -> float:
 def _header_fits(lines: list[str], candidate: tuple[str, str, list[int], int]) -> bool:
     delimiter, _, rows, n_field = candidate
     above = [line for line in lines[: rows[0]] if line.strip()] if rows else []
-    return bool(above) and len(above[-1].split(delimiter)) in (n_field, n_field - 1)
+    return bool(above) and len(fields_of(above[-1], delimiter)) in (n_field, n_field - 1)
 
 
 def _header(above: list[str], delimiter: str, n_field: int) -> tuple[tuple[str, ...], dict[str, str]]:
     """Names and units from the lines above the numbers; columns without a header are called 1, 2, ..."""
-    rows = [[field.strip().strip('"').strip() for field in _COMMENT.sub("", line).split(delimiter)] for line in above]
-    titles = [row + [""] * (n_field - len(row)) for row in rows if n_field - 1 <= len(row) <= n_field and any(row)]
+    rows = [[field.strip().strip('"').strip() for field in fields_of(_COMMENT.sub("", line), delimiter)] for line in above]
+    # A data row may end in a delimiter that its header lacks.
+    fewest = n_field if delimiter == BLANKS else n_field - 1
+    titles = [row + [""] * (n_field - len(row)) for row in rows if fewest <= len(row) <= n_field and any(row)]
     if not titles:
         return tuple(str(n + 1) for n in range(n_field)), {}
     names, unit_row = titles[-1], [""] * n_field

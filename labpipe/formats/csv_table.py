@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -12,8 +14,10 @@ import pyarrow.csv as pc
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
-from labpipe.formats.csv_layout import MISSING, find_layout, is_number_or_missing
+from labpipe.formats.csv_layout import BLANKS, MISSING, fields_of, find_layout, is_number_or_missing
 from labpipe.formats.packed import PACKED, damaged, open_unpacked
+from labpipe.formats.squeezed import SqueezedBlanks
+from labpipe.formats.time_stamps import StampClock
 
 BLOCK_BYTES = 1 << 23
 
@@ -31,22 +35,23 @@ class CsvTable:
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, n_column) [unit of the file]; DataError names line and column of the first row that is not numbers."""
         fields = [str(self.layout.names.index(name)) for name in columns]
+        clocks = {str(n): StampClock(self.layout.names[n]) for n in self.layout.stamps}
         try:
-            for batch in self._open(fields):
-                if batch.num_rows:
-                    yield np.column_stack([batch.column(field).to_numpy(zero_copy_only=False) for field in fields])
+            with self._bytes() as source:
+                for batch in self._open(source, fields):
+                    if batch.num_rows:
+                        yield np.column_stack([self._numbers(batch.column(field), clocks.get(field)) for field in fields])
         except pa.ArrowInvalid as error:
             raise self._located(columns, str(error)) from None
         except OSError as error:
             raise damaged(self.path, error) if self.path.suffix.lower() in PACKED else error from None
 
-    def _open(self, fields: list[str]) -> pc.CSVStreamingReader:
+    def _open(self, source: Any, fields: list[str]) -> pc.CSVStreamingReader:
         layout = self.layout
-        encoding = "utf8" if layout.encoding.startswith("utf-8") else layout.encoding
+        encoding = "utf8" if layout.encoding.startswith("utf-8") or layout.delimiter == BLANKS else layout.encoding
         n_field = len(layout.names)
-        packed = self.path.suffix.lower() in PACKED
         return pc.open_csv(
-            open_unpacked(self.path) if packed else self.path,
+            source,
             pc.ReadOptions(
                 block_size=BLOCK_BYTES,
                 skip_rows=layout.first_line,
@@ -55,12 +60,29 @@ class CsvTable:
             ),
             pc.ParseOptions(delimiter=layout.delimiter),
             pc.ConvertOptions(
-                column_types={field: pa.float64() for field in fields},
+                column_types={field: pa.string() if int(field) in layout.stamps else pa.float64() for field in fields},
                 include_columns=fields,
                 null_values=sorted(MISSING),
                 decimal_point=layout.decimal,
             ),
         )
+
+    @staticmethod
+    def _numbers(column: pa.Array, clock: StampClock | None) -> FloatArray:
+        """The numbers of a column, or the seconds of its times of day."""
+        values: FloatArray = column.to_numpy(zero_copy_only=False) if clock is None else clock.seconds(column.to_pylist())
+        return values
+
+    @contextmanager
+    def _bytes(self) -> Iterator[Any]:
+        """The file, or its unpacked bytes, in which one blank stands between two fields."""
+        if self.layout.delimiter == BLANKS:
+            with SqueezedBlanks(open_unpacked(self.path), self.layout.encoding) as stream:
+                yield stream
+        elif self.path.suffix.lower() in PACKED:
+            yield open_unpacked(self.path)
+        else:
+            yield self.path
 
     def _located(self, columns: Sequence[str], reason: str) -> DataError:
         """The error with the first faulty line, found by reading the file again as text."""
@@ -69,7 +91,7 @@ class CsvTable:
             for number, line in enumerate(lines):
                 if number < layout.first_line or not line.strip():
                     continue
-                fields = line.rstrip("\r\n").split(layout.delimiter)
+                fields = fields_of(line.rstrip("\r\n"), layout.delimiter)
                 where = f"{self.path}:{number + 1}"
                 if len(fields) != len(layout.names):
                     return DataError(f"{len(fields)} fields, {len(layout.names)} are needed as in the rows before", where=where)

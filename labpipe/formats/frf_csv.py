@@ -13,6 +13,7 @@ from labpipe.errors import DataError
 from labpipe.formats.csv_table import CsvTable
 from labpipe.formats.packed import open_unpacked
 from labpipe.formats.table import check_columns
+from labpipe.quantities import UnitError, parse_value
 from labpipe.records.response import FORMS, FrequencyResponse, Port, uncorrelated
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.registry import nearest
@@ -41,8 +42,8 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
     return FrequencyResponse(
         frequency=columns[FREQUENCY],
         matrix=real + 1j * imaginary,
-        outputs=tuple(_port(label) for label in outputs),
-        inputs=tuple(_port(label) for label in inputs),
+        outputs=tuple(port_of(label) for label in outputs),
+        inputs=tuple(port_of(label) for label in inputs),
         form=_form(path),
         covariance=None if variance is None else uncorrelated(variance),
         coherence=coherence,
@@ -50,8 +51,13 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
     )
 
 
-def _port(label: str) -> Port:
-    return Port(label, label, label, AXIS_ANGLES.get(label))
+def port_of(label: str) -> Port:
+    """The port of a dof label; x, y and angles such as "45 deg" have a direction."""
+    try:
+        angle = parse_value(label, "rad") if label not in AXIS_ANGLES else AXIS_ANGLES[label]
+    except UnitError:
+        return Port(label, label, label)
+    return Port(label, label, label, angle if " " in label or label in AXIS_ANGLES else None)
 
 
 def _form(path: Path) -> str:

@@ -26,6 +26,23 @@ def load_hdf5_variables(path: Path, names: Iterable[str]) -> dict[str, Any]:
         raise DataError(f"is not a readable HDF5 file ({reason[:80]})", where=str(path)) from None
 
 
+def hdf5_names(path: Path) -> tuple[str, ...]:
+    """The data sets of an HDF5 file, "group/name"; DataError when the file is damaged."""
+    names: list[str] = []
+
+    def add(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and not name.startswith("#"):
+            names.append(name)
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(add)
+    except (OSError, RuntimeError, KeyError) as error:
+        reason = (str(error).splitlines() or ["damaged"])[0]
+        raise DataError(f"is not a readable HDF5 file ({reason[:80]})", where=str(path)) from None
+    return tuple(names)
+
+
 def _is_own_dataset(file: h5py.File, name: str) -> bool:
     return isinstance(file.get(name, getlink=True), h5py.HardLink) and isinstance(file[name], h5py.Dataset)
 

@@ -56,13 +56,18 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield name, value
 
 
+def load_fields(path: Path) -> dict[str, Any]:
+    """The variables of a MATLAB file up to version 7, and the fields of its structures as "run.x"; DataError as `load_variables`."""
+    return dict(entry for name, value in load_variables(path).items() for entry in _fields(name, value))
+
+
 def mat_table(path: Path) -> ArraysTable:
     """The vectors of a MATLAB file as a table; a structure ``units`` with one text per vector gives their units."""
     if is_hdf5(path):
         from labpipe.formats.hdf5_table import hdf5_table
 
         return hdf5_table(path)
-    arrays = dict(entry for name, value in load_variables(path).items() for entry in _fields(name, value))
+    arrays = load_fields(path)
     numeric = {name: value for name, value in arrays.items() if is_numeric(value)}
     units = {name.removeprefix("units."): text_of(value) for name, value in arrays.items() if name.startswith("units.")}
     columns = {name: column for key, value in numeric.items() for name, column in columns_of(key, value).items()}

@@ -11,15 +11,15 @@ from pathlib import Path
 from labpipe.artefacts.fits_file import has_fresh_fits, read_fits, write_fits
 from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.writing import OutputFolder, output_folder
-from labpipe.config.tests import SourceFile, Test
+from labpipe.config.tests import Test
 from labpipe.errors import ConfigError, LabpipeError
 from labpipe.identify.settings import FitSettings
 from labpipe.records.identification import Failed, Fit
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.settings import FrfSettings
 from labpipe.stages.fits import fits_of
-from labpipe.stages.frf import frf, frf_file_name, load_response
-from labpipe.stages.ingest import ingest, recording_ref
+from labpipe.stages.frf import frf, frf_file_name, load_ready, load_response, ready_refs
+from labpipe.stages.ingest import ingest, recording_refs
 
 Tell = Callable[[str], None]
 
@@ -55,8 +55,8 @@ class Job:
 
     def absolute(self) -> Job:
         """The same job, to be done by a process that works in another folder."""
-        recordings = tuple(SourceFile(source.path.absolute(), source.rig) for source in self.test.recordings)
-        test = dataclasses.replace(self.test, recordings=recordings, frfs=tuple(path.absolute() for path in self.test.frfs))
+        recordings = tuple(source.absolute() for source in self.test.recordings)
+        test = dataclasses.replace(self.test, recordings=recordings, frfs=tuple(frf.absolute() for frf in self.test.frfs))
         paths = {name: getattr(self, name).absolute() for name in ("pipeline_path", "target", "scratch")}
         return dataclasses.replace(self, test=test, **paths)
 
@@ -92,26 +92,27 @@ def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[Source
     stored = []
     for source, name in zip(job.test.recordings, job.names, strict=True):
         tell(f"ingest    {source.path.name}")
-        stored.append(ingest(source.path, source.rig, output, f"recordings/{name}", job.folder))
+        stored.append(ingest(source.path, source.rig, output, f"recordings/{name}", job.folder, source.joined, source.by))
     if stored:
         if job.frf is None:
             raise ConfigError("frf: is missing", where=str(job.pipeline_path), hint="say how the recordings become FRFs")
         tell(f"frf       {job.test.name or job.pipeline_path.stem}")
         frf(stored, job.frf, output, job.test.name, job.test.conditions)
-    recorded = [recording_ref(recording, job.folder) for recording in stored]
-    return (*recorded, *(source_ref(path, job.folder) for path in job.test.frfs))
+    recorded = [reference for recording in stored for reference in recording_refs(recording, job.folder)]
+    return (*recorded, *(source_ref(path, job.folder) for ready in job.test.frfs for path in ready.paths))
 
 
 def responses_of(job: Job, output: OutputFolder) -> list[FrequencyResponse]:
     """The measured response of the test, and its ready ones."""
     measured = [load_response(output.read_path(frf_file_name(job.test.name)))] if job.test.recordings else []
-    return [*measured, *(load_response(path, job.test.name or path.stem, job.test.conditions) for path in job.test.frfs)]
+    return [*measured, *(load_ready(ready, job.test.name, job.test.conditions) for ready in job.test.frfs)]
 
 
 def response_refs(job: Job, output: OutputFolder) -> list[SourceRef]:
     """The digests of the test's responses, by their file names."""
-    measured = [output.read_path(frf_file_name(job.test.name))] if job.test.recordings else []
-    return [source_ref(path, path.parent) for path in (*measured, *job.test.frfs)]
+    path = output.read_path(frf_file_name(job.test.name))
+    measured = [source_ref(path, path.parent)] if job.test.recordings else []
+    return [*measured, *(reference for ready in job.test.frfs for reference in ready_refs(ready))]
 
 
 def fit(job: Job, output: OutputFolder) -> None:

@@ -112,7 +112,7 @@ def _jobs(pipeline: Pipeline, target: Path, scratch: Path, fits: Sequence[str]) 
         if other != test.name:
             raise ConfigError(f"tests '{other}' and '{test.name}' would write the same file", where=str(pipeline.path), hint="rename one")
     test_names = [
-        name for test in pipeline.tests for name in ([test.name] if test.recordings else [test.name or p.stem for p in test.frfs])
+        name for test in pipeline.tests for name in ([test.name] if test.recordings else [test.name or ready.name for ready in test.frfs])
     ]
     for settings in pipeline.fits:
         check_tested(settings, test_names)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,6 +24,10 @@ AT_LIMIT = 1e-9
 FINE = 3.0
 # Share of the last printed digit by which mean and median step differ when the times have too few digits.
 COARSE = 0.1
+# Times may repeat or shorten a step where it is longer than this many last digits: a lost sample would still be seen.
+LEAST = 0.75
+# Times with more significant digits are exact enough.
+MOST_DIGITS = 9
 
 
 class ChannelScreen:
@@ -201,6 +206,7 @@ class TimeAxisScreen:
         self._smallest, self._largest = (np.inf, -1), (-np.inf, -1)
         self._n_sample = 0
         self._resolution = np.inf
+        self._digits = 1
         self._typical = np.nan
 
     def add(self, times: FloatArray) -> None:
@@ -214,8 +220,8 @@ class TimeAxisScreen:
         offset = self._n_sample if self._n_sample == 0 else self._n_sample - 1
         steps = np.diff(joined)
         if steps.size:
-            if np.any(steps <= 0):
-                sample = offset + 1 + int(np.argmax(steps <= 0))
+            if np.any(steps < 0):
+                sample = offset + 1 + int(np.argmax(steps < 0))
                 raise DataError(f"the time column '{self._column}' does not rise at sample {sample} ({joined[sample - offset]:g} s)")
             if np.isnan(self._typical):
                 self._typical = float(np.median(steps))
@@ -223,6 +229,7 @@ class TimeAxisScreen:
             self._largest = max(self._largest, (float(steps.max()), offset + 1 + int(steps.argmax())))
         # The finest resolution of all blocks: a short block may hold round numbers only.
         self._resolution = min(self._resolution, _printed_resolution(times))
+        self._digits = max(self._digits, _printed_digits(times))
         if self._n_sample == 0:
             self._first = float(times[0])
         self._last = float(times[-1])
@@ -235,17 +242,56 @@ class TimeAxisScreen:
         step = (self._last - self._first) / (self._n_sample - 1)
         # Coarsely printed times make equal steps differ by one last digit (half a digit at either end). That is not allowed for
         # where a step is hardly longer than the digit and the median step equals the mean: an unequal step is a lost sample then.
-        coarse = step > FINE * self._resolution or abs(step - self._typical) > COARSE * self._resolution
+        # Nor does a step shorter than usual hide one, or any step where the first times, of more decimals, show how long steps are.
+        by_digits = _last_digit(max(abs(self._first), abs(self._last)), self._digits)
+        resolution = max(self._resolution, by_digits if step > LEAST * by_digits else 0.0)
+        off = step - self._typical
+        clear = off < 0 or self._resolution < COARSE * resolution
+        coarse = step > FINE * resolution or abs(off) > COARSE * resolution or (clear and step > LEAST * resolution)
         # Stored numbers are rounded as well: a date in seconds is accurate to 2e-7 s only, at either end of a step.
         stored = float(np.spacing(max(abs(self._first), abs(self._last))))
-        allowed = JITTER * step + stored + (self._resolution if coarse else 0.0)
+        allowed = JITTER * step + stored + (resolution if coarse else 0.0)
+        if self._smallest[0] <= 0 and not (coarse and step > LEAST * resolution):
+            raise DataError(
+                f"the time column '{self._column}' does not rise at sample {self._smallest[1]}",
+                hint="times of too few digits? give sample_rate in the rig file instead of time",
+            )
         for extreme, sample in (self._largest, self._smallest):
             if abs(extreme - step) > allowed:
                 raise DataError(
                     f"the time steps of column '{self._column}' are not equal: {extreme:g} s at sample {sample}, {step:g} s on average",
                     hint="a lost sample or coarse times; if the logger runs evenly, give sample_rate in the rig file instead of time",
                 )
-        return float(f"{1 / step:.12g}")
+        rounded = self._largest[0] - self._smallest[0] > 0.5 * resolution
+        return _plain_rate(step, resolution / (self._n_sample - 1) if rounded else 0.0)
+
+
+def _plain_rate(step: float, doubt: float) -> float:
+    """The rate [Hz] of fewest digits, 12 at most, whose step [s] lies within *doubt* [s]: files of one logger have one rate then."""
+    rates = (float(f"{1 / step:.{digits}g}") for digits in range(1, 12))
+    return next((rate for rate in rates if abs(1 / rate - step) <= doubt), float(f"{1 / step:.12g}"))
+
+
+def _printed_digits(times: FloatArray) -> int:
+    """Significant digits with which all times are printed, up to MOST_DIGITS; more for numbers of full precision."""
+    sizes = np.abs(times[times != 0])
+    if not sizes.size:
+        return 1
+    exponent = np.floor(np.log10(sizes) * (1 + 1e-15))
+    # A few numbers of full precision spare the search through all.
+    for chosen in (slice(0, 16), slice(None)):
+        for digits in range(1, MOST_DIGITS + 1):
+            scaled = sizes[chosen] * 10.0 ** (digits - 1 - exponent[chosen])
+            if np.all(np.abs(scaled - np.round(scaled)) <= 1e-12 * scaled):
+                break
+        else:
+            return MOST_DIGITS + 8
+    return digits
+
+
+def _last_digit(largest: float, digits: int) -> float:
+    """Size of the last of *digits* significant digits of the largest time."""
+    return 10.0 ** (math.floor(math.log10(largest)) + 1 - digits) if largest > 0 else 0.0
 
 
 def _printed_resolution(times: FloatArray) -> float:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.errors import DataError
+from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.matrices import without_rounding
 
 # Half width of the local rational fit [lines].
 HALF_WIDTH = 4
+# Relative differences of the spacing of lines, which files print with six digits.
+EVEN = 1e-2
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,19 @@ def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: fl
     gains = np.einsum("fek,fekl->fle", slopes / denominator[:, :, None], inverse) * errors
     undamped = (value * np.where(size > 0, size, 1.0)).reshape(matrix.shape)
     return Undamped(undamped, _centred(gains.reshape(n_line, width, *matrix.shape[1:]), first))
+
+
+def undamped(response: FrequencyResponse, decay: float) -> FrequencyResponse:
+    """A ready response (n_frequency, n_output, n_input) [unit of the form] without the damping of a window exp(-t / *decay*), *decay* [s].
+
+    Its covariance has no place: how the noise of neighbouring lines goes together is not known. DataError for lines that are not evenly
+    spaced.
+    """
+    spacing = np.diff(response.frequency)
+    if spacing.size and np.ptp(spacing) > EVEN * spacing.mean():
+        raise DataError("the lines are not evenly spaced, so that a window cannot be taken out", hint="leave out windowed")
+    matrix = without_added_damping(response.frequency, response.matrix, decay).matrix
+    return dataclasses.replace(response, matrix=matrix, covariance=None, line_correlation=(), line_gains=None)
 
 
 def _centred(gains: ComplexArray, first: IntArray) -> ComplexArray:

@@ -38,16 +38,31 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
             average.add(hit)
             number = hit.number + 1
         averages.append(average)
+    findings = [finding for average in averages for finding in average.findings]
+    averages, layout = _with_hits(averages, layout)
     spectra = [average.spectra() for average in averages]
+    findings.extend(average.slow_finding() for average in averages if average.slow)
     correlation = averages[0].line_correlation()
     half_width, shared = _noise_lines(sum(spectrum.averages for spectrum in spectra) - len(layout.inputs), correlation)
     # The correction for the window's damping needs all neighbouring lines, so band and excluded bands are chosen afterwards.
     parts = parts_of_spectra(spectra, dataclasses.replace(settings, band=None, exclude=()), layout, half_width)
     parts = dataclasses.replace(parts, dof=parts.dof * max(1.0, min(2 * half_width + 1, parts.frequency.size) / shared))
-    if settings.impact.decay is not None:
-        parts = _undamped(parts, settings.impact.decay, correlation)
-    findings = [finding for average in averages for finding in average.findings]
+    if settings.damping_window is not None:
+        parts = _undamped(parts, settings.damping_window, correlation)
     return _selected(dataclasses.replace(parts, findings=(*findings, *parts.findings)), lines_left(parts.frequency, settings))
+
+
+def _with_hits(averages: list[_HitAverage], layout: Layout) -> tuple[list[_HitAverage], Layout]:
+    """The recordings with a good hit, and their layout: of hits that lie one per file a bad one costs its file only.
+
+    All recordings where a force would be left without any, which is then refused.
+    """
+    kept = [number for number, average in enumerate(averages) if average.has_hit or not average.n_found]
+    driven = {n for number in kept for n, column in enumerate(layout.input_columns[number]) if column >= 0}
+    if len(driven) < len(layout.inputs):
+        return averages, layout
+    inputs, outputs = (tuple(columns[number] for number in kept) for columns in (layout.input_columns, layout.output_columns))
+    return [averages[number] for number in kept], dataclasses.replace(layout, input_columns=inputs, output_columns=outputs)
 
 
 def _noise_lines(dof: float, correlation: ComplexArray) -> tuple[int, float]:
@@ -68,19 +83,19 @@ class _HitAverage:
             have = source.n_sample / source.sample_rate
             raise DataError(f"'{source.name}' is {have:g} s long, too short for one block of {settings.block:g} s", hint="shorten `block`")
         self._lines = line_range(self.n_sample, source.sample_rate, settings.band)
-        if settings.impact.decay is not None:
+        if settings.damping_window is not None:
             # Neighbours of the band's edges, by which its lines are corrected for the window's damping.
             self._lines = slice(max(1, self._lines.start - HALF_WIDTH), min(self.n_sample // 2 + 1, self._lines.stop + HALF_WIDTH))
         n_channel = len(source.channels)
         n_line = int(self._lines.stop - self._lines.start)
         self._sum = np.zeros((n_line, n_channel, n_channel), np.complex128)
-        self._n_hit = self._n_found = 0
+        self._n_hit = self.n_found = 0
         self._origins: list[float] = []
-        self._slow: set[str] = set()
+        self.slow: set[str] = set()
         self.findings: list[Finding] = []
 
     def add(self, hit: Hit) -> None:
-        self._n_found += 1
+        self.n_found += 1
         if hit.fault:
             at = hit.start / self._source.sample_rate
             message = f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {self._named(hit.fault)}"
@@ -109,23 +124,28 @@ class _HitAverage:
     def _note_slow(self, samples: FloatArray) -> None:
         tenths = np.array([np.sqrt(np.mean(part**2, axis=0)) for part in np.array_split(samples, 10)])
         ringing = tenths[-1] > DIED_AWAY * tenths.max(axis=0)
-        self._slow.update(c.name for c, slow in zip(self._source.channels, ringing, strict=True) if slow and c.role == "output")
+        self.slow.update(c.name for c, slow in zip(self._source.channels, ringing, strict=True) if slow and c.role == "output")
 
     def spectra(self) -> CrossSpectra:
         """The average over the accepted hits; DataError when there is none."""
         if not self._n_hit:
-            reason = f"{self._n_found} hit(s) found, none of them good" if self._n_found else "no hit whose block is complete"
+            reason = f"{self.n_found} hit(s) found, none of them good" if self.n_found else "no hit whose block is complete"
             raise DataError(f"recording '{self._source.name}': {reason}", hint="see `impact`, and the hits in the recording")
-        if self._slow:
-            names = ", ".join(sorted(self._slow))
-            message = f"the response {names} has not died away at the end of the block; lengthen `block` or give `decay`"
-            self.findings.append(Finding("not-died-away", message))
         frequency = np.arange(self._lines.start, self._lines.stop) * (self._source.sample_rate / self.n_sample)
         return CrossSpectra(frequency, self._sum * (1.0 / self._n_hit), self._n_hit, float(self._n_hit))
 
+    @property
+    def has_hit(self) -> bool:
+        return self._n_hit > 0
+
+    def slow_finding(self) -> Finding:
+        """The warning of responses that ring on at the end of the block."""
+        names = ", ".join(sorted(self.slow))
+        return Finding("not-died-away", f"the response {names} has not died away at the end of the block; lengthen `block` or give `decay`")
+
     def line_correlation(self) -> ComplexArray:
         """Correlation of the noise of lines 1, 2, ... apart, (n_distance,) [1]; empty without an exponential window."""
-        decay = self._settings.impact.decay
+        decay = self._settings.damping_window
         if decay is None:
             return np.empty(0, np.complex128)
         return exponential_correlation(exponential_window(self.n_sample, decay * self._source.sample_rate), float(np.mean(self._origins)))

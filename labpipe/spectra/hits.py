@@ -39,12 +39,13 @@ def find_hits(source: SampleSource, force: int, n_sample: int, settings: ImpactS
     """The hits of a recording in order of time, accepted or rejected; *force* is the hammer's column, *n_sample* the block length.
 
     A hit begins where |force| exceeds the trigger, a share of the largest force in the recording, both relative to the zero level (the
-    median of the first block); its block begins earlier by the pretrigger. The recording is read twice. DataError for a sample that
-    is no number or a force that does not vary.
+    median of the first block); its block begins earlier by the pretrigger, or where the recording begins if it holds one block only, as
+    an analyser stores it. The recording is read twice. DataError for a sample that is no number or a force that does not vary.
     """
     zero_level = float(np.median(next(iter(source.blocks(READ_SAMPLES)))[:, force]))
     level = settings.trigger * max(float(np.max(np.abs(block[:, force] - zero_level))) for block in checked_blocks(source))
     before = round(settings.pretrigger * n_sample)
+    latest = source.n_sample - n_sample if source.n_sample - n_sample <= before else source.n_sample
     window = np.empty((0, len(source.channels)))
     # *window* begins at sample *begin*; the search for triggers goes on at sample *search*.
     begin = search = 0
@@ -57,14 +58,14 @@ def find_hits(source: SampleSource, force: int, n_sample: int, settings: ImpactS
                 search = begin + window.shape[0]
                 break
             trigger = search + int(above[0])
-            start = max(trigger - before, 0)
+            start = min(max(trigger - before, 0), latest)
             if start + n_sample > begin + window.shape[0]:
                 search = trigger
                 break
             samples = window[start - begin : start - begin + n_sample]
             yield _judged(number, start, samples, trigger - start, force, settings)
             number, search = number + 1, start + n_sample
-        keep = max(min(search - before, begin + window.shape[0]), begin)
+        keep = max(min(search - before, latest, begin + window.shape[0]), begin)
         window, begin = window[keep - begin :], keep
 
 

@@ -12,12 +12,13 @@ from labpipe.arrays import ComplexArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
-from labpipe.records.response import FrequencyResponse
+from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.aliasing import AliasingMonitor, aliasing_findings
 from labpipe.spectra.directional import directional
 from labpipe.spectra.from_impact import impact_parts
 from labpipe.spectra.from_periodic import LOW_SNR, periodic_parts
 from labpipe.spectra.from_random import random_parts
+from labpipe.spectra.joining import joined
 from labpipe.spectra.masks import mask_findings, masked_bands
 from labpipe.spectra.parts import Parts
 from labpipe.spectra.ports import Layout, find_layout
@@ -50,9 +51,32 @@ def measure(
         responses = [_measured(members, settings, name, conditions) for members in realisations(sources)]
         response = robust_mean(responses, settings.smooth)
     else:
-        response = _measured(sources, settings, name, conditions)
+        response = _of_sensor_places(sources, settings, name, conditions)
     response = dataclasses.replace(response, findings=(*response.findings, *reciprocity_findings(response)))
     return directional(response) if settings.directional else response
+
+
+def _of_sensor_places(
+    sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None
+) -> FrequencyResponse:
+    """The response of recordings between which the sensors moved: one for each of their places, joined to one matrix."""
+    places: dict[tuple[Any, ...], list[SampleSource]] = {}
+    for source in sources:
+        place = tuple((channel.name, channel.dof) for channel in source.channels if channel.role == "output")
+        places.setdefault(place, []).append(source)
+    moved = [sensor for place in places for sensor in place]
+    if len(places) == 1 or len(set(moved)) < len(moved):
+        # One place, or a recording that lacks a response of the others, which is refused.
+        return _measured(sources, settings, name, conditions)
+    responses = [_measured(members, settings, members[0].name, conditions) for members in places.values()]
+    names = [port.channel for response in responses for port in response.outputs]
+    if len(set(names)) < len(names):
+        responses = [dataclasses.replace(response, outputs=tuple(map(_by_dof, response.outputs))) for response in responses]
+    return dataclasses.replace(joined(responses), name=name)
+
+
+def _by_dof(port: Port) -> Port:
+    return dataclasses.replace(port, label=port.dof)
 
 
 def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None) -> FrequencyResponse:

@@ -6,6 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 
 from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, setting
+from labpipe.records.windowed import WindowedSettings
 
 EXCITATIONS = ("periodic", "random", "impact")
 ESTIMATORS = ("H1", "H2", "Hv")
@@ -88,6 +89,12 @@ class FrfSettings(Settings):
     )
     realisations: bool = setting("flag", "recordings of one force differ in phases, which shows distortion (periodic)", default=False)
     impact: ImpactSettings = setting("section", "hits of a hammer", section=ImpactSettings, default=ImpactSettings())
+    windowed: WindowedSettings | None = setting(
+        "section",
+        "window that hits have already: its damping is taken out",
+        section=WindowedSettings,
+        default=None,
+    )
     directional: bool = setting("flag", "the response in forward and backward terms (two responses, two forces)", default=False)
 
     def __post_init__(self) -> None:
@@ -101,9 +108,24 @@ class FrfSettings(Settings):
             raise ConfigError("'overlap' must be at least 0 and below 100 %")
         if self.realisations and self.excitation != "periodic":
             raise ConfigError(f"'realisations' are of periodic excitation, not of {self.excitation}", hint="leave it out")
+        self._check_windowed()
         if self.remove is not None and self.excitation != "random":
             what = f"'remove' works on random excitation, not on {self.excitation}"
             raise ConfigError(what, hint="leave the lines out with `mask`")
+
+    def _check_windowed(self) -> None:
+        if self.windowed is None:
+            return
+        if self.excitation != "impact":
+            raise ConfigError(f"'windowed' belongs to hits, not to {self.excitation} excitation", hint="leave it out", field="windowed")
+        if self.impact.decay is not None:
+            hint = "leave out impact.decay: the data have their window already"
+            raise ConfigError("'windowed' and impact.decay are two exponential windows", hint=hint, field="windowed")
+
+    @property
+    def damping_window(self) -> float | None:
+        """Time constant [s] of the exponential window that the blocks of hits have in the end, whoever applied it; None for none."""
+        return self.impact.decay if self.windowed is None else self.windowed.exponential
 
 
 def _hit_number(text: str | int) -> int:

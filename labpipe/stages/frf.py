@@ -3,25 +3,34 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from labpipe.artefacts.header import Header, source_ref
+from labpipe.artefacts.header import Header, SourceRef, source_ref
 from labpipe.artefacts.parquet import read_header
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.response_file import SUFFIX, read_response, write_response
 from labpipe.artefacts.writing import OutputFolder
+from labpipe.config.ready_frf import ReadyFrf
 from labpipe.errors import DataError, LabpipeError
-from labpipe.formats.frf_csv import FREQUENCY
+from labpipe.formats.frf_csv import FREQUENCY, port_of
+from labpipe.formats.frf_described import Dofs, read_described
 from labpipe.formats.frf_file import MATRIX_SUFFIXES, read_frf_file
 from labpipe.formats.mat_frf import holds_response
 from labpipe.formats.packed import plain_suffix
 from labpipe.formats.table import TEXT_SUFFIXES, open_table
 from labpipe.formats.uff import TIME, UFF_SUFFIXES, read_uff
-from labpipe.records.response import FrequencyResponse
+from labpipe.records.frf_layout import FrfLayout
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.spectra.damping import undamped
+from labpipe.spectra.joining import joined
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
+
+# The path of the reference to how files are described, which is no file.
+DESCRIPTION = "(entry under frfs)"
 
 
 def frf_file_name(test: str) -> str:
@@ -81,3 +90,45 @@ def load_response(path: Path, name: str = "", conditions: dict[str, str] | None 
         error.where = error.where or str(path)
         raise
     return dataclasses.replace(response, name=name or response.name, conditions=conditions or response.conditions)
+
+
+def load_ready(frf: ReadyFrf, test: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:
+    """The ready response of a test, joined where it lies in several files; DataError names file and line."""
+    name = test or frf.name
+    if frf.layout is None:
+        return load_response(frf.paths[0], name, conditions)
+    responses = [
+        dataclasses.replace(_load_described(path, frf.layout, Dofs(outputs, inputs)), name=path.name)
+        for path, outputs, inputs in zip(frf.paths, frf.outputs, frf.inputs, strict=True)
+    ]
+    response = joined(responses) if frf.layout.each else responses[0]
+    if frf.layout.windowed is not None:
+        response = undamped(response, frf.layout.windowed.exponential)
+    return dataclasses.replace(response, name=name, conditions=conditions or response.conditions)
+
+
+def _load_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
+    if layout.table is not None:
+        return read_described(path, layout, dofs)
+    response = load_response(path)
+    return dataclasses.replace(
+        response,
+        outputs=_renamed(response.outputs, dofs.outputs, "outputs", path),
+        inputs=_renamed(response.inputs, dofs.inputs, "inputs", path),
+    )
+
+
+def _renamed(ports: tuple[Port, ...], dofs: tuple[str, ...], word: str, path: Path) -> tuple[Port, ...]:
+    """The ports under the dofs of the entry, if it gives any."""
+    if dofs and len(dofs) != len(ports):
+        raise DataError(f"has {len(ports)} {word}, {len(dofs)} are named ({', '.join(dofs)})", where=str(path))
+    return tuple(map(port_of, dofs)) or ports
+
+
+def ready_refs(frf: ReadyFrf) -> list[SourceRef]:
+    """What a ready response depends on: its files, and how they are described."""
+    files = [source_ref(path, path.parent) for path in frf.paths]
+    if frf.layout is None:
+        return files
+    described = repr((frf.layout, frf.outputs, frf.inputs))
+    return [*files, SourceRef(DESCRIPTION, hashlib.sha256(described.encode()).hexdigest())]

@@ -14,8 +14,9 @@ from labpipe.artefacts.parquet import has_header, read_header
 from labpipe.artefacts.recording_file import SUFFIX, RecordingWriter, StoredRecording, open_recording, recording_contents
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError
+from labpipe.formats.joined_table import JoinedTable
 from labpipe.formats.table import Table, check_columns, open_table
-from labpipe.quantities import UnitError, parse_unit
+from labpipe.quantities import UnitError, readings
 from labpipe.records.rig import Rig, RigChannel
 from labpipe.signals.screening import ChannelScreen, TimeAxisScreen
 
@@ -28,22 +29,36 @@ def is_recording(path: Path) -> bool:
     return path.name.endswith(SUFFIX) or (path.suffix == ".parquet" and path.is_file() and has_header(path))
 
 
-def ingest(source: Path, rig: Rig, output: OutputFolder, name: str, base: Path) -> StoredRecording:
+def ingest(
+    source: Path, rig: Rig, output: OutputFolder, name: str, base: Path, joined: Sequence[Path] = (), by: str = ""
+) -> StoredRecording:
     """The calibrated recording of a raw file, made unless the one on disk is fresh.
 
     *name* is the recording's file name in the output folder without its ending; *base* is the folder to which paths in the
-    header are relative. Raises DataError with file and line for what cannot be used.
+    header are relative. *joined*: further files with channels of the same run, joined *by* time or sample. Raises DataError with file
+    and line for what cannot be used.
     """
     if is_recording(source):
         return open_recording(source)
-    table = open_table(source)
-    header = Header("recording", dataclasses.asdict(rig), inputs=(source_ref(source, base),))
+    table = _joined([source, *joined], rig, by) if joined else open_table(source)
+    parameters = {**dataclasses.asdict(rig), **({"by": by} if by else {})}
+    header = Header("recording", parameters, inputs=tuple(source_ref(path, base) for path in (source, *joined)))
     fresh = output.read_path(name + SUFFIX)
     if fresh.exists() and read_header(fresh, "recording").same_work(header):
         return open_recording(fresh)
     target = output.write_path(name + SUFFIX)
     _write(table, rig, target, header, source.stem)
     return open_recording(target)
+
+
+def _joined(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
+    """The files of one run as one table; DataError where they shall be joined on a time that one of them lacks."""
+    tables = [open_table(path) for path in paths]
+    untimed = [table for table in tables if rig.time not in table.columns]
+    if by == "time" and untimed:
+        what = f"has no time column '{rig.time}'" if rig.time else "cannot be joined on time: the rig file names no time column"
+        raise DataError(what, where=str(untimed[0].path), hint="by: sample joins row by row")
+    return JoinedTable(tables, rig.time if not untimed and by != "sample" else None)
 
 
 def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> None:
@@ -69,7 +84,8 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> N
                 writer.write(block)
             sample_rate = time.sample_rate() if time is not None else stated_rate(table, rig)
             contents = recording_contents(channels, sample_rate, name)
-            writer.finish(dataclasses.replace(header, findings=screen.findings(), contents=contents))
+            findings = (*(table.findings() if isinstance(table, JoinedTable) else ()), *screen.findings())
+            writer.finish(dataclasses.replace(header, findings=findings, contents=contents))
     except DataError as error:
         error.where = error.where or str(table.path)
         raise
@@ -110,10 +126,10 @@ def _check_unit(table: Table, channel: RigChannel) -> None:
     if stated is None:
         return
     try:
-        theirs, ours = parse_unit(stated), parse_unit(channel.unit)
+        theirs, ours = readings(stated), readings(channel.unit)
     except UnitError:
         return
-    if theirs != ours:
+    if not set(theirs) & set(ours):
         what = f"column '{channel.column}' is in {stated} by the file's own header, in {channel.unit} by the rig file"
         raise DataError(what, where=str(table.path), hint=f"correct the unit of channel '{channel.channel.name}'")
 
@@ -145,6 +161,6 @@ def ingest_all(sources: Iterable[Path], rig: Rig, output: OutputFolder, base: Pa
     return [ingest(path, rig, output, name, base) for path, name in zip(paths, unique_names(paths), strict=True)]
 
 
-def recording_ref(recording: StoredRecording, base: Path) -> SourceRef:
-    """The reference by which a result names the raw file behind a recording."""
-    return recording.header.inputs[0] if recording.header.inputs else source_ref(recording.path, base)
+def recording_refs(recording: StoredRecording, base: Path) -> tuple[SourceRef, ...]:
+    """The references by which a result names the raw files behind a recording."""
+    return recording.header.inputs or (source_ref(recording.path, base),)

@@ -23,7 +23,7 @@ from labpipe.stages.ingest import contradictions, is_recording
 from labpipe.stages.report import format_of
 
 BLOCK = 1 << 16
-TIME_NAMES = ("t", "time", "zeit")
+TIME_NAMES = ("t", "time", "zeit", "x_value", "timestamp", "time stamp", "datetime", "date/time", "date time", "uhrzeit")
 
 
 def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse:

@@ -177,3 +177,29 @@ def test_no_text_ends_in_anything_but_a_unit_or_a_refusal(text: str) -> None:
 @given(st.floats(allow_nan=False, allow_infinity=False, width=32))
 def test_a_pure_number_is_read_to_the_last_digit(number: float) -> None:
     assert parse_value(number, "1") == number
+
+
+@pytest.mark.parametrize(
+    ("text", "si_unit", "value"),
+    [
+        ("5 g", "kg", 5e-3),
+        ("5 g", "m/s^2", 49.03325),
+        ("5 mg", "m/s^2", 0.04903325),
+        ("2 t", "kg", 2000.0),
+        ("1 lbf", "N", 4.4482216152605),
+        ("1 in/s", "m/s", 0.0254),
+        ("1 ft", "m", 0.3048),
+        ("3 mil", "m", 7.62e-5),
+        ("1 g/lbf", "m/(N.s^2)", 9.80665 / 4.4482216152605),
+        ("1 g.mm", "kg.m", 1e-6),
+    ],
+)
+def test_units_of_workshops_and_the_two_meanings_of_g(text: str, si_unit: str, value: float) -> None:
+    """Definitions: g = 9.80665 m/s^2 (CGPM 1901), lbf = 0.45359237 kg times it, in = 25.4 mm; the dimension says which g is meant."""
+    assert parse_value(text, si_unit) == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize("text", ["5 g", "5 kg"])
+def test_a_mass_is_no_force(text: str) -> None:
+    with pytest.raises(UnitError, match="wrong dimension, N is needed"):
+        parse_value(text, "N")

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from labpipe.config.file_names import conditions_in
 from labpipe.config.pipeline import Pipeline, load_pipeline
-from labpipe.config.tests import conditions_in
 from labpipe.errors import ConfigErrors
 
 RIG = "name: {name}\nsample_rate: 1 kHz\nmass: {mass}\nchannels:\n  f: {{quantity: force, dof: x}}\n  x: {{quantity: displacement}}\n"
@@ -69,7 +69,7 @@ def test_tests_without_a_name_are_numbered(folder: Path) -> None:
 
 def test_ready_responses_need_no_rig(folder: Path) -> None:
     (test,) = load(folder, "frfs: h.frf.csv\nidentify: {a: {model: sdof}}\n").tests
-    assert [path.name for path in test.frfs] == ["h.frf.csv"] and test.recordings == ()
+    assert [path.name for ready in test.frfs for path in ready.paths] == ["h.frf.csv"] and test.recordings == ()
 
 
 def test_a_recording_may_have_a_rig_of_its_own(folder: Path) -> None:
@@ -92,9 +92,33 @@ def test_every_file_a_test_of_its_own(folder: Path) -> None:
     assert tests[0].conditions == {"speed": "0 rpm", "way": "up", "preload": "427N"}
 
 
+def test_dofs_in_the_names_of_recordings(folder: Path) -> None:
+    """A roving hammer names its channel or its role; an angle is kept where the name is an axis."""
+    for word in ("f", "input"):
+        text = f"rig: rig.yaml\nrecordings: {{each: ['runs/a.csv', 'runs/427N-up.csv'], pattern: '{{{word}}}'}}\n{FRF}"
+        (test,) = load(folder, text.replace("each: [", "each: [runs/b.csv, ")).tests
+        assert [source.rig.channels[0].channel.dof for source in test.recordings] == ["b", "a", "427N-up"]
+    (test,) = load(folder, f"rig: rig.yaml\nrecordings: {{file: 'runs/*N-*.csv', pattern: '{{x}}-{{f}}'}}\n{FRF}").tests
+    assert [[c.channel.dof for c in source.rig.channels] for source in test.recordings] == [["up", "427N"], ["down", "701N"]]
+
+
+def test_channels_of_one_run_in_several_files(folder: Path) -> None:
+    (test,) = load(folder, f"rig: rig.yaml\nrecordings: [{{join: ['runs/?.csv'], by: sample}}, runs/b.csv]\n{FRF}").tests
+    assert [(source.path.name, [path.name for path in source.joined], source.by) for source in test.recordings] == [
+        ("a.csv", ["b.csv"], "sample"),
+        ("b.csv", [], ""),
+    ]
+
+
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
+        ("recordings: {each: 'runs/?.csv', pattern: 'p_{f}'}\n", "p.yaml:2:34: recordings.pattern: does not match 'a'; for example"),
+        ("recordings: {each: 'runs/?.csv', pattern: '{g}'}\n", "recordings.pattern: 'g' is no channel of the rig; known: f, x"),
+        ("recordings: {each: 'runs/?.csv', pattern: '{reference}'}\n", "recordings.pattern: 'reference' is no channel of the rig"),
+        ("recordings: {file: runs/a.csv, join: runs/b.csv}\n", "recordings.join: 'file' and 'join' are both named; leave one out"),
+        ("recordings: {join: 'runs/?.csv', by: line}\n", "recordings.by: unknown 'line'; known: time, sample"),
+        ("recordings: {file: runs/a.csv, by: time}\n", "recordings.by: belongs to files that are joined; write join: [a.csv, b.csv]"),
         ("recordings: runs/z.csv\n", "p.yaml:2:1: recordings: no such file 'runs/z.csv'; paths are relative to the pipeline file"),
         ("recordings: 'z*.csv'\n", "p.yaml:2:1: recordings: no file matches 'z*.csv'; paths are relative to the pipeline file"),
         ("recordings: [{rig: rig.yaml}]\n", "p.yaml:2:14: recordings: a file name is needed"),

@@ -107,3 +107,29 @@ def test_files_of_no_known_kind(tmp_path: Path) -> None:
 def test_a_faulty_row_does_not_decide_over_the_delimiter(tmp_path: Path) -> None:
     layout = find_layout(written(tmp_path, "t;f\n" + "0,5;1,5\n" * 20 + "bad line\n" + "1,5;2,5\n" * 20))
     assert (layout.delimiter, layout.decimal, layout.first_line) == (";", ",", 1)
+
+
+@pytest.mark.parametrize(
+    ("text", "columns"),
+    [
+        ("  1.5   2.5\n -3e-1\t 4\n", ("1", "2")),
+        ("t   x\r\n1.5 2.5\r\n-0.3 4\r\n", ("t", "x")),
+        ("# t x\n1,5 2,5\n-0,3 4\n", ("t", "x")),
+        ("Run of 3 March, 2 channels\n1.5     2.5\n\n   -0.3  4   \n", ("1", "2")),
+    ],
+)
+def test_any_number_of_blanks_keeps_columns_apart(tmp_path: Path, text: str, columns: tuple[str, ...]) -> None:
+    table = CsvTable(written(tmp_path, text))
+    assert table.columns == columns
+    np.testing.assert_array_equal(np.concatenate(list(table.chunks(columns[::-1]))), [[2.5, 1.5], [4.0, -0.3]])
+
+
+def test_blanks_of_a_long_file_and_its_faulty_row(tmp_path: Path) -> None:
+    """40,000 rows of n, n^2: more than the reader takes in one piece."""
+    rows = [f"{n}   {n * n}" for n in range(40_000)]
+    values = np.concatenate(list(CsvTable(written(tmp_path, "\n".join(rows))).chunks(["1", "2"])))
+    np.testing.assert_array_equal(values[:, 1], np.arange(40_000.0) ** 2)
+    rows[30_000] = "30000 x"
+    with pytest.raises(DataError) as caught:
+        list(CsvTable(written(tmp_path, "\n".join(rows))).chunks(["1", "2"]))
+    assert str(caught.value).endswith(":30001: column '2': 'x' is not a number")

@@ -11,6 +11,7 @@ import pytest
 
 from labpipe.artefacts.writing import output_folder
 from labpipe.config.pipeline import load_pipeline
+from labpipe.config.ready_frf import ReadyFrf
 from labpipe.config.tests import Test as Measured
 from labpipe.errors import ConfigError, DataError
 from labpipe.pipeline.executors import Work, in_processes, on_cluster, serially
@@ -199,7 +200,7 @@ def test_a_job_for_another_place_has_no_relative_path(lab: Path, monkeypatch: py
     monkeypatch.chdir(lab)
     test = load_pipeline(Path("pipeline.yaml")).tests[0]
     job = Job(
-        replace(test, frfs=(Path("h.csv"),)),
+        replace(test, frfs=(ReadyFrf((Path("h.csv"),)),)),
         ("soft",),
         frf=None,
         fits=(),
@@ -207,7 +208,7 @@ def test_a_job_for_another_place_has_no_relative_path(lab: Path, monkeypatch: py
         target=Path("out"),
         scratch=Path("scratch"),
     ).absolute()
-    paths = [job.pipeline_path, job.target, job.scratch, *job.test.frfs, *(source.path for source in job.test.recordings)]
+    paths = [job.pipeline_path, job.target, job.scratch, *job.test.frfs[0].paths, *(source.path for source in job.test.recordings)]
     assert all(path.is_absolute() for path in paths) and job.test.recordings[0].rig == test.recordings[0].rig
 
 

@@ -179,3 +179,37 @@ def test_dates_in_seconds_are_known_to_their_own_digits_only() -> None:
 def test_uneven_times_are_refused(change, message: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(DataError, match=message):
         axis(change(np.arange(100) / 1000.0)).sample_rate()
+
+
+@pytest.mark.parametrize(
+    ("rate", "printed", "n_sample"),
+    [
+        (51200, "%.6e", 60_000),
+        (51200, "%g", 400_000),
+        (512, "%.3f", 5000),
+        (1024, "%.3f", 5000),
+        (2048, "%.4f", 20_000),
+        (2048, "%g", 20_000),
+        (4096, "%.8g", 5000),
+        (1600, "%.5f", 4000),
+    ],
+)
+def test_equal_steps_within_their_printed_digits(rate: int, printed: str, n_sample: int) -> None:
+    """Times n / rate as loggers print them give the rate itself; one lost sample in the middle is still refused."""
+    times = np.array([float(printed % (n / rate)) for n in range(n_sample + 1)])
+    assert rate_of(times[:-1]) == rate
+    with pytest.raises(DataError, match="are not equal"):
+        rate_of(np.delete(times, n_sample // 2))
+
+
+def test_times_of_too_few_digits_to_see_a_lost_sample_are_refused() -> None:
+    times = np.round(np.arange(5000) / 2048, 3)
+    with pytest.raises(DataError, match="does not rise at sample 1; times of too few digits"):
+        rate_of(times)
+
+
+def rate_of(times: np.ndarray) -> float:
+    screen = TimeAxisScreen("t")
+    for start in range(0, times.size, 1000):
+        screen.add(times[start : start + 1000])
+    return screen.sample_rate()

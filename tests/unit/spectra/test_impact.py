@@ -8,7 +8,8 @@ from scipy import signal
 
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.recording import Channel, Recording
-from labpipe.spectra.damping import without_added_damping
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.spectra.damping import undamped, without_added_damping
 from labpipe.spectra.hits import exponential_window, find_hits, force_window, is_double, overloaded
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
@@ -212,3 +213,87 @@ def test_the_force_window_takes_the_noise_between_hits_away(rng: np.random.Gener
         errors.append(np.sqrt(np.mean(np.abs(response.matrix[:, 0, 0] / expected - 1) ** 2)))
     # sqrt(1 / 250), and as much again for the one draw there is.
     assert errors[1] < 2 * np.sqrt(1 / 250) * errors[0]
+
+
+def one_hit(start: int, peak: float, second: float = 0.0, decay: float | None = None, channels=(HAMMER, X)) -> Recording:
+    """A block of 2 s as an analyser stores it, its window on force and response."""
+    force = half_sine(2 * N, [start, start + 60], [peak, second])
+    window = np.ones(2 * N) if decay is None else exponential_window(2 * N, decay * RATE)
+    response = signal.lfilter(*discrete(POLE), force)
+    return Recording(channels, np.column_stack([force * window, response * window]), RATE, f"hit at {start}")
+
+
+@pytest.mark.parametrize("start", [30, 400])
+def test_hits_that_an_analyser_has_windowed_lose_its_damping_and_get_no_second_window(start: int) -> None:
+    """Closed form; one file for every hit, whether the analyser's pretrigger is shorter or longer than labpipe's."""
+    settings = FrfSettings("impact", block=2.0, band=(30.0, 90.0), windowed={"exponential": "0.3 s"})
+    response = measure([one_hit(start, peak, decay=0.3) for peak in (1.0, 0.8, 1.2)], settings)
+    np.testing.assert_allclose(response.matrix[:, 0, 0], truth(response.frequency), rtol=1e-3)
+    assert response.averages == 3.0
+    by_labpipe = measure([one_hit(start, 1.0)], FrfSettings("impact", block=2.0, band=(30.0, 90.0), impact={"decay": "0.3 s"}))
+    np.testing.assert_allclose(response.matrix, by_labpipe.matrix, rtol=1e-6)
+
+
+def test_a_bad_hit_of_one_file_costs_that_file_only() -> None:
+    sources = [one_hit(30, 1.0, decay=0.3), one_hit(30, 1.0, second=0.5, decay=0.3), one_hit(30, 1.2, decay=0.3)]
+    settings = FrfSettings("impact", block=2.0, band=(30.0, 90.0), windowed={"exponential": 0.3})
+    response = measure(sources, settings)
+    assert response.averages == 2.0
+    assert [finding.message for finding in response.findings if finding.code == "hit-rejected"] == [
+        "hit 2 ('hit at 30', 0.000 s) is left out: double hit"
+    ]
+    with pytest.raises(DataError, match=r"1 hit\(s\) found, none of them good"):
+        measure(sources[1:2], settings)
+
+
+def test_a_roving_hammer_gives_one_row_and_a_bad_hit_there_is_no_column_of_zeros() -> None:
+    """Points 1 and 2 along a line: three files, the only hit at point 2 a double one."""
+    at = [Channel("hammer", "force", "input", place) for place in ("1", "1", "2")]
+    sources = [one_hit(30, 1.0, second, 0.3, (channel, X)) for channel, second in zip(at, (0.0, 0.0, 0.5), strict=True)]
+    settings = FrfSettings("impact", block=2.0, band=(30.0, 90.0), windowed={"exponential": 0.3})
+    with pytest.raises(DataError, match="none of them good"):
+        measure(sources, settings)
+    response = measure([*sources, one_hit(30, 1.0, 0.0, 0.3, (at[2], X))], settings)
+    assert [port.dof for port in response.inputs] == ["1", "2"]
+    np.testing.assert_allclose(response.matrix[:, 0, 1], truth(response.frequency), rtol=1e-3)
+
+
+def test_a_roving_sensor_gives_one_column(rng: np.random.Generator) -> None:
+    """The sensor at three places in three files: receptances g H with g = 1, -0.5, 2."""
+    sources = []
+    for place, gain in (("10", 1.0), ("2", -0.5), ("1", 2.0)):
+        hit = one_hit(30, 1.0, decay=0.3)
+        sensor = Channel("a", "displacement", "output", place)
+        sources.append(Recording((HAMMER, sensor), hit.samples * [1.0, gain], RATE, f"at {place}"))
+    settings = FrfSettings("impact", block=2.0, band=(30.0, 90.0), windowed={"exponential": 0.3})
+    response = measure(sources, settings)
+    assert [port.label for port in response.outputs] == ["1", "2", "10"] and response.line_gains is not None
+    for row, gain in enumerate((2.0, -0.5, 1.0)):
+        np.testing.assert_allclose(response.matrix[:, row, 0], gain * truth(response.frequency), rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("entries", "fault"),
+    [
+        ({"excitation": "random", "windowed": {"exponential": 1.0}}, "belongs to hits, not to random"),
+        ({"excitation": "impact", "windowed": {"exponential": 1.0}, "impact": {"decay": 1.0}}, "two exponential windows"),
+        ({"excitation": "impact", "windowed": {"exponential": 0.0}}, "must be positive"),
+    ],
+)
+def test_windows_that_cannot_be_meant(entries: dict[str, object], fault: str) -> None:
+    with pytest.raises(ConfigError, match=fault):
+        FrfSettings(block=1.0, **entries)
+
+
+def test_a_ready_response_loses_the_damping_of_its_window() -> None:
+    """H(j w + 1/tau) becomes H(j w) but for the curvature that the conjugate pole leaves, 120 Hz away; uneven lines are refused."""
+    frequency = np.arange(40.0, 80.0, 0.5)
+    x = Port("x", "x", "x")
+    rate = 2j * np.pi * frequency + 1 / 0.4
+    matrix = (1 / ((rate - POLE) * (rate - POLE.conjugate())))[:, None, None]
+    response = undamped(FrequencyResponse(frequency, matrix, (x,), (x,), covariance=np.ones((80, 1, 1))), 0.4)
+    rate = 2j * np.pi * frequency
+    np.testing.assert_allclose(response.matrix[:, 0, 0], 1 / ((rate - POLE) * (rate - POLE.conjugate())), rtol=1e-5)
+    assert response.covariance is None
+    with pytest.raises(DataError, match="not evenly spaced"):
+        undamped(FrequencyResponse(frequency**1.1, matrix, (x,), (x,)), 0.4)

@@ -18,7 +18,7 @@ from labpipe.artefacts.writing import output_folder
 from labpipe.config.rig import load_rig
 from labpipe.errors import DataError
 from labpipe.formats.table import open_table
-from labpipe.stages.ingest import contradictions, ingest, ingest_all, is_recording, recording_ref, unique_names
+from labpipe.stages.ingest import contradictions, ingest, ingest_all, is_recording, recording_refs, unique_names
 
 TIMED = 'name: R\ntime: "t [s]"\nchannels:\n'
 RATED = "name: R\nsample_rate: 100 Hz\nchannels:\n"
@@ -188,7 +188,7 @@ def test_a_calibrated_recording_is_taken_as_it_is(tmp_path: Path) -> None:
 def test_the_reference_of_a_recording_is_its_raw_file(tmp_path: Path) -> None:
     raw = csv_file(tmp_path, TWO, np.zeros((5, 2)))
     stored = ingested(tmp_path, raw, rig_file(tmp_path))
-    assert recording_ref(stored, tmp_path).path == "run.csv"
+    assert [reference.path for reference in recording_refs(stored, tmp_path)] == ["run.csv"]
 
 
 def test_what_is_a_recording_of_ours(tmp_path: Path) -> None:

@@ -1,0 +1,139 @@
+"""How FRFs lie in a table or among the variables of a file, as the entry under ``frfs:`` describes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from labpipe.errors import ConfigError
+from labpipe.quantities import UnitError, unit_of
+from labpipe.records.response import FORMS
+from labpipe.records.settings import Settings, setting
+from labpipe.records.windowed import WindowedSettings
+
+MECHANICAL = tuple(form for form in FORMS if form != "other")
+AXES = ("frequency", "output", "input")
+# Columns that together are a complex number.
+PARTS = (
+    ("re", "im"),
+    ("complex",),
+    ("amplitude", "phase_deg"),
+    ("amplitude", "phase_rad"),
+    ("amplitude_db", "phase_deg"),
+    ("amplitude_db", "phase_rad"),
+)
+PART_NAMES = ("re", "im", "complex", "amplitude", "amplitude_db", "phase_deg", "phase_rad")
+_KNOWN_PARTS = "re and im, complex, or amplitude (amplitude_db) and phase_deg (phase_rad)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ElementColumns(Settings):
+    """Columns (or variables) of one element of H, by name or by number from 1."""
+
+    re: str = setting("text", "real part", default="")
+    im: str = setting("text", "imaginary part", default="")
+    complex: str = setting("text", "complex values such as 1+2j", default="")
+    amplitude: str = setting("text", "amplitude", default="")
+    amplitude_db: str = setting("text", "amplitude in decibels, 20 log10(|H| / unit)", default="")
+    phase_deg: str = setting("text", "phase in degrees", default="")
+    phase_rad: str = setting("text", "phase in radians", default="")
+    coherence: str = setting("text", "coherence", default="")
+
+    def __post_init__(self) -> None:
+        if self.given and self.given not in PARTS:
+            what = "alone is" if len(self.given) == 1 else "together are"
+            raise ConfigError(f"{' and '.join(self.given)} {what} no complex number", hint=f"{_KNOWN_PARTS} are needed")
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """The parts of the complex number that are named."""
+        return tuple(name for name in PART_NAMES if getattr(self, name))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrfColumns(ElementColumns):
+    """The frequency axis, and the columns of the only element, or the array that holds the whole matrix."""
+
+    frequency: str = setting("text", "frequency, in Hz unless the file states another unit", default="")
+    omega: str = setting("text", "angular frequency in rad/s, instead of frequency", default="")
+    start: str = setting("text", "first frequency: a value such as '0 Hz', or a variable", default="")
+    step: str = setting("text", "distance of the lines: a value such as '0.5 Hz', or a variable", default="")
+    matrix: str = setting("text", "variable of the whole complex matrix, instead of one column for each element", default="")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        axis = [name for name in ("frequency", "omega") if getattr(self, name)]
+        stepped = bool(self.start) + bool(self.step)
+        if len(axis) + (stepped > 0) != 1 or stepped == 1:
+            raise ConfigError("one frequency axis is needed", hint="frequency, omega (rad/s), or start and step")
+        if self.matrix and self.given:
+            raise ConfigError(f"'matrix' and '{self.given[0]}' are both named", hint="leave one of them out")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrfLayout(Settings):
+    """An entry under ``frfs:`` that describes its file."""
+
+    file: str = setting("text", "the file, or a glob of files of which each is a response of its own", default="")
+    each: tuple[str, ...] = setting("names", "files of one FRF matrix, one for each element, row or column", default=())
+    pattern: str = setting("text", "dofs in the names of the files, for example 'H_{output}_{input}'", default="")
+    columns: FrfColumns | None = setting("section", "columns of a table, by name or by number from 1", section=FrfColumns, default=None)
+    variables: FrfColumns | None = setting("section", "variables of a .mat, .h5 or .npz file", section=FrfColumns, default=None)
+    elements: tuple[tuple[str, ElementColumns], ...] = setting(
+        "sections", "several elements in one file: {x/f: {re: 2, im: 3}, y/f: {re: 4, im: 5}}", section=ElementColumns, default=()
+    )
+    axes: tuple[str, ...] = setting("names", "order of the dimensions of 'matrix'; default: found by their lengths", default=())
+    form: str = setting("choice", "what is divided by the force; default: as the unit says", choices=MECHANICAL, default="")
+    unit: str = setting("text", "unit of the numbers, for example g/N; default: SI", default="")
+    output: tuple[str, ...] = setting("names", "dof of the response; of a matrix: of every row", default=())
+    input: tuple[str, ...] = setting("names", "dof of the force; of a matrix: of every column", default=())
+    windowed: WindowedSettings | None = setting(
+        "section", "window of the hits behind the FRF: its damping is taken out", section=WindowedSettings, default=None
+    )
+
+    def __post_init__(self) -> None:
+        if bool(self.file) == bool(self.each):
+            raise ConfigError("one of 'file' and 'each' is needed", hint="file: h.txt, or each: 'points/*.txt' with a pattern")
+        if self.columns is not None and self.variables is not None:
+            raise ConfigError("'columns' and 'variables' are both named", hint="columns for a table, variables for .mat, .h5 and .npz")
+        if self.table is None and (self.unit or self.form or self.elements or self.axes):
+            raise ConfigError("neither 'columns' nor 'variables' say where the numbers stand", hint="columns: {frequency: 1, re: 2, im: 3}")
+        if self.axes and sorted(self.axes) != sorted(AXES):
+            raise ConfigError("'axes' must name frequency, output and input once each", field="axes")
+        if self.table is not None:
+            self._check_elements(self.table)
+            self._check_unit()
+
+    @property
+    def table(self) -> FrfColumns | None:
+        """The described columns or variables."""
+        return self.columns or self.variables
+
+    def _check_elements(self, table: FrfColumns) -> None:
+        holders = [bool(table.given), bool(table.matrix), bool(self.elements)]
+        if sum(holders) != 1:
+            where = "columns" if self.columns is not None else "variables"
+            what = "name no element of H" if not any(holders) else "name an element beside 'elements'"
+            raise ConfigError(what, hint=f"{_KNOWN_PARTS} are needed, or 'elements' for several", field=where)
+        for name, element in self.elements:
+            if not element.given:
+                raise ConfigError(f"the element '{name}' has no columns", hint=f"{_KNOWN_PARTS} are needed", field="elements")
+
+    def _check_unit(self) -> None:
+        if not self.form and not self.unit:
+            raise ConfigError("form or unit is needed", hint="form: accelerance, and unit: g/N where the numbers are not in SI units")
+        try:
+            self.scale  # noqa: B018 (raises)
+        except UnitError as error:
+            raise ConfigError(error.what, hint=error.hint, field="unit") from None
+
+    @property
+    def scale(self) -> tuple[str, float]:
+        """(form, SI value per value of the file); UnitError for a unit that is none of the form, or of no form."""
+        if not self.unit:
+            return self.form, 1.0
+        for form in (self.form,) if self.form else MECHANICAL:
+            try:
+                return form, unit_of(self.unit, FORMS[form]).factor
+            except UnitError as error:
+                last = error
+        raise last
