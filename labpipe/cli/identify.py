@@ -12,9 +12,8 @@ from labpipe.cli import options
 from labpipe.cli.terminal import echo_identification
 from labpipe.config.pipeline import Pipeline, load_pipeline
 from labpipe.errors import DataError
-from labpipe.records.response import FrequencyResponse
-from labpipe.stages.frf import frf_file_name, load_response
 from labpipe.stages.identify import identify_stage
+from labpipe.stages.measured import MeasuredTest, load_measured, measured_file_name
 
 
 @click.command()
@@ -25,26 +24,26 @@ from labpipe.stages.identify import identify_stage
 @options.quiet
 @options.verbose
 def identify(frfs: tuple[Path, ...], pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
-    """Identify parameters from frequency responses: DIR/identification.json.
+    """Identify parameters from frequency responses, or from free decays: DIR/identification.json.
 
     Without FRF... the responses of `labpipe frf` in DIR are used, or those under frfs: in the pipeline.
     """
     pipeline = load_pipeline(pipeline_path, overrides)
     options.teller(quiet, verbose)(f"identify  {pipeline.title}")
     with output_folder(output) as folder:
-        responses = [load_response(path) for path in frfs] or _pipeline_responses(pipeline, folder)
+        tests = [load_measured(path) for path in frfs] or _pipeline_tests(pipeline, folder)
         inputs = [source_ref(path, path.parent) for path in frfs or _pipeline_paths(pipeline, folder)]
         sources = [*inputs, *(source_ref(path, pipeline.folder) for path in pipeline.side_files)]
-        identification = identify_stage(pipeline, responses, sources, folder, inputs=inputs)
+        identification = identify_stage(pipeline, tests, sources, folder, inputs=inputs)
     echo_identification(identification, quiet)
     return 0 if identification.accepted else 1
 
 
-def _pipeline_responses(pipeline: Pipeline, folder: OutputFolder) -> list[FrequencyResponse]:
-    """The responses of the pipeline's tests; those under frfs: with the name and the conditions of their test."""
+def _pipeline_tests(pipeline: Pipeline, folder: OutputFolder) -> list[MeasuredTest]:
+    """The responses or decays of the pipeline's tests; those under frfs: with the name and the conditions of their test."""
     ready = {path: test for test in pipeline.tests for path in test.frfs}
     return [
-        load_response(path, ready[path].name or path.stem, ready[path].conditions) if path in ready else load_response(path)
+        load_measured(path, ready[path].name or path.stem, ready[path].conditions) if path in ready else load_measured(path)
         for path in _pipeline_paths(pipeline, folder)
     ]
 
@@ -54,7 +53,7 @@ def _pipeline_paths(pipeline: Pipeline, folder: OutputFolder) -> list[Path]:
     paths: list[Path] = []
     for test in pipeline.tests:
         paths.extend(test.frfs)
-        measured_path = folder.read_path(frf_file_name(test.name))
+        measured_path = folder.read_path(measured_file_name(test.name, pipeline.frf))
         if test.recordings and not measured_path.exists():
             raise DataError("no such file", where=str(measured_path), hint="run `labpipe frf` first, or `labpipe run` for all stages")
         if test.recordings:
