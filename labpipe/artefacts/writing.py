@@ -7,7 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from labpipe.errors import DataError
@@ -19,12 +19,17 @@ class OutputFolder:
 
     target: Path
     staging: Path
+    outdated: set[str] = field(default_factory=set)
 
     def write_path(self, name: str) -> Path:
         """Where to write the file that will be *name* in the target folder."""
         path = self.staging / name
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
+
+    def outdate(self, name: str) -> None:
+        """*name* in the target folder belongs to what is being replaced: it goes when the new files come, unless it comes anew."""
+        self.outdated.add(name)
 
     def read_path(self, name: str) -> Path:
         """Where *name* can be read now: just written, or from before."""
@@ -50,10 +55,18 @@ def output_folder(target: Path, scratch: Path | None = None) -> Iterator[OutputF
     home = existing_home(target)
     staging = Path(tempfile.mkdtemp(prefix=".labpipe-", dir=scratch or home))
     try:
-        yield OutputFolder(target, staging)
+        folder = OutputFolder(target, staging)
+        yield folder
+        _remove(folder)
         _move_all(staging, target)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def _remove(folder: OutputFolder) -> None:
+    for name in folder.outdated:
+        if not (folder.staging / name).exists():
+            (folder.target / name).unlink(missing_ok=True)
 
 
 def _move_all(staging: Path, target: Path) -> None:

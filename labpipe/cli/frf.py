@@ -16,7 +16,9 @@ from labpipe.config.tests import Test
 from labpipe.errors import ConfigError
 from labpipe.pipeline.run import measure_tests
 from labpipe.records.finding import WARNING, of_level
+from labpipe.records.free_decay import FreeDecays
 from labpipe.records.response import FrequencyResponse
+from labpipe.stages.measured import MeasuredTest
 
 
 @click.command()
@@ -38,7 +40,8 @@ def frf(
     quiet: bool,
     verbose: bool,
 ) -> int:
-    """Turn recordings into frequency responses: DIR/<test>.frf.parquet.
+    """Turn recordings into frequency responses: DIR/<test>.frf.parquet; or cut out
+    free decays (excitation: decay): DIR/<test>.decay.parquet.
 
     RECORDING... (raw or calibrated) replace those of the pipeline and together give one FRF matrix.
     """
@@ -47,8 +50,8 @@ def frf(
         pipeline = with_recordings(pipeline, recordings)
     with output_folder(output) as folder:
         measured = measure_tests(pipeline, folder, manner(quiet, verbose, jobs, cluster))
-    for response in measured.responses:
-        echo_response(response, quiet)
+    for test in measured.tests:
+        echo_measured(test, quiet)
     echo_failed(measured.failed)
     return 2 if measured.failed else 0
 
@@ -62,11 +65,20 @@ def with_recordings(pipeline: Pipeline, recordings: tuple[Path, ...]) -> Pipelin
     return replace(pipeline, tests=(test,), sections={name: part for name, part in pipeline.sections.items() if name != "calibrate"})
 
 
-def echo_response(response: FrequencyResponse, quiet: bool) -> None:
-    """One line on a response, and its findings."""
+def echo_measured(measured: MeasuredTest, quiet: bool) -> None:
+    """One line on a response or on free decays, and its findings."""
     if not quiet:
-        size = f"{len(response.outputs)} x {len(response.inputs)} {response.form}"
-        band = f"{response.frequency[0]:g}-{response.frequency[-1]:g} Hz"
-        click.echo(f"{response.name or 'frf'}: {size}, {response.n_frequency} lines, {band}")
-    for finding in of_level(WARNING, response.findings) if quiet else response.findings:
+        click.echo(_decays_line(measured) if isinstance(measured, FreeDecays) else _response_line(measured))
+    for finding in of_level(WARNING, measured.findings) if quiet else measured.findings:
         click.echo(f"  {finding.level} {finding.code}: {finding.message}")
+
+
+def _response_line(response: FrequencyResponse) -> str:
+    size = f"{len(response.outputs)} x {len(response.inputs)} {response.form}"
+    band = f"{response.frequency[0]:g}-{response.frequency[-1]:g} Hz"
+    return f"{response.name or 'frf'}: {size}, {response.n_frequency} lines, {band}"
+
+
+def _decays_line(decays: FreeDecays) -> str:
+    outputs = ", ".join(port.label for port in decays.outputs)
+    return f"{decays.name or 'decay'}: {len(decays.decays)} free decay(s) of {outputs} at {decays.sample_rate:g} Hz"

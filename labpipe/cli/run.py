@@ -12,7 +12,7 @@ from labpipe.cli.many import echo_failed, manner
 from labpipe.cli.terminal import echo_identification
 from labpipe.config.pipeline import load_pipeline
 from labpipe.pipeline.run import run as run_pipeline
-from labpipe.stages.report import write_report
+from labpipe.stages.report import outdate_reports, write_reports
 
 
 @click.command()
@@ -26,16 +26,16 @@ from labpipe.stages.report import write_report
 def run(pipeline_path: Path, output: Path, jobs: int, cluster: str | None, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
     """Run all stages of PIPELINE: recordings -> FRFs -> identification.json -> report.
 
-    Results that are up to date are not computed again. When a test fails, the others are finished and the failed one is named at
-    the end (exit code 2); an interrupted run continues where it stopped. Exit code 1 when an accept: or expect: rule fails.
+    identification.json is written before the report is drawn. Results that are up to date are not computed again. When a test fails, the
+    others are finished and the failed one is named at the end (exit code 2); an interrupted run continues where it stopped. Exit code 1
+    when an accept: or expect: rule fails.
     """
     how = manner(quiet, verbose, jobs, cluster)
     pipeline = load_pipeline(pipeline_path, overrides)
     with output_folder(output) as folder:
         identification = run_pipeline(pipeline, folder, how)
-        for name in pipeline.report.formats:
-            how.tell(f"report    report.{name}")
-            write_report(identification, folder.write_path(f"report.{name}"))
+        outdate_reports(folder, pipeline.report.formats)
+    write_reports(identification, output, pipeline.report.formats, how.tell)
     echo_identification(identification, quiet)
     if not quiet:
         click.echo(f"written: {output}/identification.json" + "".join(f", report.{name}" for name in pipeline.report.formats))

@@ -14,7 +14,7 @@ from labpipe.config.pipeline import load_pipeline
 from labpipe.errors import ConfigError
 from labpipe.formats.study_csv import write_study_csv
 from labpipe.stages.identify import identify_stage
-from labpipe.stages.report import write_report
+from labpipe.stages.report import outdate_reports, write_reports
 
 STUDY = "study"
 
@@ -40,8 +40,8 @@ def study(pipeline_path: Path, output: Path, jobs: int, overrides: tuple[str, ..
     with output_folder(output) as folder:
         identification = identify_stage(alone, (), (), folder, options.teller(quiet, verbose), jobs)
         write_study_csv(folder.write_path("study.csv"), identification.sections[STUDY][0])
-        for name in pipeline.report.formats:
-            write_report(identification, folder.write_path(f"report.{name}"))
+        outdate_reports(folder, pipeline.report.formats)
+    write_reports(identification, output, pipeline.report.formats, options.teller(quiet, verbose))
     echo_identification(identification, quiet)
     if not quiet:
         click.echo(f"written: {output}/identification.json, study.csv" + "".join(f", report.{name}" for name in pipeline.report.formats))

@@ -10,6 +10,7 @@ from labpipe.config.reader import read_settings
 from labpipe.config.reading import Reading
 from labpipe.identify.settings import MODELS, FitSettings, model_kind
 from labpipe.marked_yaml import Marked
+from labpipe.records.settings import settings_of
 
 
 def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings | None:
@@ -18,6 +19,8 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
     entries = faults.mapping(node, key)
     presets: dict[str, Any] = {"name": name}
     section = _section_of(entries)
+    entries = _in_section(entries) if not section else entries
+    section = section or _section_of(entries)
     if section:
         model, entry = section
         if entries["model"].text != model:
@@ -29,6 +32,20 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
     if fit is None or "mass" in entries or reading.rig is None or reading.rig.mass is None:
         return fit
     return replace(fit, mass=reading.rig.mass)
+
+
+def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:
+    """The entries with the settings of a model that needs no section, where they stand in the fit itself, moved into its section."""
+    model = entries["model"].text if "model" in entries else ""
+    kind = model_kind(model) if model in MODELS else None
+    if kind is None or kind.settings is None or not kind.optional:
+        return entries
+    moved = [key for key in settings_of(kind.settings) if key in entries and key not in settings_of(FitSettings)]
+    if not moved:
+        return entries
+    first = entries[moved[0]]
+    inner = Marked({key: entries[key] for key in moved}, first.where, first.key_where)
+    return {**{key: node for key, node in entries.items() if key not in moved}, kind.section: inner}
 
 
 def _section_of(entries: dict[str, Marked]) -> tuple[str, str] | None:

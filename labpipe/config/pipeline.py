@@ -15,7 +15,8 @@ from labpipe.config.recordings import read_rig
 from labpipe.config.rules import Rule, read_rules
 from labpipe.config.tests import Test, TestReader
 from labpipe.errors import ConfigError
-from labpipe.identify.settings import FitSettings
+from labpipe.identify.model_kinds import DECAYS, RESPONSES
+from labpipe.identify.settings import FitSettings, check_kind
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.records.rig import Rig
 from labpipe.records.settings import Settings, setting
@@ -99,6 +100,7 @@ def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
     settings, names = _sections(entries, rig, faults)
     rules = tuple(rule for key in ("accept", "expect") for rule in read_rules(key, entries.get(key), faults, names))
     _check_whole(tree, entries, tests, frf, faults)
+    _check_kinds(entries, settings.get("identify", ()), tests, frf, faults)
     faults.raise_any()
     assert report is not None
     return Pipeline(path, title=_title(entries, path), tests=tests, frf=frf, report=report, rules=rules, rig=rig, sections=settings)
@@ -147,6 +149,23 @@ def _check_whole(tree: Marked, entries: dict[str, Marked], tests: tuple[Test, ..
         faults.add(entries["study"], "study", "there is nothing to study", "name fits under identify")
     if any(test.recordings for test in tests) and frf is None and "frf" not in entries:
         faults.add(tree, "frf", "is missing", "state excitation and period or block, from which FRFs are computed")
+
+
+def _check_kinds(
+    entries: dict[str, Marked], fits: tuple[FitSettings, ...], tests: tuple[Test, ...], frf: FrfSettings | None, faults: Faults
+) -> None:
+    """Faults of fits whose model is not of what the recordings give: free decays or responses."""
+    if frf is None or not any(test.recordings for test in tests):
+        return
+    recorded = [test.name for test in tests if test.recordings]
+    for fit in fits:
+        if fit.test and not set(fit.test) & set(recorded):
+            continue
+        try:
+            check_kind(fit, DECAYS if frf.excitation == "decay" else RESPONSES)
+        except ConfigError as error:
+            node = entries["identify"].content[fit.name].content["model"]
+            faults.add(node, join(join("identify", fit.name), "model"), error.what, error.hint)
 
 
 def _standalone() -> Iterator[str]:

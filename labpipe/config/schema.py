@@ -82,7 +82,10 @@ def _section(entry: PipelineSection) -> dict[str, Any]:
     schema = _object(owner)
     if owner is FitSettings:
         kinds = [kind for kind in map(model_kind, MODELS) if kind.settings is not None]
-        schema["properties"] |= {kind.section: _object(kind.settings) for kind in kinds if kind.settings is not None}
+        parts = {kind.section: _object(kind.settings) for kind in kinds if kind.settings is not None}
+        # Settings of a model that needs no section may stand in the fit itself.
+        plain = [parts[kind.section]["properties"] for kind in kinds if kind.optional]
+        schema["properties"] = {name: value for part in plain for name, value in part.items()} | schema["properties"] | parts
     return {"type": "object", "additionalProperties": schema} if entry.named else schema
 
 

@@ -19,15 +19,17 @@ from labpipe.identify.given_mass import mass_findings
 from labpipe.identify.leakage import expected
 from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.model import DynamicModel
+from labpipe.identify.model_kinds import DECAYS, RESPONSES
 from labpipe.identify.motions import motion_notes
 from labpipe.identify.proportional import ProportionalModel
 from labpipe.identify.reported import mismatch_factor, reported_parameters
 from labpipe.identify.residual_structure import structure_findings
-from labpipe.identify.settings import ESTIMATORS, MODELS, FitSettings
+from labpipe.identify.settings import ESTIMATORS, MODELS, FitSettings, check_kind
 from labpipe.identify.setup import Setup
 from labpipe.identify.short_blocks import leakage_findings
 from labpipe.identify.statistics import Estimate, condition_number, correlation, student_limit
 from labpipe.records.finding import Finding
+from labpipe.records.free_decay import FreeDecays
 from labpipe.records.identification import Fit, FittedCurve, Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.bands import EDGE, lines_in
@@ -36,12 +38,13 @@ from labpipe.spectra.convert import receptance_factor
 Band = tuple[float, float]
 
 
-def identify(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
-    """Fit the settings' model to a response: one Fit, or one per band or chosen peak.
+def identify(measured: FrequencyResponse | FreeDecays, settings: FitSettings) -> tuple[Fit, ...]:
+    """Fit the settings' model to a response or to free decays: one Fit, or one per band or chosen peak.
 
-    Raises ConfigError where settings and response do not fit together, FitError where the data cannot support the fit.
+    Raises ConfigError where settings and measurement do not fit together, FitError where the data cannot support the fit.
     """
-    return settings.kind.fit(response, settings)
+    check_kind(settings, DECAYS if isinstance(measured, FreeDecays) else RESPONSES)
+    return settings.kind.fit(measured, settings)
 
 
 def fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:

@@ -51,10 +51,10 @@ class Measured:
 
 def select_ports(response: FrequencyResponse, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> tuple[list[int], list[int]]:
     """Rows and columns by label, channel or dof (all without names); ConfigError for unknown names."""
-    return _chosen(response.outputs, outputs, "response"), _chosen(response.inputs, inputs, "force")
+    return chosen_ports(response.outputs, outputs, "response"), chosen_ports(response.inputs, inputs, "force")
 
 
-def _chosen(ports: tuple[Port, ...], names: tuple[str, ...], what: str) -> list[int]:
+def chosen_ports(ports: tuple[Port, ...], names: tuple[str, ...], what: str) -> list[int]:
     if not names:
         return list(range(len(ports)))
     chosen: list[int] = []

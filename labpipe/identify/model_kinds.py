@@ -4,28 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from labpipe.records.identification import Fit
-from labpipe.records.response import FrequencyResponse
 
 if TYPE_CHECKING:
     from labpipe.identify.settings import FitSettings
+
+
+# What a model is fitted to: a FrequencyResponse, or FreeDecays.
+RESPONSES, DECAYS = "responses", "decays"
 
 
 @dataclass(frozen=True)
 class ModelKind:
     """How fits of a model are made.
 
-    fit: the fits of a response, one per band or peak. section: key of the model's own settings in a fit, their dataclass *settings*, and
-    an *example* of the section, *optional* where all of them have defaults. earlier: name of the fit whose result this one begins with,
-    empty for none; begin: the settings with the result of that fit among *fits*.
+    fit: the fits of what the model is *of*, a response or free decays; one per band or peak. section: key of the model's own settings in
+    a fit, their dataclass *settings*, and an *example* of the section, *optional* where all of them have defaults. earlier: name of the
+    fit whose result this one begins with, empty for none; begin: the settings with the result of that fit among *fits*.
     """
 
-    fit: Callable[[FrequencyResponse, FitSettings], tuple[Fit, ...]]
+    fit: Callable[[Any, FitSettings], tuple[Fit, ...]]
     section: str = ""
     settings: type | None = None
     example: str = ""
     optional: bool = False
     earlier: Callable[[FitSettings], str] = lambda _settings: ""
     begin: Callable[[FitSettings, Sequence[Fit]], FitSettings] = lambda settings, _fits: settings
+    of: str = RESPONSES

@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 from labpipe.errors import ConfigError
-from labpipe.identify.model_kinds import ModelKind
+from labpipe.identify.model_kinds import DECAYS, ModelKind
 from labpipe.records.setting_values import COEFFICIENT_UNITS as COEFFICIENT_UNITS
 from labpipe.records.setting_values import ESTIMATE as ESTIMATE
 from labpipe.records.settings import Settings, Uncertain, setting
@@ -21,6 +21,7 @@ MODELS = Registry(
         "rotor-2dof-direct": "labpipe.identify.models:rotor_2dof_direct",
         "mdof": "labpipe.identify.mdof:mdof",
         "modal": "labpipe.modal.model_kind:MODAL",
+        "decay": "labpipe.decay.model_kind:DECAY",
         "worn-bearing": "labpipe.wear.model_kind:WORN_BEARING",
     },
 )
@@ -123,6 +124,15 @@ class FitSettings(Settings):
             raise ConfigError("'peaks' names bands and ports by itself", hint="leave out band, bands, sliding, input and output")
         if self.peaks and self.model != "sdof":
             raise ConfigError("'peaks' is for sdof only", hint="for other models name input, output and bands")
+
+
+def check_kind(settings: FitSettings, measured: str) -> None:
+    """ConfigError where a model is not of what was *measured*: responses or decays."""
+    if settings.kind.of == measured:
+        return
+    if measured == DECAYS:
+        raise ConfigError(f"model {settings.model} needs an FRF, free decays have none", hint="model: decay", field="model")
+    raise ConfigError(f"model {settings.model} needs free decays, not an FRF", hint="frf: {excitation: decay}", field="model")
 
 
 def model_kind(name: str) -> ModelKind:

@@ -1,4 +1,4 @@
-"""The work of one test, by itself: its recordings -> its response -> its fits, all on disk, so that any process can do it."""
+"""The work of one test, by itself: its recordings -> its response or decays -> its fits, all on disk, so that any process can do it."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from labpipe.config.tests import Test
 from labpipe.errors import ConfigError, LabpipeError
 from labpipe.identify.settings import FitSettings
 from labpipe.records.identification import Failed, Fit
-from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.settings import FrfSettings
 from labpipe.stages.fits import fits_of
-from labpipe.stages.frf import frf, frf_file_name, load_ready, load_response, ready_refs
+from labpipe.stages.frf import frf_file_name, ready_refs
 from labpipe.stages.ingest import ingest, recording_refs
+from labpipe.stages.measured import MeasuredTest, load_measured, load_ready_measured, measure_test, measured_file_name
 
 Tell = Callable[[str], None]
 
@@ -52,6 +52,10 @@ class Job:
     @property
     def fits_name(self) -> str:
         return f"fits/{frf_file_name(self.test.name).removesuffix('.frf.parquet')}.json"
+
+    @property
+    def measured_name(self) -> str:
+        return measured_file_name(self.test.name, self.frf)
 
     def absolute(self) -> Job:
         """The same job, to be done by a process that works in another folder."""
@@ -97,31 +101,31 @@ def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[Source
         if job.frf is None:
             raise ConfigError("frf: is missing", where=str(job.pipeline_path), hint="say how the recordings become FRFs")
         tell(f"frf       {job.test.name or job.pipeline_path.stem}")
-        frf(stored, job.frf, output, job.test.name, job.test.conditions)
+        measure_test(stored, job.frf, output, job.test.name, job.test.conditions)
     recorded = [reference for recording in stored for reference in recording_refs(recording, job.folder)]
     return (*recorded, *(source_ref(path, job.folder) for ready in job.test.frfs for path in ready.paths))
 
 
-def responses_of(job: Job, output: OutputFolder) -> list[FrequencyResponse]:
-    """The measured response of the test, and its ready ones."""
-    measured = [load_response(output.read_path(frf_file_name(job.test.name)))] if job.test.recordings else []
-    return [*measured, *(load_ready(ready, job.test.name, job.test.conditions) for ready in job.test.frfs)]
+def measured_of(job: Job, output: OutputFolder) -> list[MeasuredTest]:
+    """What was measured of the test, and its ready responses."""
+    measured = [load_measured(output.read_path(job.measured_name))] if job.test.recordings else []
+    return [*measured, *(load_ready_measured(ready, job.test.name, job.test.conditions) for ready in job.test.frfs)]
 
 
-def response_refs(job: Job, output: OutputFolder) -> list[SourceRef]:
-    """The digests of the test's responses, by their file names."""
-    path = output.read_path(frf_file_name(job.test.name))
+def measured_refs(job: Job, output: OutputFolder) -> list[SourceRef]:
+    """The digests of what was measured of the test, by their file names."""
+    path = output.read_path(job.measured_name)
     measured = [source_ref(path, path.parent)] if job.test.recordings else []
     return [*measured, *(reference for ready in job.test.frfs for reference in ready_refs(ready))]
 
 
 def fit(job: Job, output: OutputFolder) -> None:
     """The independent fits of the test, made unless those on disk are fresh."""
-    inputs = response_refs(job, output)
+    inputs = measured_refs(job, output)
     if has_fresh_fits(output.read_path(job.fits_name), job.fits, inputs):
         return
-    responses = responses_of(job, output)
-    fits = [test_fit for settings in job.fits for test_fit in fits_of(responses, settings, job.pipeline_path)]
+    measured = measured_of(job, output)
+    fits = [test_fit for settings in job.fits for test_fit in fits_of(measured, settings, job.pipeline_path)]
     write_fits(output.write_path(job.fits_name), fits, job.fits, inputs)
 
 

@@ -17,13 +17,13 @@ from labpipe.artefacts.writing import OutputFolder, existing_home
 from labpipe.config.pipeline import Pipeline
 from labpipe.errors import ConfigError, DataError
 from labpipe.pipeline.executors import Execute, serially
-from labpipe.pipeline.one_test import Done, Job, Tell, finished_fits, measure, response_refs, responses_of, silent, work
+from labpipe.pipeline.one_test import Done, Job, Tell, finished_fits, measure, measured_of, measured_refs, silent, work
 from labpipe.records.identification import Failed, Fit, Identification
-from labpipe.records.response import FrequencyResponse
 from labpipe.stages.fits import check_tested
 from labpipe.stages.frf import frf_file_name
 from labpipe.stages.identify import identify_stage
 from labpipe.stages.ingest import unique_names
+from labpipe.stages.measured import MeasuredTest
 
 # Called when a test is done: tests done, tests in all, name of the test.
 Progress = Callable[[int, int, str], None]
@@ -44,9 +44,9 @@ class Manner:
 
 @dataclass(frozen=True)
 class Measured:
-    """The responses of all tests, the files behind them, the fits made on the way, the tests that failed, digests of the responses."""
+    """The responses or decays of all tests, the files behind them, the fits made on the way, the tests that failed, digests of *tests*."""
 
-    responses: tuple[FrequencyResponse, ...]
+    tests: tuple[MeasuredTest, ...]
     sources: tuple[SourceRef, ...]
     fits: dict[str, list[Fit]] = field(default_factory=dict)
     failed: tuple[Failed, ...] = ()
@@ -59,7 +59,7 @@ def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identificat
     manner.tell(f"identify  {pipeline.title}")
     return identify_stage(
         pipeline,
-        measured.responses,
+        measured.tests,
         measured.sources,
         output,
         manner.tell,
@@ -84,9 +84,9 @@ def measure_tests(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits
         raise DataError(f"{failed[0].message} (and none of the other {len(failed) - 1} tests could be evaluated)")
     sources = [source for job in finished for source in done[job.test.name].sources]
     sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
-    responses = [response for job in finished for response in responses_of(job, output)]
-    inputs = tuple(reference for job in finished for reference in response_refs(job, output))
-    return Measured(tuple(responses), tuple(sources), finished_fits(finished, output), failed, inputs)
+    tests = [part for job in finished for part in measured_of(job, output)]
+    inputs = tuple(reference for job in finished for reference in measured_refs(job, output))
+    return Measured(tuple(tests), tuple(sources), finished_fits(finished, output), failed, inputs)
 
 
 def independent_fits(pipeline: Pipeline) -> list[str]:

@@ -12,6 +12,7 @@ from labpipe.records.finding import Finding
 from labpipe.records.modes import Modes
 from labpipe.records.parameter import Parameter as Parameter
 from labpipe.records.response import FrequencyResponse
+from labpipe.records.ring_down import RingDown
 from labpipe.records.text import fit_html, fit_line, fit_text, identification_line
 from labpipe.records.views import VIEWS
 
@@ -110,6 +111,7 @@ class Fit:
     term: str = ""
     region: Region | None = None
     modes: Modes | None = None
+    ring_down: RingDown | None = None
 
     def __repr__(self) -> str:
         return fit_line(self)

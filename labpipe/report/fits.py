@@ -12,6 +12,7 @@ from labpipe.report.candidates import candidate_blocks
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figures
 from labpipe.report.modal_figures import modal_blocks
+from labpipe.report.ring_down_figures import ring_down_figures
 from labpipe.report.wear_figures import wear_figures
 from labpipe.report.wording import STARS_EXPLAINED, band_text, fit_title, inflated_text, parameter_row, unit_text
 
@@ -64,13 +65,14 @@ def _single(fit: Fit) -> tuple[Block, ...]:
         *(Paragraph(note, "note") for note in fit.notes),
         *candidate_blocks(fit),
         *modal_blocks(fit),
+        *ring_down_figures(fit),
         *fit_figures(fit),
     )
 
 
 def _described(fit: Fit) -> str:
     """Model, estimator, band, degrees of freedom and goodness in one paragraph."""
-    chi2 = ""
+    chi2, lines = "", "frequency lines" if fit.ring_down is None else "samples or lines"
     if fit.gof.chi2_reduced is not None:
         p_value = "" if fit.gof.chi2_p is None else f" (p = {fit.gof.chi2_p:.3g})"
         chi2 = f" The weighted residual has chi² per degree of freedom {fit.gof.chi2_reduced:.3f}{p_value}; 1 is expected."
@@ -78,7 +80,7 @@ def _described(fit: Fit) -> str:
     if not fit.converged:
         end = "NOT converged"
     return (
-        f"Model {fit.model}, estimator {fit.estimator}, band {band_text(fit)}: {fit.lines} frequency lines, {fit.equations} real "
+        f"Model {fit.model}, estimator {fit.estimator}, band {band_text(fit)}: {fit.lines} {lines}, {fit.equations} real "
         f"equations, {fit.dof} degrees of freedom, {end}. G.o.F (adjusted R²) {fit.gof.r2_adjusted:.5f}.{chi2} "
         f"Condition number {fit.condition_number:.3g}.{inflated_text(fit)}"
     )

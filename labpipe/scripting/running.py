@@ -9,10 +9,11 @@ from pathlib import Path
 from labpipe.artefacts.writing import output_folder
 from labpipe.config.pipeline import load_pipeline
 from labpipe.pipeline.executors import in_processes, serially
+from labpipe.pipeline.one_test import silent
 from labpipe.pipeline.run import Manner
 from labpipe.pipeline.run import run as run_pipeline
 from labpipe.records.identification import Identification
-from labpipe.stages.report import write_report
+from labpipe.stages.report import outdate_reports, write_reports
 
 
 def run(pipeline: str | Path, output: str | Path | None = None, overrides: Iterable[str] = (), jobs: int = 1) -> Identification:
@@ -28,6 +29,6 @@ def run(pipeline: str | Path, output: str | Path | None = None, overrides: Itera
             return run_pipeline(settings, folder, manner)
     with output_folder(Path(output)) as folder:
         identification = run_pipeline(settings, folder, manner)
-        for name in settings.report.formats:
-            write_report(identification, folder.write_path(f"report.{name}"))
+        outdate_reports(folder, settings.report.formats)
+    write_reports(identification, Path(output), settings.report.formats, silent)
     return identification

@@ -26,6 +26,7 @@ VIRTUAL_RIGS = Registry(
         "virtual-journal-rig": "labpipe.simulate.journal_rig:JOURNAL_RIG",
         "virtual-unbalance-rig": "labpipe.simulate.unbalance_rig:UNBALANCE_RIG",
         "virtual-white-noise-rig": "labpipe.simulate.white_noise_rig:WHITE_NOISE_RIG",
+        "virtual-decay-rig": "labpipe.simulate.decay_rig:DECAY_RIG",
     },
 )
 

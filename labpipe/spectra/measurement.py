@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import ComplexArray
-from labpipe.errors import DataError
-from labpipe.records.finding import Finding
+from labpipe.errors import ConfigError
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.aliasing import AliasingMonitor, aliasing_findings
@@ -21,7 +20,7 @@ from labpipe.spectra.from_random import random_parts
 from labpipe.spectra.joining import joined
 from labpipe.spectra.masks import mask_findings, masked_bands
 from labpipe.spectra.parts import Parts
-from labpipe.spectra.ports import Layout, find_layout
+from labpipe.spectra.ports import Layout, check_rates, find_layout, source_findings
 from labpipe.spectra.realisations import realisations, robust_mean
 from labpipe.spectra.reciprocity import reciprocity_findings
 from labpipe.spectra.settings import FrfSettings
@@ -46,7 +45,9 @@ def measure(
     use does not depend on the recordings' length. Raises DataError for recordings that do not fit together, are too short, hold NaN,
     or whose forces are not independent.
     """
-    _check_rates(sources)
+    check_rates(sources)
+    if settings.excitation not in EXCITATIONS:
+        raise ConfigError(f"excitation {settings.excitation} gives no FRF", hint="fit free decays with model: decay")
     if settings.realisations:
         responses = [_measured(members, settings, name, conditions) for members in realisations(sources)]
         response = robust_mean(responses, settings.smooth)
@@ -88,7 +89,7 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
     sources = list(monitors)
     parts = EXCITATIONS[settings.excitation](sources, settings, layout)
     aliasing = aliasing_findings(monitors, settings.band, _coherent_outputs(parts, layout))
-    findings = (*_source_findings(sources), *mask_findings(bands), *aliasing, *parts.findings)
+    findings = (*source_findings(sources), *mask_findings(bands), *aliasing, *parts.findings)
     sensor_factor = layout.sensor_factor(parts.frequency)
     flat = sensor_factor.reshape(sensor_factor.shape[0], -1)
     covariance = None if parts.covariance is None else parts.covariance * (flat[:, :, None] * flat[:, None, :].conj())
@@ -132,21 +133,3 @@ def _coherent_outputs(parts: Parts, layout: Layout) -> set[str]:
     else:
         coherent = np.ones(n_output, bool)
     return {port.channel for port, is_coherent in zip(layout.outputs, coherent, strict=True) if is_coherent}
-
-
-def _check_rates(sources: Sequence[SampleSource]) -> None:
-    rates = [source.sample_rate for source in sources]
-    if not rates:
-        raise DataError("no recordings", hint="name at least one")
-    if max(rates) - min(rates) > 1e-9 * max(rates):
-        named = ", ".join(f"{source.name} {source.sample_rate:g} Hz" for source in sources)
-        raise DataError(f"the recordings have different sampling rates: {named}")
-
-
-def _source_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
-    several = len(sources) > 1
-    return tuple(
-        dataclasses.replace(finding, message=f"{source.name}: {finding.message}") if several else finding
-        for source in sources
-        for finding in source.findings
-    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
+from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import Port
 from labpipe.spectra.bands import EDGE
@@ -58,10 +60,7 @@ def find_layout(sources: Sequence[SampleSource]) -> Layout:
     responses = [_of_role(source, "output") for source in sources]
     inputs = _distinct(forces)
     outputs = _distinct(responses)
-    for source, channels in zip(sources, responses, strict=True):
-        missing = [key[0] for key in outputs if key not in [_key(channel) for _, channel in channels]]
-        if missing:
-            raise DataError(f"recording '{source.name}' lacks the response {', '.join(missing)} of another recording")
+    _check_complete(sources, responses, outputs)
     return Layout(
         inputs=_ports(inputs),
         outputs=_ports(outputs),
@@ -71,6 +70,15 @@ def find_layout(sources: Sequence[SampleSource]) -> Layout:
         input_sensors=_sensors(forces, inputs),
         output_sensors=_sensors(responses, outputs),
     )
+
+
+def response_ports(sources: Sequence[SampleSource]) -> tuple[tuple[Port, ...], tuple[tuple[int, ...], ...], tuple[Channel, ...]]:
+    """The responses of recordings without regard to forces: ports, the columns of each recording, channels; DataError as find_layout."""
+    check_rates(sources)
+    responses = [_of_role(source, "output") for source in sources]
+    outputs = _distinct(responses)
+    _check_complete(sources, responses, outputs)
+    return _ports(outputs), tuple(_columns(channels, outputs) for channels in responses), _sensors(responses, outputs)
 
 
 def sensor_response(sensor: Channel, frequency: FloatArray) -> ComplexArray:
@@ -135,3 +143,31 @@ def _form(forces: list[list[tuple[int, Channel]]], responses: list[list[tuple[in
     if len(effects) > 1:
         raise DataError(f"the responses are of several quantities ({', '.join(sorted(effects))})", hint="keep one per FRF matrix")
     return FORM_OF.get(effects.pop(), "other") if causes == {"force"} else "other"
+
+
+def _check_complete(sources: Sequence[SampleSource], responses: list[list[tuple[int, Channel]]], outputs: list[Key]) -> None:
+    """DataError when a recording lacks a response that another has."""
+    for source, channels in zip(sources, responses, strict=True):
+        missing = [key[0] for key in outputs if key not in [_key(channel) for _, channel in channels]]
+        if missing:
+            raise DataError(f"recording '{source.name}' lacks the response {', '.join(missing)} of another recording")
+
+
+def check_rates(sources: Sequence[SampleSource]) -> None:
+    """DataError for no recordings, and for recordings of different sampling rates."""
+    rates = [source.sample_rate for source in sources]
+    if not rates:
+        raise DataError("no recordings", hint="name at least one")
+    if max(rates) - min(rates) > 1e-9 * max(rates):
+        named = ", ".join(f"{source.name} {source.sample_rate:g} Hz" for source in sources)
+        raise DataError(f"the recordings have different sampling rates: {named}")
+
+
+def source_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
+    """What was found in the recordings, with the name of each where there are several."""
+    several = len(sources) > 1
+    return tuple(
+        dataclasses.replace(finding, message=f"{source.name}: {finding.message}") if several else finding
+        for source in sources
+        for finding in source.findings
+    )

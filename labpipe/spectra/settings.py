@@ -8,7 +8,11 @@ from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, setting
 from labpipe.records.windowed import WindowedSettings
 
-EXCITATIONS = ("periodic", "random", "impact")
+EXCITATIONS = ("periodic", "random", "impact", "decay")
+# What each excitation must be given, if anything.
+NEEDED = {"periodic": "period", "random": "block", "impact": "block"}
+# Keys that a free decay has no use for: there is no FRF.
+OF_RESPONSES = ("period", "block", "band", "exclude", "mask", "remove", "directional")
 ESTIMATORS = ("H1", "H2", "Hv")
 DETRENDS = ("constant", "linear", "none")
 
@@ -68,6 +72,26 @@ class ImpactSettings(Settings):
 
 
 @dataclass(frozen=True)
+class FreeDecaySettings(Settings):
+    """Where the free decays of a recording begin and end; times from its first sample on."""
+
+    start: float | None = setting("value", "where the decay begins; default: after every hit or release", unit="s", default=None)
+    end: float | None = setting("value", "where it ends; default: at the next hit, or in the noise", unit="s", default=None)
+    settle: float | None = setting("value", "left out after the largest value of every decay; default: one period", unit="s", default=None)
+    trigger: float = setting("value", "a hit counts where the response exceeds this share of its largest", unit="1", default=0.1)
+
+    def __post_init__(self) -> None:
+        for name in ("start", "end", "settle"):
+            value = getattr(self, name)
+            if value is not None and value < 0:
+                raise ConfigError(f"'{name}' must not be negative", field=name)
+        if self.end is not None and self.end <= (self.start or 0.0):
+            raise ConfigError("'end' must come after 'start'", field="end")
+        if not 0 < self.trigger < 1:
+            raise ConfigError("'trigger' must lie between 0 and 100 %", field="trigger")
+
+
+@dataclass(frozen=True)
 class FrfSettings(Settings):
     """How recordings become a frequency response; times in s, frequencies in Hz."""
 
@@ -95,15 +119,11 @@ class FrfSettings(Settings):
         section=WindowedSettings,
         default=None,
     )
+    decay: FreeDecaySettings = setting("section", "free decays: start and end", section=FreeDecaySettings, default=FreeDecaySettings())
     directional: bool = setting("flag", "the response in forward and backward terms (two responses, two forces)", default=False)
 
     def __post_init__(self) -> None:
-        needed = {"periodic": "period", "random": "block", "impact": "block"}[self.excitation]
-        length = getattr(self, needed)
-        if length is None:
-            raise ConfigError(f"'{needed}' is missing", hint=f"{self.excitation} excitation needs it, e.g. {needed}: 1 s")
-        if length <= 0:
-            raise ConfigError(f"'{needed}' must be positive")
+        self._check_length()
         if not 0 <= self.overlap < 1:
             raise ConfigError("'overlap' must be at least 0 and below 100 %")
         if self.realisations and self.excitation != "periodic":
@@ -126,6 +146,20 @@ class FrfSettings(Settings):
     def damping_window(self) -> float | None:
         """Time constant [s] of the exponential window that the blocks of hits have in the end, whoever applied it; None for none."""
         return self.impact.decay if self.windowed is None else self.windowed.exponential
+
+    def _check_length(self) -> None:
+        """ConfigError where the length of a period or block is missing, or where a free decay is given keys of responses."""
+        needed = NEEDED.get(self.excitation)
+        if needed is None:
+            idle = [name for name in OF_RESPONSES if getattr(self, name)]
+            if idle:
+                raise ConfigError(f"'{idle[0]}' is not for free decays, which have no FRF", hint="`band` stands in the fit", field=idle[0])
+            return
+        length = getattr(self, needed)
+        if length is None:
+            raise ConfigError(f"'{needed}' is missing", hint=f"{self.excitation} excitation needs it, e.g. {needed}: 1 s")
+        if length <= 0:
+            raise ConfigError(f"'{needed}' must be positive")
 
 
 def _hit_number(text: str | int) -> int:

@@ -11,38 +11,38 @@ from labpipe.identify.fitting import identify
 from labpipe.identify.levels import with_level_findings
 from labpipe.identify.settings import FitSettings
 from labpipe.records.identification import Fit
-from labpipe.records.response import FrequencyResponse
 from labpipe.registry import nearest
+from labpipe.stages.measured import MeasuredTest
 from labpipe.stages.work import Work
 
 
 def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
     """Every fit on every test that it names; fits already made test by test are reused."""
     fits: list[Fit] = []
-    conditions = {response.name: response.conditions for response in work.responses}
+    conditions = {test.name: test.conditions for test in work.tests}
     for fit in settings:
         if fit.name in work.test_fits:
             made = list(work.test_fits[fit.name])
         else:
-            check_tested(fit, [response.name for response in work.responses])
-            made = fits_of(work.responses, fit.kind.begin(fit, fits), work.pipeline.path)
+            check_tested(fit, [test.name for test in work.tests])
+            made = fits_of(work.tests, fit.kind.begin(fit, fits), work.pipeline.path)
         fits.extend(with_level_findings(made, conditions))
     return fits
 
 
-def fits_of(responses: Sequence[FrequencyResponse], settings: FitSettings, pipeline_path: Path) -> list[Fit]:
-    """The fits of the responses whose test the settings name, or of all; LabpipeError names fit and test."""
+def fits_of(tests: Sequence[MeasuredTest], settings: FitSettings, pipeline_path: Path) -> list[Fit]:
+    """The fits of the responses or decays whose test the settings name, or of all; LabpipeError names fit and test."""
     fits: list[Fit] = []
-    for response in responses:
-        if settings.test and response.name not in settings.test:
+    for measured in tests:
+        if settings.test and measured.name not in settings.test:
             continue
         try:
-            response_fits = identify(response, settings)
+            test_fits = identify(measured, settings)
         except LabpipeError as error:
-            test = f", test {response.name}" if response.name else ""
+            test = f", test {measured.name}" if measured.name else ""
             error.where = error.where or f"{pipeline_path}: identify.{settings.name}{test}"
             raise
-        fits.extend(dataclasses.replace(fit, test=response.name) for fit in response_fits)
+        fits.extend(dataclasses.replace(fit, test=measured.name) for fit in test_fits)
     return fits
 
 

@@ -56,13 +56,14 @@ def frf(
     try:
         response = measure(recordings, settings, name=test, conditions=conditions or {})
     except LabpipeError as error:
-        error.where = error.where or _where(recordings)
+        error.where = error.where or where_recorded(recordings)
         raise
     write_response(output.write_path(name), response, header)
     return response
 
 
-def _where(recordings: Sequence[StoredRecording]) -> str:
+def where_recorded(recordings: Sequence[StoredRecording]) -> str:
+    """The raw files behind recordings, for messages."""
     return ", ".join(recording.header.inputs[0].path if recording.header.inputs else recording.path.name for recording in recordings)
 
 

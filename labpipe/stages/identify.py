@@ -1,4 +1,4 @@
-"""identify: frequency responses -> identification.json, every rule of the pipeline held against it."""
+"""identify: frequency responses or free decays -> identification.json, every rule of the pipeline held against it."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from labpipe.artefacts.writing import OutputFolder
 from labpipe.config.pipeline import Pipeline
 from labpipe.errors import DataError
 from labpipe.records.identification import Failed, Fit, Identification
-from labpipe.records.response import FrequencyResponse
 from labpipe.sections import section
 from labpipe.stages.compare import COMPARE_PREFIX
 from labpipe.stages.judging import judge
+from labpipe.stages.measured import MeasuredTest
 from labpipe.stages.work import Work
 
 # What a result is fresh by.
@@ -29,7 +29,7 @@ BASIS = ("sources", "inputs", "settings", "rig", "version", "code")
 
 def identify_stage(
     pipeline: Pipeline,
-    responses: Sequence[FrequencyResponse],
+    tests: Sequence[MeasuredTest],
     sources: Sequence[SourceRef],
     output: OutputFolder,
     tell: Callable[[str], None] = lambda _: None,
@@ -42,7 +42,7 @@ def identify_stage(
 
     *jobs*: processes of the study, 0 for one per processor. *test_fits*: fits already made test by test, by their name in the
     pipeline. *failed*: the tests that are missing; a comparison that cannot do without them is missing as well.
-    *inputs*: the digests of the responses themselves, by which a change of a rig, a sensor or a recording reaches the result.
+    *inputs*: the digests of what was measured itself, by which a change of a rig, a sensor or a recording reaches the result.
     """
     basis = Identification(
         fits=(),
@@ -57,14 +57,14 @@ def identify_stage(
     existing = _existing(output)
     if existing is not None and _same_work(existing, basis):
         return existing
-    work = Work(pipeline, responses, output, tell=tell, jobs=jobs, test_fits=test_fits, failed=list(failed))
+    work = Work(pipeline, tests, output, tell=tell, jobs=jobs, test_fits=test_fits, failed=list(failed))
     records = _run_sections(work)
     identification = dataclasses.replace(
         basis,
         fits=tuple(work.fits),
         title=pipeline.title,
         pipeline=pipeline.path.name,
-        responses=tuple(responses),
+        responses=tuple(work.responses),
         outcomes=judge(pipeline.rules, work.fits, records, incomplete=bool(work.failed)),
         failed=tuple(work.failed),
         sections=records,

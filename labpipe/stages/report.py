@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from labpipe.artefacts.writing import output_file, output_folder
+from labpipe.artefacts.identification_file import NAME
+from labpipe.artefacts.writing import OutputFolder, output_file, output_folder
 from labpipe.document.render import DOCUMENTS, RENDERERS
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.identification import Identification
@@ -28,6 +29,21 @@ def write_report(identification: Identification, path: Path, report_format: str 
     """Write the report of an identification; the format follows from the file's ending. *figures*: a folder for them as files."""
     content: bytes = RENDERERS.load(report_format or format_of(path))(identification)
     _write(content, path, {} if figures is None else _figures_of(identification), figures)
+
+
+def outdate_reports(folder: OutputFolder, formats: Sequence[str]) -> None:
+    """Reports of an earlier result go where a new one is about to take its place: should drawing fail, no report contradicts the result."""
+    if (folder.staging / NAME).exists():
+        for name in formats:
+            folder.outdate(f"report.{name}")
+
+
+def write_reports(identification: Identification, target: Path, formats: Sequence[str], tell: Callable[[str], None]) -> None:
+    """Draw the reports of a result into its folder, where it lies already: drawing that is cut short costs the report and nothing else."""
+    with output_folder(target) as folder:
+        for name in formats:
+            tell(f"report    report.{name}")
+            write_report(identification, folder.write_path(f"report.{name}"))
 
 
 def write_campaign(results: Sequence[tuple[str, Identification]], path: Path, figures: Path | None = None) -> None:

@@ -9,6 +9,7 @@ from labpipe.artefacts.writing import OutputFolder
 from labpipe.config.pipeline import Pipeline
 from labpipe.records.identification import Failed, Fit
 from labpipe.records.response import FrequencyResponse
+from labpipe.stages.measured import MeasuredTest
 
 Tell = Callable[[str], None]
 
@@ -17,12 +18,13 @@ Tell = Callable[[str], None]
 class Work:
     """A pipeline whose recordings have been measured.
 
-    test_fits: fits already made test by test, by their name in the pipeline. fits: those of the sections so far. failed: tests that are
-    missing, and comparisons that cannot do without them; *go_on* then. *jobs*: processes of a study, 0 for one per processor.
+    tests: the response or the free decays of every test. test_fits: fits already made test by test, by their name in the pipeline.
+    fits: those of the sections so far. failed: tests that are missing, and comparisons that cannot do without them; *go_on* then.
+    *jobs*: processes of a study, 0 for one per processor.
     """
 
     pipeline: Pipeline
-    responses: Sequence[FrequencyResponse]
+    tests: Sequence[MeasuredTest]
     output: OutputFolder
     _: KW_ONLY
     tell: Tell = lambda _: None
@@ -30,6 +32,11 @@ class Work:
     test_fits: Mapping[str, Sequence[Fit]] = field(default_factory=dict)
     fits: list[Fit] = field(default_factory=list)
     failed: list[Failed] = field(default_factory=list)
+
+    @property
+    def responses(self) -> list[FrequencyResponse]:
+        """The frequency responses among what was measured."""
+        return [test for test in self.tests if isinstance(test, FrequencyResponse)]
 
     @property
     def go_on(self) -> bool:

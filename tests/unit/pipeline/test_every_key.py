@@ -11,16 +11,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
 from labpipe.config.rig import ChannelSettings, RigSettings
 from labpipe.config.rotor_parts import RotorSettings
+from labpipe.decay.settings import DecaySettings
 from labpipe.errors import LabpipeError
 from labpipe.identify.settings import FitSettings
 from labpipe.records.settings import Setting, settings_of
 from labpipe.sections import sections
-from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.settings import FreeDecaySettings, FrfSettings
 from tests.unit.pipeline.laboratory import ALONE, RIG, contents, done, recording
 
 ROOT = Path(__file__).parents[3]
@@ -32,7 +34,9 @@ DECLARED: dict[tuple[str, tuple[str, ...]], type] = {
     ("rig.yaml", ()): RigSettings,
     ("rig.yaml", ("channels", "*")): ChannelSettings,
     ("pipeline.yaml", ("frf",)): FrfSettings,
+    ("pipeline.yaml", ("frf", "decay")): FreeDecaySettings,
     ("pipeline.yaml", ("identify", "*")): FitSettings,
+    ("pipeline.yaml", ("identify", "*", "decay")): DecaySettings,
     **{("pipeline.yaml", (name,)): entry.load("settings") for name, entry in sections() if not entry.named},
     **{("pipeline.yaml", (name, "*")): entry.load("settings") for name, entry in sections() if entry.named and name != "identify"},
     ("rotor.yaml", ()): RotorSettings,
@@ -226,3 +230,26 @@ def test_a_changed_key_of_a_section_reaches_the_result(
     name, keys, value = change
     tree = changed(yaml.safe_load(SECTIONS[section][name]), keys, value)
     same_as_a_new_folder(laboratories[section], {name: yaml.safe_dump(tree, sort_keys=False)}, tmp_path)
+
+
+# Free decays: the keys of their two sections.
+
+RING_DOWN = {
+    "rig.yaml": "name: r\nsample_rate: 256 Hz\nchannels:\n"
+    "  y: {column: 'y [um]', quantity: displacement, unit: um, role: output, dof: y}\n",
+    "pipeline.yaml": "title: r\nrig: rig.yaml\nrecordings: ring.csv\nfrf: {excitation: decay, decay: {settle: 50 ms, trigger: 20 %}}\n"
+    "identify:\n  ring: {model: decay, decay: {modes: 1}}\nreport: {formats: []}\n",
+    "ring.csv": "y [um]\n" + "".join(f"{100 * np.exp(-0.01 * n) * np.cos(0.5 * n) + n % 3:.4f}\n" for n in range(512)),
+}
+RING_DOWN_CHANGES = [change for change in changes("pipeline.yaml", yaml.safe_load(RING_DOWN["pipeline.yaml"])) if "decay" in change[1]]
+
+
+@pytest.fixture(scope="module")
+def ring_down(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return finished_laboratory(tmp_path_factory.mktemp("ring-down"), RING_DOWN)
+
+
+@pytest.mark.parametrize("change", RING_DOWN_CHANGES, ids=described)
+def test_a_changed_key_of_free_decays_reaches_the_result(ring_down: Path, change: tuple[str, tuple[str, ...], Any], tmp_path: Path) -> None:
+    tree = changed(yaml.safe_load(RING_DOWN["pipeline.yaml"]), change[1], change[2])
+    same_as_a_new_folder(ring_down, {"pipeline.yaml": yaml.safe_dump(tree, sort_keys=False)}, tmp_path)

@@ -258,5 +258,5 @@ def test_nobody_is_told_by_default(lab: Path, capsys: pytest.CaptureFixture[str]
 def test_measuring_alone_makes_no_fits(lab: Path) -> None:
     with output_folder(lab / "out") as output:
         measured = measure_tests(load_pipeline(lab / "pipeline.yaml"), output, Manner())
-    assert measured.fits == {} and [response.name for response in measured.responses] == ["soft", "hard"]
+    assert measured.fits == {} and [response.name for response in measured.tests] == ["soft", "hard"]
     assert not (lab / "out/fits").exists()

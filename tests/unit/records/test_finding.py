@@ -12,7 +12,7 @@ import pytest
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.identification_file import read_identification, write_identification
 from labpipe.artefacts.response_file import read_response, write_response
-from labpipe.cli.frf import echo_response
+from labpipe.cli.frf import echo_measured
 from labpipe.cli.terminal import echo_identification
 from labpipe.config.rules import Rule
 from labpipe.document.render import html_report
@@ -82,5 +82,5 @@ def test_the_terminal_names_the_level(response: FrequencyResponse, capsys: pytes
     echo_identification(identification(response, CLIPPED), quiet=False)
     out = capsys.readouterr().out
     assert "note masked: lines of" in out and "warning clipped: channel y" in out and "warning masked" not in out
-    echo_response(replace(response, findings=(MASKED, CLIPPED)), quiet=True)
+    echo_measured(replace(response, findings=(MASKED, CLIPPED)), quiet=True)
     assert capsys.readouterr().out == "  warning clipped: channel y clips at 3 samples\n"

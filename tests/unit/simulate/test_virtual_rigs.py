@@ -48,8 +48,9 @@ STUDIED: dict[str, tuple[str, tuple[str, ...], FrfSettings | None, FitSettings]]
         FitSettings("rotor-2dof", mass="30 kg", band="10-60 Hz"),
     ),
 }
-RUN_UPS_ONLY = "virtual-unbalance-rig"
-FILES = {kind: file for kind, (file, *_) in STUDIED.items()} | {RUN_UPS_ONLY: "virtual-unbalance.yaml"}
+RUN_UPS_ONLY, DECAYS_ONLY = "virtual-unbalance-rig", "virtual-decay-rig"
+OTHERS = {RUN_UPS_ONLY: "virtual-unbalance.yaml", DECAYS_ONLY: "virtual-decay.yaml"}
+FILES = {kind: file for kind, (file, *_) in STUDIED.items()} | OTHERS
 
 
 def small(kind: str) -> Any:

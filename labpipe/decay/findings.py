@@ -1,0 +1,56 @@
+"""Findings and notes of a fit of free decays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labpipe.decay.amplitude_law import FittedLaw
+from labpipe.decay.likelihood import Decayed
+from labpipe.decay.residual_test import Judged
+from labpipe.distributions import normal_tail
+from labpipe.identify.diagnostics import MISMATCH_P
+from labpipe.records.finding import Finding
+
+
+def depends_on_amplitude(law: FittedLaw) -> bool:
+    """Whether a slope of the law differs from zero beyond doubt, and the law is no worse than its noise allows to tell."""
+    errors = np.sqrt(np.diag(law.covariance))
+    slopes = np.array([law.law.zeta_slope, law.law.frequency_slope])
+    ratios = np.divide(np.abs(slopes), errors[1:3], out=np.zeros(2), where=errors[1:3] > 0)
+    return law.converged and 4 * normal_tail(float(np.max(ratios))) < MISMATCH_P
+
+
+def decay_findings(fitted: Decayed, tested: Judged, laws: dict[int, FittedLaw], amplitudes: dict[int, float]) -> tuple[Finding, ...]:
+    """Warnings: no convergence, growing oscillations, damping over amplitude (*laws* and first *amplitudes* by mode), other residuals."""
+    warnings = []
+    if not fitted.converged:
+        message = f"the fit of the decay did not converge in {fitted.steps} steps; its numbers are not a result"
+        warnings.append(Finding("no-convergence", message))
+    growing = fitted.poles[fitted.poles.real >= 0]
+    if growing.size:
+        where = ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in growing)
+        warnings.append(
+            Finding("unphysical", f"the oscillation at {where} does not decay: energy enters the structure, or it is an excitation")
+        )
+    warnings.extend(_over_amplitude(mode, law, amplitudes[mode]) for mode, law in laws.items())
+    explained = laws and all(law.law.p_value >= MISMATCH_P for law in laws.values())
+    if not explained and min(tested.white, tested.amplitude) < MISMATCH_P:
+        p_value = min(tested.white, tested.amplitude)
+        message = (
+            f"what the fit leaves is not white noise (p = {p_value:.2g}), most of it near {tested.strongest:.4g} Hz: another mode or hum, "
+            "forced motion at the start, or coloured noise. The intervals do not hold. Raise `modes`, name a `band` around the mode, or "
+            "begin later (`frf: {decay: {start: ...}}`)."
+        )
+        warnings.append(Finding("model-mismatch", message))
+    return tuple(warnings)
+
+
+def _over_amplitude(mode: int, fitted: FittedLaw, first: float) -> Finding:
+    law = fitted.law
+    change = 100 * law.frequency_slope * first / law.omega
+    message = (
+        f"mode {mode + 1}: damping or frequency depend on the amplitude, so zeta_{mode + 1} is a mean over this decay without an "
+        f"interval. Damping ratio {law.zeta_rest:.4g} at rest, {law.zeta_rest + law.zeta_slope * first:.4g} at the largest amplitude "
+        f"(zeta_rest_{mode + 1}, zeta_slope_{mode + 1}); the frequency differs by {change:.2g} % there. Compare decays of one amplitude."
+    )
+    return Finding("amplitude-dependent", message)

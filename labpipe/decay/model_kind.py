@@ -1,0 +1,17 @@
+"""The model decay as an entry of the table of models."""
+
+from __future__ import annotations
+
+from labpipe.decay.fit import decay_fit
+from labpipe.decay.settings import DecaySettings
+from labpipe.identify.model_kinds import DECAYS, ModelKind
+from labpipe.identify.settings import FitSettings
+from labpipe.records.free_decay import FreeDecays
+from labpipe.records.identification import Fit
+
+
+def _fit(decays: FreeDecays, settings: FitSettings) -> tuple[Fit, ...]:
+    return (decay_fit(decays, settings),)
+
+
+DECAY = ModelKind(_fit, "decay", DecaySettings, "decay: {modes: 1}", optional=True, of=DECAYS)

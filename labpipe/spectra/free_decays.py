@@ -1,0 +1,150 @@
+"""Recordings of a structure that is left to itself -> its free decays: where each begins and ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import fft
+
+from labpipe.arrays import FloatArray
+from labpipe.errors import DataError
+from labpipe.quantities import QUANTITIES
+from labpipe.records.finding import Finding, note
+from labpipe.records.free_decay import FreeDecay, FreeDecays
+from labpipe.records.recording import SampleSource
+from labpipe.spectra.ports import response_ports, source_findings
+from labpipe.spectra.settings import FrfSettings
+
+BLOCK = 1 << 16
+# A hit makes the response this many times what it was within a period; the rise of a beat from its node stays below 4.
+JUMP = 6.0
+# A release from a steady state is where the response was last this share of its largest.
+STILL_FULL = 0.95
+# A decay ends where its rms has come down to this many times that of the quietest stretches, and goes on for this share of its length:
+# an amplitude of the noise's size still says something.
+QUIET, BEYOND = 1.5, 0.5
+# The largest rms over that of the quietest stretches below which nothing decays, and samples of a stretch at least.
+LEAST_RATIO = 4.0
+LEAST_STRETCH = 64
+LEAST_PERIODS = 3.0
+
+
+@dataclass(frozen=True)
+class _Levels:
+    """A recording's response, all outputs together, each relative to its rms: size (n_sample,), period [samples], rms of the noise."""
+
+    size: FloatArray
+    period: int
+    floor: float
+
+    @property
+    def stretch(self) -> int:
+        """Whole periods of LEAST_STRETCH samples or more."""
+        return self.period * -(-LEAST_STRETCH // self.period)
+
+
+def free_decays(
+    sources: Sequence[SampleSource], settings: FrfSettings, *, name: str = "", conditions: dict[str, Any] | None = None
+) -> FreeDecays:
+    """All free decays of the recordings; inputs are not looked at.
+
+    A decay begins one period after the largest value that follows a hit or a release (or at `start`), and ends at the next hit, at the end
+    of the recording, or where it is lost in the noise (or at `end`). DataError for different rates, and where nothing decays.
+    """
+    rate = sources[0].sample_rate
+    ports, columns, channels = response_ports(sources)
+    decays: list[FreeDecay] = []
+    findings: list[Finding] = list(source_findings(sources))
+    for source, chosen in zip(sources, columns, strict=True):
+        samples = np.concatenate([block[:, list(chosen)] for block in source.blocks(BLOCK)])
+        spans = _spans(samples, rate, settings, source.name)
+        decays.extend(FreeDecay(source.name, start / rate, samples[start:end]) for start, end in spans)
+        said = ", ".join(f"{start / rate:.4g} s to {end / rate:.4g} s" for start, end in spans)
+        findings.append(
+            note("free-decay", f"recording '{source.name}' of {samples.shape[0] / rate:.4g} s: {len(spans)} free decay(s), {said}")
+        )
+    units = tuple(QUANTITIES[channel.quantity].si_unit for channel in channels)
+    return FreeDecays(rate, ports, units, tuple(decays), name=name, findings=tuple(findings), conditions=dict(conditions or {}))
+
+
+def _spans(samples: FloatArray, rate: float, settings: FrfSettings, name: str) -> list[tuple[int, int]]:
+    """First sample and end of every decay of a recording (n_sample, n_output)."""
+    own = settings.decay
+    if own.start is not None:
+        end = samples.shape[0] if own.end is None else round(own.end * rate)
+        spans = [(round(own.start * rate), min(end, samples.shape[0]))]
+    else:
+        levels = _levels(samples, name)
+        settle = levels.period if own.settle is None else round(own.settle * rate)
+        spans = _found(levels, own.trigger, settle)
+        if own.end is not None:
+            spans = [(start, min(end, round(own.end * rate))) for start, end in spans]
+        spans = [span for span in spans if span[1] - span[0] >= LEAST_PERIODS * levels.period]
+    if not spans or spans[0][1] - spans[0][0] < 2:
+        raise DataError(f"recording '{name}' holds no free decay", hint="say where it is with `decay: {start: ..., end: ...}`")
+    return spans
+
+
+def _levels(samples: FloatArray, name: str) -> _Levels:
+    """Size, period and noise of the response; DataError where nothing stands out of the noise."""
+    centred = samples - np.median(samples, axis=0)
+    deviation = np.std(centred, axis=0)
+    moving = deviation > 0
+    if not np.any(moving) or samples.shape[0] < 16:
+        raise DataError(f"recording '{name}' does not move", hint="check the channels of the rig file")
+    size = np.sqrt(np.sum((centred[:, moving] / deviation[moving]) ** 2, axis=1))
+    power = np.sum(np.abs(fft.rfft(centred[:, moving] / deviation[moving], axis=0)) ** 2, axis=1)
+    strongest = int(np.argmax(power[1:])) + 1
+    period = max(2, round(samples.shape[0] / strongest))
+    levels = _Levels(size, period, 0.0)
+    rms = _rms(size, levels.stretch)
+    quiet = float(np.quantile(rms, 0.05)) if rms.size else float("inf")
+    if not rms.size or np.max(rms) < LEAST_RATIO * quiet:
+        raise DataError(f"in recording '{name}' no decay stands out of the noise", hint="excite it more, or name `start` and `end`")
+    return replace(levels, floor=quiet)
+
+
+def _rms(size: FloatArray, stretch: int) -> FloatArray:
+    """rms (n,) of every stretch of so many samples."""
+    whole = size[: size.size // stretch * stretch].reshape(-1, stretch)
+    return np.sqrt(np.mean(whole**2, axis=1))
+
+
+def _found(levels: _Levels, trigger: float, settle: int) -> list[tuple[int, int]]:
+    """Spans from the settled peak after every hit to the next hit or to the noise."""
+    hits = _hits(levels, trigger)
+    spans = []
+    for hit, following in zip(hits, [*hits[1:], levels.size.size + levels.period], strict=True):
+        start = hit + int(np.argmax(levels.size[hit : hit + 2 * levels.period])) + settle
+        limit = min(following - levels.period, levels.size.size)
+        spans.append((start, _end(levels, start, limit)))
+    return [(start, end) for start, end in spans if end > start]
+
+
+def _hits(levels: _Levels, trigger: float) -> list[int]:
+    """First samples of the stretches in which a hit begins; without one the end of the largest stretch."""
+    half = max(1, levels.period // 2)
+    count = levels.size.size // half
+    peaks = np.max(levels.size[: count * half].reshape(count, half), axis=1)
+    largest = float(np.max(peaks))
+    following = np.maximum(peaks, np.append(peaks[1:], 0.0))
+    before = np.maximum(np.append([np.inf], peaks[:-1]), np.append([np.inf, np.inf], peaks[:-2]))
+    jumps = np.flatnonzero((following > JUMP * before) & (following > trigger * largest))
+    first = [int(jump) for n, jump in enumerate(jumps) if n == 0 or jump > jumps[n - 1] + 2]
+    top = int(np.flatnonzero(peaks >= STILL_FULL * largest)[-1])
+    if not first or first[0] > top:
+        first = [max(top - 1, 0), *first]
+    return [jump * half for jump in first]
+
+
+def _end(levels: _Levels, start: int, limit: int) -> int:
+    """Where a decay is lost in the noise, or the limit."""
+    rms = _rms(levels.size[start:limit], levels.stretch)
+    # Of five neighbouring stretches the median, so that a single loud one does not count.
+    smooth = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(rms, 2, mode="edge"), 5), axis=1) if rms.size else rms
+    loud = np.flatnonzero(smooth > QUIET * levels.floor)
+    length = (int(loud[-1]) + 1) * levels.stretch if loud.size else 0
+    return min(limit, start + round((1 + BEYOND) * length))

@@ -1,0 +1,148 @@
+"""Where free decays begin and end, on recordings whose hits are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ConfigError, DataError
+from labpipe.records.recording import Channel, Recording
+from labpipe.spectra.free_decays import free_decays
+from labpipe.spectra.measurement import measure
+from labpipe.spectra.settings import FreeDecaySettings, FrfSettings
+
+RATE, OMEGA = 1024.0, 2 * np.pi * 40
+SETTINGS = FrfSettings("decay")
+PERIOD = 1 / 40
+
+
+def recorded(*columns: np.ndarray, noise: float = 0.01, name: str = "run", rate: float = RATE) -> Recording:
+    rng = np.random.default_rng(1)
+    channels = tuple(Channel(f"y{n}", "displacement", "output", f"y{n}") for n in range(1, len(columns) + 1))
+    samples = np.stack(columns, axis=1) + noise * rng.standard_normal((columns[0].size, len(columns)))
+    return Recording(channels, samples, rate, name)
+
+
+def struck(hits: tuple[float, ...], duration: float, zeta: float = 0.005, strengths: tuple[float, ...] = ()) -> np.ndarray:
+    """A mode pushed from rest at the times of *hits*, what is left of the one before added."""
+    t = np.arange(round(duration * RATE)) / RATE
+    y = np.full(t.size, 0.3)
+    for hit, strength in zip(hits, strengths or (1.0,) * len(hits), strict=True):
+        after = np.maximum(t - hit, 0.0)
+        y += strength * np.exp(-zeta * OMEGA * after) * np.sin(OMEGA * after)
+    return y
+
+
+def spans(recording: Recording, settings: FrfSettings = SETTINGS) -> list[tuple[float, float]]:
+    return [(d.start, d.start + d.samples.shape[0] / RATE) for d in free_decays([recording], settings).decays]
+
+
+def test_every_hit_gives_a_decay_from_its_first_period_to_the_next_hit() -> None:
+    found = spans(recorded(struck((0.5, 3.5, 6.5), 10.0, strengths=(1.0, 0.4, 0.8))))
+    assert len(found) == 3
+    for (start, end), hit, following in zip(found, (0.5, 3.5, 6.5), (3.5, 6.5, 10.0), strict=True):
+        assert hit + PERIOD < start < hit + 3 * PERIOD and following - 3 * PERIOD < end <= following
+
+
+def test_a_decay_ends_where_it_is_lost_in_the_noise() -> None:
+    """exp(-0.02 w t) comes down to the noise of 1 % after ln(100) / 5.03 = 0.92 s; half as much again is kept, and no 20 s of silence."""
+    ((start, end),) = spans(recorded(struck((0.5,), 20.0, zeta=0.02)))
+    assert 1.0 < end - start < 1.8
+
+
+def test_a_recording_that_begins_in_a_decay_is_used_from_its_second_period_on() -> None:
+    t = np.arange(4096) / RATE
+    ((start, end),) = spans(recorded(np.exp(-0.005 * OMEGA * t) * np.cos(OMEGA * t)))
+    assert start < 4 * PERIOD and end > 3.9
+
+
+def test_a_release_from_a_steady_state_begins_where_the_exciter_stops() -> None:
+    t = np.arange(6144) / RATE
+    y = np.exp(-0.005 * OMEGA * np.maximum(t - 2.0, 0)) * np.sin(OMEGA * t)
+    ((start, _),) = spans(recorded(y))
+    assert 2.0 < start < 2.0 + 6 * PERIOD
+
+
+@pytest.mark.parametrize("spacing", [1.01, 1.05, 1.2])
+def test_beats_of_two_modes_are_one_decay(spacing: float) -> None:
+    t = np.arange(4096) / RATE
+    y = np.exp(-0.003 * OMEGA * t) * (np.sin(OMEGA * t) + np.sin(spacing * OMEGA * t))
+    assert len(spans(recorded(np.concatenate([np.zeros(300), y])))) == 1
+
+
+def test_start_and_end_can_be_named() -> None:
+    recording = recorded(struck((0.5, 3.5), 7.0))
+    assert spans(recording, FrfSettings("decay", decay=FreeDecaySettings(start="4 s", end="6 s"))) == [(4.0, 6.0)]
+    (first, *_) = spans(recording, FrfSettings("decay", decay=FreeDecaySettings(settle="0.2 s")))
+    assert 0.7 < first[0] < 0.75
+    ((_, end),) = spans(recording, FrfSettings("decay", decay=FreeDecaySettings(end="2 s")))
+    assert end == 2.0
+
+
+def test_weak_hits_below_the_trigger_do_not_count() -> None:
+    """A touch of a twentieth, after the first decay has died away."""
+    recording = recorded(struck((0.5, 4.5), 7.0, zeta=0.02, strengths=(1.0, 0.05)), noise=1e-4)
+    assert len(spans(recording)) == 1
+    assert len(spans(recording, FrfSettings("decay", decay=FreeDecaySettings(trigger="2 %")))) == 2
+
+
+def test_what_is_done_is_said_and_recordings_are_pooled() -> None:
+    first, second = recorded(struck((0.5,), 4.0), name="a"), recorded(struck((0.2,), 3.0), name="b")
+    decays = free_decays([first, second], SETTINGS, name="t", conditions={"x": "1"})
+    assert [d.recording for d in decays.decays] == ["a", "b"] and decays.units == ("m",) and decays.name == "t"
+    assert [f.code for f in decays.findings] == ["free-decay"] * 2
+    assert "recording 'a' of 4 s: 1 free decay(s), 0.5" in decays.findings[0].message
+
+
+def test_a_still_output_beside_a_moving_one_does_no_harm() -> None:
+    decays = free_decays([recorded(struck((0.5,), 4.0), np.zeros(4096), noise=0.0)], SETTINGS)
+    assert decays.decays[0].samples.shape[1] == 2 and len(decays.decays) == 1
+
+
+@pytest.mark.parametrize(
+    ("recording", "message"),
+    [
+        (recorded(np.zeros(4096)), "no decay stands out of the noise"),
+        (recorded(np.zeros(4096), noise=0.0), "does not move"),
+        (recorded(struck((1.0,), 4.0)[:1060]), "holds no free decay"),
+    ],
+    ids=["noise", "constant", "cut off"],
+)
+def test_recordings_without_a_decay_are_refused(recording: Recording, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        free_decays([recording], SETTINGS)
+
+
+def test_recordings_that_do_not_fit_together_are_refused() -> None:
+    with pytest.raises(DataError, match="different sampling rates"):
+        free_decays([recorded(struck((0.5,), 4.0)), recorded(struck((0.5,), 4.0), rate=2048.0)], SETTINGS)
+    with pytest.raises(DataError, match="lacks the response y2"):
+        free_decays([recorded(struck((0.5,), 4.0), struck((0.5,), 4.0)), recorded(struck((0.5,), 4.0))], SETTINGS)
+    with pytest.raises(DataError, match="holds no free decay"):
+        free_decays([recorded(struck((0.5,), 4.0))], FrfSettings("decay", decay=FreeDecaySettings(start="9 s")))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"band": "10-60 Hz"}, "'band' is not for free decays"),
+        ({"mask": {"speed": "50 Hz"}}, "'mask' is not for free decays"),
+        ({"directional": True}, "'directional' is not for free decays"),
+        ({"block": "1 s"}, "'block' is not for free decays"),
+        ({"decay": {"start": "2 s", "end": "1 s"}}, "'end' must come after 'start'"),
+        ({"decay": {"settle": "-1 s"}}, "'settle' must not be negative"),
+        ({"decay": {"trigger": "120 %"}}, "'trigger' must lie between"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_settings_without_a_meaning_are_refused(change: dict[str, object], message: str) -> None:
+    from labpipe.spectra.settings import MaskSettings
+
+    sections = {"mask": MaskSettings, "decay": FreeDecaySettings}
+    with pytest.raises(ConfigError, match=message):
+        FrfSettings("decay", **{k: sections[k](**v) if k in sections else v for k, v in change.items()})
+
+
+def test_free_decays_give_no_frf() -> None:
+    with pytest.raises(ConfigError, match="excitation decay gives no FRF"):
+        measure([recorded(struck((0.5,), 4.0))], SETTINGS)
