@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from labpipe.identify.diagnostics import MISMATCH_P
 from labpipe.modal.missing import Completed
 from labpipe.modal.whole_covariance import ModalEstimate
 from labpipe.records.finding import Finding
+from labpipe.records.identification import Parameter
+
+# Standard errors beyond which a mass counts as negative.
+SURE = 3.0
 
 
 def mismatch(estimate: ModalEstimate) -> float | None:
@@ -44,6 +50,20 @@ def modal_findings(estimate: ModalEstimate, p_noise: float) -> tuple[Finding, ..
         )
         warnings.append(Finding("model-mismatch", message))
     return tuple(warnings)
+
+
+def mass_findings(parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
+    """A warning for every modal mass that is negative by more than its doubt: at a driving point no structure has one."""
+    negative = [one for one in parameters if one.name.startswith("m_") and one.std_error is not None and one.value < -SURE * one.std_error]
+    modes = [one.name.removeprefix("m_") for one in negative]
+    if not modes:
+        return ()
+    named = f"mode {modes[0]} has" if len(modes) == 1 else f"modes {', '.join(modes)} have"
+    message = (
+        f"{named} a negative mass at the driving point: force and response are not at one place and in one direction, a sign is wrong, or "
+        "the pole stands for a part of its neighbours"
+    )
+    return (Finding("unphysical", message),)
 
 
 def modal_notes(estimate: ModalEstimate, whole: Completed, n_reference: int, forces_move: bool) -> tuple[str, ...]:

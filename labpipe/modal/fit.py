@@ -13,7 +13,7 @@ from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.statistics import determination
 from labpipe.identify.weights import has_noise
-from labpipe.modal.findings import mismatch, modal_findings, modal_notes
+from labpipe.modal.findings import mass_findings, mismatch, modal_findings, modal_notes
 from labpipe.modal.growth import refine_with_terms
 from labpipe.modal.lscf import NormalEquations, Poles, normal_equations
 from labpipe.modal.missing import Completed, completed, kept_modes, with_real_modes
@@ -168,6 +168,7 @@ def _reported(settings: FitSettings, band: tuple[float, float], sides: _Sides, w
     refined, measured = estimate.refined, sides.measured
     mass = settings.mass if isinstance(settings.mass, float) else None
     matrix = frequency_correlation(refined)
+    parameters = modal_parameters(refined, estimate.dof, mass, sides.driving_points, mismatch(estimate))
     r2, adjusted = determination(measured.matrix, measured.matrix - estimate.fitted, measured.n_equation - estimate.dof)
     return Fit(
         name=settings.name,
@@ -178,12 +179,12 @@ def _reported(settings: FitSettings, band: tuple[float, float], sides: _Sides, w
         equations=measured.n_equation,
         dof=estimate.dof,
         gof=Goodness(r2, adjusted, estimate.chi2_reduced, estimate.chi2_p),
-        parameters=modal_parameters(refined, estimate.dof, mass, sides.driving_points, mismatch(estimate)),
+        parameters=parameters,
         condition_number=float(np.sqrt(np.linalg.cond(matrix))),
         correlation=matrix,
         converged=refined.converged,
         iterations=refined.steps,
-        findings=modal_findings(estimate, whole.p_noise),
+        findings=(*modal_findings(estimate, whole.p_noise), *mass_findings(parameters)),
         notes=modal_notes(estimate, whole, len(sides.references), sides.forces_move),
     )
 

@@ -17,7 +17,7 @@ from labpipe.records.identification import Parameter
 Function = Callable[[FloatArray], float]
 # Of the pole x_0 + j x_1.
 POLE: tuple[tuple[str, str, Function], ...] = (
-    ("f", "Hz", lambda x: float(np.hypot(x[0], x[1]) / (2 * np.pi))),
+    ("f_n", "Hz", lambda x: float(np.hypot(x[0], x[1]) / (2 * np.pi))),
     ("zeta", "1", lambda x: float(-x[0] / np.hypot(x[0], x[1]))),
 )
 # Relative step of the central differences of functions of pole and residue.
@@ -36,7 +36,7 @@ class DrivingPoint:
 def modal_parameters(
     refined: Refined, dof: int, mass: float | None, driving: Sequence[DrivingPoint], inflation: float | None
 ) -> tuple[Parameter, ...]:
-    """f, zeta of every mode, ascending; then k, c with the given *mass* [kg], else m, k, c of the modes at a driving point.
+    """f_n, zeta of every mode, ascending; then k, c with the given *mass* [kg], else m, k, c of the modes at a driving point.
 
     k = m w_n^2, c = 2 zeta w_n m. At the driving point of its largest residue the modal mass is that with the shape 1 there: the residue
     is R = 1 / (2 j w_d m) for a real mode, m = Re(1 / (2 j w_d R)) for any.
@@ -79,7 +79,7 @@ def strongest_points(refined: Refined, driving: Sequence[DrivingPoint]) -> tuple
 
 
 def frequency_correlation(refined: Refined) -> FloatArray:
-    """Correlation (2 n_mode, 2 n_mode) [1] of f_1, zeta_1, f_2, zeta_2 ..."""
+    """Correlation (2 n_mode, 2 n_mode) [1] of f_n_1, zeta_1, f_n_2, zeta_2 ..."""
     n = refined.poles.size
     slopes = np.zeros((2 * n, refined.covariance.shape[0]))
     for row, mode in enumerate(_ascending(refined)):

@@ -69,7 +69,7 @@ def test_a_roving_hammer_with_one_hit_for_each_file(lab: Path, labpipe) -> None:
     assert ended.code == 0 and "hit 5 ('hit_2_1', 0.000 s) is left out: double hit" in ended.out, ended
     result = json.loads((lab / "out/identification.json").read_text())
     values = {parameter["name"]: parameter["value"] for parameter in result["fits"][0]["parameters"]}
-    assert values["f_1"] == pytest.approx(abs(POLE) / 2 / np.pi, rel=1e-4) and values["zeta_1"] == pytest.approx(0.8 / 60, rel=0.01)
+    assert values["f_n_1"] == pytest.approx(abs(POLE) / 2 / np.pi, rel=1e-4) and values["zeta_1"] == pytest.approx(0.8 / 60, rel=0.01)
     assert "hit_2_1.csv" in (lab / "out/report.html").read_text() and len(result["sources"]) == 9
 
 

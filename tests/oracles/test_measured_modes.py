@@ -23,7 +23,7 @@ def within(fit: Fit, name: str, truth: float, limit: float) -> bool:
 def test_the_mode_that_the_package_prints() -> None:
     """212.0925 Hz stands in the package's documentation, from a fit of its own; a line is 0.31 Hz."""
     (fit,) = labpipe.fit(analysed(), labpipe.FitSettings("modal", band=(204.0, 220.0), name="mode"))
-    found = [parameter.value for parameter in fit.parameters if parameter.name.startswith("f_")]
+    found = [parameter.value for parameter in fit.parameters if parameter.name.startswith("f_n_")]
     assert len(found) == 1
     assert found[0] == pytest.approx(212.0925, abs=0.03)
 
@@ -39,7 +39,7 @@ def test_two_coupled_modes_half_a_per_cent_apart(tmp_path: Path) -> None:
     pipeline.write_text(text + "identify:\n  modes: {model: modal, mass: estimate, band: 30-130 Hz}\n")
     result = labpipe.run(pipeline, tmp_path / "out")
     (fit,) = result.fits
-    assert sum(parameter.name.startswith("f_") for parameter in fit.parameters) == 2
+    assert sum(parameter.name.startswith("f_n_") for parameter in fit.parameters) == 2
     for number, pole in enumerate(poles, start=1):
-        assert within(fit, f"f_{number}", abs(pole) / (2 * np.pi), 4)
+        assert within(fit, f"f_n_{number}", abs(pole) / (2 * np.pi), 4)
         assert within(fit, f"zeta_{number}", -pole.real / abs(pole), 4)

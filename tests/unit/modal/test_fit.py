@@ -54,7 +54,7 @@ def test_chain_has_its_modes_masses_and_coefficients(known: bool) -> None:
     f, zeta, m = chain_truth()
     for number in (1, 2):
         w = 2 * np.pi * f[number - 1]
-        assert within(fit, f"f_{number}", f[number - 1]) and within(fit, f"zeta_{number}", zeta[number - 1])
+        assert within(fit, f"f_n_{number}", f[number - 1]) and within(fit, f"zeta_{number}", zeta[number - 1])
         assert within(fit, f"m_{number}", m[number - 1]) and within(fit, f"k_{number}", m[number - 1] * w**2)
         assert within(fit, f"c_{number}", 2 * zeta[number - 1] * w * m[number - 1])
     assert (fit.gof.chi2_p is not None and fit.gof.chi2_p > 0.01) == known
@@ -87,7 +87,7 @@ def test_coverage_with_known_noise() -> None:
     for seed in range(40):
         fit = modal(with_known_noise(clean, 5e-8, seed))
         for number in (1, 2):
-            for name, truth in ((f"f_{number}", f), (f"zeta_{number}", zeta)):
+            for name, truth in ((f"f_n_{number}", f), (f"zeta_{number}", zeta)):
                 low, high = fit.parameter(name).ci95 or (np.nan, np.nan)
                 inside.append(low < truth[number - 1] < high)
     # 160 draws of 95 %: 4 standard deviations are 7 %.
@@ -113,7 +113,7 @@ def test_one_reference_says_what_it_cannot_see() -> None:
     assert any("one reference" in note for note in fit.notes)
     truth = np.abs(structure.poles) / (2 * np.pi)
     for parameter in fit.parameters:
-        if parameter.name.startswith("f_"):
+        if parameter.name.startswith("f_n_"):
             assert parameter.std_error is not None
             assert np.min(np.abs(parameter.value - truth)) < 5 * parameter.std_error
 
@@ -121,7 +121,7 @@ def test_one_reference_says_what_it_cannot_see() -> None:
 def test_noise_free_data_are_exact() -> None:
     fit = modal(chain_response(np.linspace(5, 120, 300)))
     f, zeta, _ = chain_truth()
-    assert fit.parameter("f_2").value == pytest.approx(f[1], rel=1e-8)
+    assert fit.parameter("f_n_2").value == pytest.approx(f[1], rel=1e-8)
     assert fit.parameter("zeta_1").value == pytest.approx(zeta[0], rel=1e-5)
 
 
@@ -129,8 +129,8 @@ def test_poles_by_hand() -> None:
     response = with_known_noise(chain_response(np.linspace(5, 120, 500)), 2e-8, 3)
     f, _, _ = chain_truth()
     fit = modal(response, model_settings=ModalSettings(order=20, poles=(float(f[0]),)), band=(5.0, 1.4 * float(f[0])))
-    assert [parameter.name for parameter in fit.parameters if parameter.name.startswith("f_")] == ["f_1"]
-    assert within(fit, "f_1", float(f[0]))
+    assert [parameter.name for parameter in fit.parameters if parameter.name.startswith("f_n_")] == ["f_n_1"]
+    assert within(fit, "f_n_1", float(f[0]))
 
 
 def test_modes_near_the_band_are_residual_terms() -> None:
@@ -138,7 +138,7 @@ def test_modes_near_the_band_are_residual_terms() -> None:
     response = response_of(structure, structure.noisy(0.01, 8))
     fit = modal(response, band=(70.0, 105.0))
     assert fit.modes is not None
-    assert within(fit, "f_1", 78.0) and within(fit, "zeta_1", 0.006) and within(fit, "f_2", 95.0) and within(fit, "zeta_2", 0.003)
+    assert within(fit, "f_n_1", 78.0) and within(fit, "zeta_1", 0.006) and within(fit, "f_n_2", 95.0) and within(fit, "zeta_2", 0.003)
     assert fit.modes.frequency.size == 2
 
 
@@ -187,7 +187,7 @@ def test_real_modes_are_as_certain_as_they_say(known: bool) -> None:
     frequency = np.arange(45.0, 110.0, 0.125)
     exact, (mass, _, stiffness) = chain_response(frequency), chain()
     w = np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real))
-    truth = {"f_1": w[0] / (2 * np.pi), "f_2": w[1] / (2 * np.pi), "zeta_1": 1e-5 * w[0], "zeta_2": 1e-5 * w[1]}
+    truth = {"f_n_1": w[0] / (2 * np.pi), "f_n_2": w[1] / (2 * np.pi), "zeta_1": 1e-5 * w[0], "zeta_2": 1e-5 * w[1]}
     std = 0.01 * np.sqrt(np.mean(np.abs(exact.matrix) ** 2))
     errors, wider = [], []
     for seed in range(10):
@@ -200,7 +200,7 @@ def test_real_modes_are_as_certain_as_they_say(known: bool) -> None:
         )
         assert real.modes is not None and np.all(real.modes.collinearity > 1 - 1e-12)
         errors.append([(real.parameter(name).value - value) / (real.parameter(name).std_error or np.nan) for name, value in truth.items()])
-        wider.append((free.parameter("f_1").std_error or np.nan) / (real.parameter("f_1").std_error or np.nan))
+        wider.append((free.parameter("f_n_1").std_error or np.nan) / (real.parameter("f_n_1").std_error or np.nan))
     # 40 values: the root mean square of standard normal ones has the standard deviation .11.
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1.0, abs=0.33)
     assert np.mean(wider) == pytest.approx(np.sqrt(2), rel=0.05)
@@ -213,3 +213,12 @@ def test_complex_modes_contradict_real_ones() -> None:
     for kind, seen in (("real", True), ("complex", False)):
         (fit,) = identify(response, FitSettings("modal", model_settings=ModalSettings(shapes=kind)))
         assert ("model-mismatch" in {finding.code for finding in fit.findings}) is seen
+
+
+def test_a_wrong_sign_of_the_force_is_a_negative_mass() -> None:
+    """Both modes of the chain then have one, and the message names them."""
+    exact = chain_response(np.arange(45.0, 110.0, 0.125))
+    response = with_known_noise(replace(exact, matrix=-exact.matrix), 1e-8, 3)
+    (finding,) = [finding for finding in modal(response).findings if finding.code == "unphysical"]
+    assert finding.message.startswith("modes 1, 2 have a negative mass at the driving point")
+    assert not [finding for finding in modal(with_known_noise(exact, 1e-8, 3)).findings if finding.code == "unphysical"]
