@@ -14,12 +14,17 @@ from labpipe.modal.growth import criterion, refine_with_terms
 from labpipe.modal.likelihood import Refined, refine, remaining
 from labpipe.modal.residual_terms import Lines, ResidualTerms
 from labpipe.modal.residual_test import LineNoise, loudest_line, whiteness
+from labpipe.modal.stabilisation import similarity
 
 MOST_ADDED = 4
 # Least decrease of AIC that a mode is added for (Burnham and Anderson 2002, sec. 2.6).
 SUPPORT = 10.0
 # Least decay rate as part of the distance of the lines: a sharper peak is the noise of one line.
 SHARPEST = 0.01
+# Largest half-power width as part of the band: a broader mode is what the residual terms are, a smooth curve.
+BROADEST = 0.5
+# Two poles of like participation closer than this part of their decay rate are one pole that differs from point to point.
+DISTINCT, ALIKE = 0.25, 0.9
 # Probability by noise alone below which a mode counts as seen.
 SEEN_P = 1e-3
 
@@ -35,21 +40,25 @@ class Completed:
 
 
 def kept_modes(lines: Lines, refined: Refined, terms: ResidualTerms) -> tuple[Refined, ResidualTerms, tuple[str, ...]]:
-    """The modes inside the band that stand out of the noise, refined again without the others, and notes that name these.
+    """The modes inside the band, not as broad as it, that stand out of the noise, refined again without the others; notes name these.
 
     FitError where none stays.
     """
     frequency = np.abs(refined.poles)
-    inside, seen = _inside(lines, refined), _seen(lines, refined)
-    if np.all(inside & seen):
+    inside, narrow, seen = _inside(lines, refined), _narrow(lines, refined), _seen(lines, refined)
+    keep = inside & narrow & seen
+    if np.all(keep):
         return refined, terms, ()
     notes = []
-    for chosen, why in ((~inside, "left the band in the refinement"), (inside & ~seen, "does not stand out of the noise")):
+    for chosen, why in (
+        (~inside, "left the band in the refinement"),
+        (inside & ~narrow, "is as broad as the band, which no mode can be told by"),
+        (inside & narrow & ~seen, "does not stand out of the noise"),
+    ):
         if np.any(chosen):
             notes.append(f"modal: the pole at {', '.join(f'{value / (2 * np.pi):.4g}' for value in frequency[chosen])} Hz {why}.")
-    if not np.any(inside & seen):
+    if not np.any(keep):
         raise FitError(f"no mode stays in the refinement: {' '.join(notes)}", hint="widen the band to where the response peaks")
-    keep = inside & seen
     again, more = refine_with_terms(lines, refined.poles[keep], refined.participation[keep])
     again, more, further = kept_modes(lines, again, more)
     return again, more, (*notes, *further)
@@ -59,6 +68,11 @@ def _inside(lines: Lines, refined: Refined) -> BoolArray:
     """The modes inside the band, (n_mode,)."""
     frequency = np.abs(refined.poles)
     return (frequency >= lines.omega[0]) & (frequency <= lines.omega[-1])
+
+
+def _narrow(lines: Lines, refined: Refined) -> BoolArray:
+    """The modes narrower than the band, (n_mode,): half-power width -2 Re lambda."""
+    return -2 * refined.poles.real < BROADEST * (lines.omega[-1] - lines.omega[0])
 
 
 def _seen(lines: Lines, refined: Refined) -> BoolArray:
@@ -79,14 +93,18 @@ def shape_p(refined: Refined) -> FloatArray:
 
 
 def completed(lines: Lines, refined: Refined, terms: ResidualTerms, noise: LineNoise, *, adding: bool) -> Completed:
-    """The modes and, where *adding*, those that the residual asks for, one at a time, as long as AIC supports them."""
-    done = Completed(refined, terms, whiteness(remaining(lines, terms, refined), noise))
+    """The modes and, where *adding*, those that the residual asks for, one at a time, as long as AIC supports them.
+
+    They are kept only if the residual then is noise. If it is not, as where every point loads the structure otherwise, a further mode
+    would be the poles' scatter by another name.
+    """
+    found = done = Completed(refined, terms, whiteness(remaining(lines, terms, refined), noise))
     while adding and done.p_noise < MISMATCH_P and done.added < MOST_ADDED:
         more = _with_one_more(lines, done, noise)
         if more is None:
             break
         done = more
-    return done
+    return done if done.p_noise >= MISMATCH_P else found
 
 
 def with_real_modes(lines: Lines, done: Completed, noise: LineNoise) -> Completed:
@@ -110,10 +128,17 @@ def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed
     participation = _strongest(residual, refined, line, max(3, round(2 * decay / spacing)))
     poles = np.append(refined.poles, pole)
     again, terms = refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
-    sound = again.converged and np.all(_inside(lines, again) & _seen(lines, again))
+    sound = again.converged and _distinct(again) and np.all(_inside(lines, again) & _narrow(lines, again) & _seen(lines, again))
     if not sound or criterion(lines, again, terms) > criterion(lines, refined, done.terms) - SUPPORT:
         return None
     return Completed(again, terms, whiteness(remaining(lines, terms, again), noise), done.added + 1)
+
+
+def _distinct(refined: Refined) -> bool:
+    """Whether no two modes are one: R / (s - lambda - d_o) with d_o of the points looks like two poles close to lambda."""
+    apart = np.abs(refined.poles[:, None] - refined.poles) / np.abs(refined.poles.real)
+    one = (apart < DISTINCT) & (similarity(refined.participation, refined.participation) > ALIKE)
+    return bool(np.count_nonzero(one) == refined.poles.size)
 
 
 def _strongest(residual: ComplexArray, refined: Refined, line: int, width: int) -> ComplexArray:

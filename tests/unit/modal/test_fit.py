@@ -11,13 +11,16 @@ from labpipe.artefacts.fit_entry import fit_entry, read_fit
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
+from labpipe.modal.growth import refine_with_terms
+from labpipe.modal.missing import kept_modes
+from labpipe.modal.residual_terms import Lines
 from labpipe.modal.settings import ModalSettings
 from labpipe.modal.shapes import phase_collinearity
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, uncorrelated
 from labpipe.report.fits import _single
 from labpipe.report.modal_figures import modal_blocks
-from tests.unit.modal.structures import chain, chain_response, nine_modes, response_of
+from tests.unit.modal.structures import BEAM_DAMPING, BEAM_FREQUENCIES, beam, beam_shapes, chain, chain_response, nine_modes, response_of
 
 
 def modal(response: FrequencyResponse, **settings: object) -> Fit:
@@ -222,3 +225,28 @@ def test_a_wrong_sign_of_the_force_is_a_negative_mass() -> None:
     (finding,) = [finding for finding in modal(response).findings if finding.code == "unphysical"]
     assert finding.message.startswith("modes 1, 2 have a negative mass at the driving point")
     assert not [finding for finding in modal(with_known_noise(exact, 1e-8, 3)).findings if finding.code == "unphysical"]
+
+
+def test_a_mode_as_broad_as_the_band_is_a_residual_term() -> None:
+    """A damping ratio of .8 at 120 Hz, 192 Hz wide in a band of 220 Hz, named by hand."""
+    response = beam(4)
+    w, broad = 2 * np.pi * response.frequency, 2 * np.pi * 120.0
+    smooth = (beam_shapes()[:, 1] / (broad**2 - w[:, None] ** 2 + 1.6j * broad * w[:, None]))[:, :, None]
+    lines = Lines(w, response.matrix + smooth, 0, np.ones(w.size))
+    poles = 2 * np.pi * np.array([*(-0.01 + 1j) * BEAM_FREQUENCIES, 120.0 * (-0.8 + 0.6j)])
+    refined, terms = refine_with_terms(lines, poles, np.ones((4, 1), complex))
+    kept, _, notes = kept_modes(lines, refined, terms)
+    assert np.sort(np.abs(kept.poles)) / (2 * np.pi) == pytest.approx(BEAM_FREQUENCIES, rel=1e-3)
+    assert any("as broad as the band" in note for note in notes)
+
+
+@pytest.mark.parametrize("detuned", [0.002, 0.05])
+def test_points_that_load_the_structure_differently_get_no_modes_to_explain_it(detuned: float) -> None:
+    """A moving sensor lowers all frequencies, at the last point by a tenth or by two and a half of the half-power width: a mismatch."""
+    moving = [beam(5, detuned=detuned * n / 9) for n in range(9)]
+    response = replace(moving[0], matrix=np.stack([one.matrix[:, n] for n, one in enumerate(moving)], axis=1))
+    fit = modal(response)
+    assert "model-mismatch" in {finding.code for finding in fit.findings}
+    assert not [note for note in fit.notes if "were added" in note]
+    if detuned < BEAM_DAMPING:
+        assert len([parameter for parameter in fit.parameters if parameter.name.startswith("f_n_")]) == 3
