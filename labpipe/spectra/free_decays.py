@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import fft
+from scipy import fft, ndimage
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
@@ -29,6 +29,8 @@ QUIET, BEYOND = 1.5, 0.5
 # The largest rms over that of the quietest stretches below which nothing decays, and samples of a stretch at least.
 LEAST_RATIO = 4.0
 LEAST_STRETCH = 64
+# Whole periods over which the mean is taken out, so that a drifting rest position is no response.
+STEADY_PERIODS = 2
 LEAST_PERIODS = 3.0
 
 
@@ -95,16 +97,32 @@ def _levels(samples: FloatArray, name: str) -> _Levels:
     moving = deviation > 0
     if not np.any(moving) or samples.shape[0] < 16:
         raise DataError(f"recording '{name}' does not move", hint="check the channels of the rig file")
-    size = np.sqrt(np.sum((centred[:, moving] / deviation[moving]) ** 2, axis=1))
-    power = np.sum(np.abs(fft.rfft(centred[:, moving] / deviation[moving], axis=0)) ** 2, axis=1)
-    strongest = int(np.argmax(power[1:])) + 1
-    period = max(2, round(samples.shape[0] / strongest))
+    scaled = centred[:, moving] / deviation[moving]
+    period = _period(scaled)
+    swinging = scaled - _rest(scaled, STEADY_PERIODS * period)
+    size = np.sqrt(np.sum((swinging / np.std(swinging, axis=0)) ** 2, axis=1))
     levels = _Levels(size, period, 0.0)
     rms = _rms(size, levels.stretch)
     quiet = float(np.quantile(rms, 0.05)) if rms.size else float("inf")
     if not rms.size or np.max(rms) < LEAST_RATIO * quiet:
         raise DataError(f"in recording '{name}' no decay stands out of the noise", hint="excite it more, or name `start` and `end`")
     return replace(levels, floor=quiet)
+
+
+def _period(samples: FloatArray) -> int:
+    """The period [samples] of the strongest line of the velocity: a drift or a step in the displacement is no oscillation."""
+    spectrum = np.sum(np.abs(fft.rfft(samples, axis=0)) ** 2, axis=1)
+    strongest = int(np.argmax(np.arange(spectrum.size) ** 2 * spectrum))
+    return max(2, round(samples.shape[0] / max(strongest, 1)))
+
+
+def _rest(samples: FloatArray, length: int) -> FloatArray:
+    """The mean (n_sample, n_output) over *length* samples about every sample; near the ends that of the first or last so many."""
+    if samples.shape[0] <= length:
+        return np.mean(samples, axis=0, keepdims=True)
+    half = length // 2
+    inner = ndimage.uniform_filter1d(samples, length, axis=0)[half : samples.shape[0] - half]
+    return np.pad(inner, ((half, half), (0, 0)), mode="edge")
 
 
 def _rms(size: FloatArray, stretch: int) -> FloatArray:

@@ -104,7 +104,7 @@ def test_a_still_output_beside_a_moving_one_does_no_harm() -> None:
     [
         (recorded(np.zeros(4096)), "no decay stands out of the noise"),
         (recorded(np.zeros(4096), noise=0.0), "does not move"),
-        (recorded(struck((1.0,), 4.0)[:1060]), "holds no free decay"),
+        (recorded(struck((1.0,), 4.0)[:1090]), "holds no free decay"),
     ],
     ids=["noise", "constant", "cut off"],
 )
@@ -146,3 +146,12 @@ def test_settings_without_a_meaning_are_refused(change: dict[str, object], messa
 def test_free_decays_give_no_frf() -> None:
     with pytest.raises(ConfigError, match="excitation decay gives no FRF"):
         measure([recorded(struck((0.5,), 4.0))], SETTINGS)
+
+
+def test_a_drifting_rest_position_is_no_response() -> None:
+    """Hits of 1 and .5 on a rest position that wanders by 5 in 60 s: both are found, and the drift's period is not taken for theirs."""
+    y = struck((10.0, 40.0), 60.0, zeta=0.02, strengths=(1.0, 0.5))
+    wander = 5 * np.sin(2 * np.pi * np.arange(y.size) / y.size)
+    found = spans(recorded(y + wander))
+    assert [round(start, 1) for start, _ in found] == [10.0, 40.0]
+    assert all(end - start < 1.8 for start, end in found)
