@@ -13,17 +13,24 @@ from labpipe.identify.bootstrap import bootstrapped
 from labpipe.identify.comparison import candidates, comparison_findings, comparison_notes
 from labpipe.identify.constraints import constrained
 from labpipe.identify.dense_curve import drawn_densely
-from labpipe.identify.diagnostics import MISMATCH_P, covariance_findings, estimate_findings, parameter_findings, quality_findings
+from labpipe.identify.diagnostics import (
+    covariance_findings,
+    estimate_findings,
+    goodness_findings,
+    judged_findings,
+    parameter_findings,
+    quality_findings,
+)
 from labpipe.identify.drift import drift_findings
 from labpipe.identify.given_mass import mass_findings
 from labpipe.identify.leakage import expected
 from labpipe.identify.measured import Measured, measured_part, select_ports
+from labpipe.identify.mismatch import Judgement, judge
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.model_kinds import DECAYS, RESPONSES
 from labpipe.identify.motions import motion_notes
 from labpipe.identify.proportional import ProportionalModel
-from labpipe.identify.reported import mismatch_factor, reported_parameters
-from labpipe.identify.residual_structure import structure_findings
+from labpipe.identify.reported import reported_parameters, widened_parameters, without_intervals
 from labpipe.identify.settings import ESTIMATORS, MODELS, FitSettings, check_kind
 from labpipe.identify.setup import Setup
 from labpipe.identify.short_blocks import leakage_findings
@@ -60,13 +67,11 @@ def fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
     for band, lines in bands:
         measured = measured_part(response, rows, columns, lines)
         try:
-            fit = _fit_band(setup, model, measured, band)
+            fit = _fit_band(setup, model, measured, band, len(bands))
         except FitError as error:
             raise FitError(f"band {band[0]:g}-{band[1]:g} Hz: {error.what}", where=error.where, hint=error.hint) from None
         drift = drift_findings(measured, fit.model, fit.values, len(bands))
-        judged = settings.estimator == "ml" and not response.line_correlation
-        structure = structure_findings(measured, fit.model, fit.values, len(bands)) if judged else []
-        quality = (*quality_findings(response, rows, columns, lines), *covariance_findings(response), *drift, *structure)
+        quality = (*quality_findings(response, rows, columns, lines), *covariance_findings(response), *drift)
         curve = _curve(response, measured, fit)
         # The bands of a sliding fit are drawn as coefficients over frequency, not as curves.
         curve = _between_lines(response, curve, fit) if len(bands) == 1 else curve
@@ -116,7 +121,7 @@ class _BandFit:
     values: FloatArray
 
 
-def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: Measured, band: Band) -> _BandFit:
+def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: Measured, band: Band, n_band: int) -> _BandFit:
     settings = setup.settings
     estimate = ESTIMATORS[settings.estimator](measured, model, settings.weight)
     dropped: list[str] = []
@@ -125,12 +130,14 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
     shown = expected(measured, model) if settings.estimator == "ml" else model
     fitted = shown.receptance(estimate.values, measured.omega)
     leakage = leakage_findings(measured, model.whole(estimate.values), settings.estimator)
-    parameters = reported_parameters(estimate, model, setup, mismatch_factor(estimate, MISMATCH_P))
+    judgement = judge(measured, model, estimate, settings.estimator, n_band, leaking=bool(leakage))
+    parameters = reported_parameters(estimate, model, setup)
     notes = (*estimate.notes, *dropped)
     if settings.bootstrap:
         refit = functools.partial(_refit, setup, model)
         parameters, note = bootstrapped(parameters, measured, fitted, refit, settings.bootstrap, settings.name)
         notes = (*notes, note)
+    parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     notes = (*notes, *motion_notes(measured))
     # Candidates show whether proportional damping is justified.
     ml_estimate = estimate if settings.estimator == "ml" and not settings.eliminate else None
@@ -153,7 +160,10 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
         converged=estimate.converged,
         iterations=estimate.iterations,
         findings=(
-            *estimate_findings(estimate, model.names, measured.omega.size, settings.estimator, model.units, leaking=bool(leakage)),
+            *estimate_findings(estimate, model.names, measured.omega.size, model.units),
+            *judgement.findings,
+            *judged_findings(judgement.judged),
+            *goodness_findings(estimate.gof),
             *leakage,
             *_mass_findings(measured, model, estimate, setup),
             *parameter_findings(parameters),
@@ -163,6 +173,22 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
         candidates=compared_models,
     )
     return _BandFit(fit, fitted, model, estimate.values)
+
+
+def _with_honest_intervals(
+    parameters: tuple[Parameter, ...],
+    judgement: Judgement,
+    estimate: Estimate,
+    model: DynamicModel | ProportionalModel,
+    setup: Setup,
+) -> tuple[Parameter, ...]:
+    """The parameters with the intervals that the judgement of the residual leaves them."""
+    if judgement.refused:
+        return without_intervals(parameters)
+    if judgement.covariance is None:
+        return parameters
+    pair = [reported_parameters(replace(estimate, covariance=c), model, setup) for c in (estimate.covariance, judgement.covariance)]
+    return widened_parameters(parameters, *pair)
 
 
 def _mass_findings(measured: Measured, model: DynamicModel | ProportionalModel, estimate: Estimate, setup: Setup) -> list[Finding]:
@@ -177,7 +203,7 @@ def _refit(setup: Setup, model: DynamicModel | ProportionalModel, measured: Meas
     estimate = ESTIMATORS[setup.settings.estimator](measured, model, setup.settings.weight)
     if not estimate.converged:
         raise FitError("not converged")
-    return reported_parameters(estimate, model, setup, None)
+    return reported_parameters(estimate, model, setup)
 
 
 def _eliminated(
