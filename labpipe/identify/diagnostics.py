@@ -24,6 +24,8 @@ HARMFUL_GROWTH = 30.0
 # and the lost ones differ from processor to processor): larger numbers are written as a power of ten.
 ROUGH = 1e4
 MISMATCH_P = 0.01
+# Parameters of a transfer FRF's mode that are zero for the simplest structure: that they are says nothing against the model.
+OPTIONAL = ("modal_constant_quadrature", "residual_re", "residual_im")
 FEW_DOF = 5
 EQUATIONS_PER_PARAMETER = 3
 LOW_COHERENCE = 0.9
@@ -136,14 +138,17 @@ def excess_findings(estimate: Estimate, estimator: str) -> list[Finding]:
     return [Finding("model-mismatch", message)]
 
 
-def parameter_findings(parameters: Sequence[Parameter]) -> list[Finding]:
-    """Warnings on the reported parameters: insignificant ones, and values impossible for a passive support."""
+def parameter_findings(parameters: Sequence[Parameter], *, driving: bool = True) -> list[Finding]:
+    """Warnings on the reported parameters: insignificant ones, and values impossible for a passive support.
+
+    *driving*: False for the response at another point than the force's, whose coefficients have either sign.
+    """
     warnings: list[Finding] = []
-    weak = [p.name for p in parameters if p.significant is False and not p.derived]
+    weak = [p.name for p in parameters if p.significant is False and not p.derived and p.name not in OPTIONAL]
     if weak:
         message = f"{', '.join(weak)} cannot be told from zero at 95 %; a fit without them (`eliminate: true`) is as good"
         warnings.append(Finding("insignificant", message))
-    negative = [p.name for p in parameters if is_direct(p.name) and p.value < 0 and p.significant]
+    negative = [p.name for p in parameters if driving and is_direct(p.name) and p.value < 0 and p.significant]
     if negative:
         warnings.append(Finding("unphysical", f"{', '.join(negative)} is negative; check the mass, the sign of the channels and the band"))
     return [*warnings, *_modal_findings(parameters)]

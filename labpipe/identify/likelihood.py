@@ -15,7 +15,7 @@ from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import FitError
 from labpipe.identify.leakage import expected, leaking_noise
 from labpipe.identify.measured import Measured
-from labpipe.identify.model import ReceptanceModel, ResponseModel
+from labpipe.identify.model import FittedModel, ReceptanceModel, ResponseModel
 from labpipe.identify.output_error import OutputError
 from labpipe.identify.regression import solve_scaled, triangle_of
 from labpipe.identify.shared_noise import shared_residual
@@ -54,13 +54,29 @@ def maximum_likelihood(
     doubt = weight_doubt(measured, dof) if weighted else WeightDoubt()
     problem = OutputError(measured, expected(measured, model), whitener(measured) if weighted else equal_weights(measured))
     best, start = _best_minimum(problem, lambda chi2: weighted and doubt.p_value(chi2 / dof / doubt.excess, dof) < DOUBTFUL_P, most_steps)
+    return _estimate(measured, model, problem, best, start.name)
+
+
+def maximum_likelihood_from(measured: Measured, model: FittedModel, start: FloatArray, name: str) -> Estimate:
+    """The same from start values (n_parameter,) [parameter units] at hand, for a model that no linear one is near; *name* of the start."""
+    n_parameter = len(model.names)
+    if measured.n_equation <= n_parameter:
+        raise FitError(f"{measured.n_equation} real equations cannot determine {n_parameter} parameters", hint="widen the band")
+    whiten = whitener(measured) if has_noise(measured) else equal_weights(measured)
+    problem: OutputError[ReceptanceModel] = OutputError(measured, expected(measured, model), whiten)
+    return _estimate(measured, model, problem, minimise(problem, start), name)
+
+
+def _estimate(measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], best: Minimum, start: str) -> Estimate:
+    """The estimate at a minimum of *problem*, with its doubt."""
+    n_parameter, dof = len(model.names), measured.n_equation - len(model.names)
     values, converged, iterations = best.values, best.converged, best.steps
     jacobian = problem.jacobian(values)
     assessed = assess(measured, model, problem, values)
     design, amplification = triangle_of(jacobian), problem.size * np.sqrt(np.diag(assessed.inverse))
     r2, adjusted = determination(measured.matrix, measured.matrix - problem.model.receptance(values, measured.omega), n_parameter)
-    notes: tuple[str, ...] = (f"ml: started from {start.name}.",)
-    if not weighted:
+    notes: tuple[str, ...] = (f"ml: started from {start}.",)
+    if not has_noise(measured):
         notes = (*notes, UNWEIGHTED_NOTE)
     gof = Goodness(r2, adjusted, assessed.reduced, assessed.p_value)
     return Estimate(
@@ -92,7 +108,7 @@ class Assessed:
     p_value: float | None = None
 
 
-def assess(measured: Measured, model: ResponseModel, problem: OutputError[ReceptanceModel], values: FloatArray) -> Assessed:
+def assess(measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], values: FloatArray) -> Assessed:
     """The doubt of the minimum *values* (n,) [parameter units] of *problem*; *model*: that of the data, its parameters first among them.
 
     Correction for weights from an estimated covariance and for noise that lines share as in `weights`.

@@ -18,10 +18,10 @@ from labpipe.identify.leakage import expected
 from labpipe.identify.likelihood import Assessed, assess
 from labpipe.identify.line_scatter import line_scatter
 from labpipe.identify.measured import Measured
-from labpipe.identify.model import ReceptanceModel, ResponseModel
+from labpipe.identify.model import FittedModel, ReceptanceModel
 from labpipe.identify.output_error import OutputError
 from labpipe.identify.outside_modes import with_outside_modes
-from labpipe.identify.residual_structure import DRAWS, FEWEST_DRAWS, Null, Structure, residual_structure
+from labpipe.identify.residual_structure import DRAWS, Null, Structure, residual_structure
 from labpipe.identify.statistics import Estimate, student_limit
 from labpipe.identify.weights import NOISE_FREE, equal_weights, has_noise, whitener
 from labpipe.optimise.levenberg import minimise
@@ -30,6 +30,8 @@ from labpipe.records.finding import Finding
 # Complex residual terms per FRF that are tried one after the other: constant and slope, then polynomials of higher degree.
 TERMS = (2, 4, 6, 8)
 MOST_STEPS = 40
+# Draws of noise where a p-value only has to be above MISMATCH_P.
+FEW_DRAWS = 299
 # Terms that make an estimate this much less certain are not told apart from the model: their fit says nothing about it.
 LEAST_CERTAIN = 4.0
 # Real numbers in the largest Jacobian for which terms are added.
@@ -72,7 +74,7 @@ class _Judge:
     """
 
     measured: Measured
-    model: ResponseModel
+    model: FittedModel
     estimate: Estimate
     estimator: str
     n_band: int
@@ -103,7 +105,7 @@ class _Judge:
             return _Minimum(problem, found.values, assessed, 1.0)
         if assessed.p_value is not None:
             return _Minimum(problem, found.values, assessed, assessed.p_value)
-        null = Null(self.measured.line_noise, n_smooth=n_smooth, n_draw=FEWEST_DRAWS if n_smooth else DRAWS)
+        null = Null(self.measured.line_noise, n_smooth=n_smooth, n_draw=FEW_DRAWS if n_smooth else DRAWS)
         structure = self.structure(problem, found.values, null)
         if structure is None:
             return None
@@ -119,7 +121,7 @@ class _Judge:
         """True where noise that grows with the response explains the residual of unknown noise."""
         if own.structure is None:
             return False
-        structure = self.structure(own.problem, own.values, Null(self.measured.line_noise, uneven=True, n_draw=FEWEST_DRAWS))
+        structure = self.structure(own.problem, own.values, Null(self.measured.line_noise, uneven=True, n_draw=FEW_DRAWS))
         return structure is not None and structure.p_value >= MISMATCH_P
 
     @property
@@ -136,7 +138,7 @@ class _Judge:
 
 
 def judge(
-    measured: Measured, model: ResponseModel, estimate: Estimate, estimator: str, n_band: int = 1, *, leaking: bool = False
+    measured: Measured, model: FittedModel, estimate: Estimate, estimator: str, n_band: int = 1, *, leaking: bool = False
 ) -> Judgement:
     """Whether the residual of *estimate* is noise, and the intervals that hold if it is not.
 

@@ -8,15 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.identify.corrections import Estimated, corrected
-from labpipe.identify.derived import derived_parameters
-from labpipe.identify.model import DynamicModel
-from labpipe.identify.proportional import ProportionalModel
+from labpipe.identify.derived import BandModel, derived_parameters
 from labpipe.identify.setup import Setup
 from labpipe.identify.statistics import Estimate, estimated, inflation_factors, widened
 from labpipe.records.identification import Parameter
 
 
-def reported_parameters(estimate: Estimate, model: DynamicModel | ProportionalModel, setup: Setup) -> tuple[Parameter, ...]:
+def reported_parameters(estimate: Estimate, model: BandModel, setup: Setup) -> tuple[Parameter, ...]:
     """Estimated and derived parameters with the doubt that noise leaves them.
 
     Without convergence the values of the last step, without standard errors.
@@ -27,7 +25,7 @@ def reported_parameters(estimate: Estimate, model: DynamicModel | ProportionalMo
     return parameters if estimate.converged else without_intervals(parameters)
 
 
-def _coefficients(estimate: Estimate, reported: Estimated, model: DynamicModel | ProportionalModel) -> list[Parameter]:
+def _coefficients(estimate: Estimate, reported: Estimated, model: BandModel) -> list[Parameter]:
     """The estimated parameters, followed by those tied to them."""
     vifs = inflation_factors(estimate.scaled_design)
     coefficients = [
