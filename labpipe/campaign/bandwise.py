@@ -92,7 +92,7 @@ def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:
 
 def _random_error(parameter: Parameter, settings: FitSettings) -> float:
     """Standard error without the support's share; enlarged where the residual exceeds the noise, since then the lines' weights matter."""
-    error = parameter.std_error_inflated or parameter.std_error
+    error = parameter.full_error
     assert error is not None and parameter.std_error is not None
     support = settings.subtract
     if support is None:

@@ -33,9 +33,9 @@ class Observation:
     @property
     def std_error(self) -> float:
         """The standard error; FitError for a parameter without one."""
-        if self.parameter.std_error is None:
+        if self.parameter.full_error is None:
             raise FitError(f"'{self.parameter.name}' of test {self.fit.test} has no standard error", hint="a comparison needs one")
-        return self.parameter.std_error
+        return self.parameter.full_error
 
     @property
     def relative(self) -> float:

@@ -141,18 +141,15 @@ def _add_value(connection: sqlite3.Connection, number: int, listed: ListedParame
         **{name: getattr(listed, name) for name in ("fit", "term", "test", "model", "estimator")},
         **{"result": number, "low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1]},
         **{"parameter": parameter.name, "value": parameter.value, "unit": parameter.unit},
-        **{"std_error": parameter.std_error_inflated or parameter.std_error, "ci_low": low, "ci_high": high},
+        **{"std_error": parameter.full_error, "ci_low": low, "ci_high": high},
         **{"significant": parameter.significant, "warnings": ", ".join(listed.warnings), "date": date},
     }
     _insert(connection, "value", row)
 
 
 def interval(parameter: Parameter) -> tuple[float | None, float | None]:
-    """The 95 % interval, widened where the residual exceeds the noise."""
-    if parameter.ci95 is None:
-        return None, None
-    factor = (parameter.std_error_inflated or 1.0) / (parameter.std_error or 1.0) if parameter.std_error_inflated else 1.0
-    return tuple(parameter.value + factor * (end - parameter.value) for end in parameter.ci95)  # type: ignore[return-value]
+    """The ends of the 95 % interval, which is wider than noise alone makes it where the residual is not noise."""
+    return (None, None) if parameter.ci95 is None else parameter.ci95
 
 
 def _insert(connection: sqlite3.Connection, table: str, row: dict[str, Any]) -> int:

@@ -63,9 +63,9 @@ def _parameter_line(parameter: Parameter) -> str:
     unit = display_unit(parameter.unit, parameter.value)
     value = to_display(parameter.value, unit)
     mark = "" if parameter.significant is not False or parameter.derived else " *"
-    if parameter.std_error is None:
+    if parameter.full_error is None:
         return f"{parameter.name:<14}{value:>12.6g} {unit}"
-    error = to_display(parameter.std_error, unit)
+    error = to_display(parameter.full_error, unit)
     return f"{parameter.name:<14}{value:>12.6g} {unit:<7} +- {error:.2g} (standard error){mark}"
 
 

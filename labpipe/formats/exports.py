@@ -133,7 +133,7 @@ def parameter_table(artefact: Path) -> pd.DataFrame:
             "parameter": parameter.name,
             "value": parameter.value,
             "unit": parameter.unit,
-            "std_error": parameter.std_error,
+            "std_error": parameter.full_error,
             "ci95_low": parameter.ci95[0] if parameter.ci95 else None,
             "ci95_high": parameter.ci95[1] if parameter.ci95 else None,
             "warnings": " ".join(finding.code for finding in of_level(WARNING, fit.findings)),

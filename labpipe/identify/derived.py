@@ -11,23 +11,27 @@ from labpipe.identify.corrections import Estimated, is_corrected
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.modes import Quantities, modal_quantities
 from labpipe.identify.proportional import ProportionalModel
-from labpipe.identify.settings import COEFFICIENT_UNITS, FitSettings
+from labpipe.identify.settings import COEFFICIENT_UNITS
 from labpipe.identify.setup import Setup
 from labpipe.identify.statistics import derived
+from labpipe.identify.transfer_mode import TransferMode, transfer_of
 from labpipe.records.identification import Parameter
+
+# What one band is fitted with.
+BandModel = DynamicModel | ProportionalModel | TransferMode
 
 # Steps of numerical slopes: in standard errors, and as a share of the value where there is no noise.
 STEP, SMALLEST_STEP = 1e-3, 1e-7
 
 
-def derived_parameters(total: Estimated, model: DynamicModel | ProportionalModel, setup: Setup, dof: int) -> list[Parameter]:
+def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: int) -> list[Parameter]:
     """f_n and zeta (sdof), modes (mdof), forcing angle (rotor-2dof, one force), damping coefficients of proportional damping,
     totals where support or share changed the coefficients, and fixed coefficients.
     """
     settings = setup.settings
     parameters: list[Parameter] = []
     if settings.model == "sdof":
-        parameters.extend(_resonance(total, settings, dof))
+        parameters.extend(_resonance(total, setup, dof))
     if isinstance(model, ProportionalModel):
         parameters.extend(_propagated_all(total, lambda values: _damping_coefficients(model, values), dof))
     if settings.model == "mdof":
@@ -73,22 +77,29 @@ def _propagated_all(total: Estimated, quantities: Callable[[FloatArray], Quantit
     return parameters
 
 
-def _resonance(total: Estimated, settings: FitSettings, dof: int) -> list[Parameter]:
-    """f_n = sqrt(k/m) / 2 pi [Hz] and zeta = c / (2 sqrt(k m)) of the measured system; none where k or m is negative or eliminated."""
+def _resonance(total: Estimated, setup: Setup, dof: int) -> list[Parameter]:
+    """f_n = sqrt(k/m) / 2 pi [Hz] and zeta = c / (2 m w_n) of the measured system, of a transfer FRF also its modal constant 1/m [1/kg].
+
+    k and m of a transfer FRF, or of a sensor of the wrong sign, are negative together: the resonance is the same. None of it where k and
+    m have different signs or are eliminated.
+    """
     if "k" not in total.names:
         return []
     k = total.value("k")
-    m = total.value("m") if "m" in total.names else float(settings.mass)  # type: ignore[arg-type]
-    if k <= 0 or m <= 0:
-        return []
-    f_n = np.sqrt(k / m) / (2 * np.pi)
+    m = total.value("m") if "m" in total.names else float(setup.settings.mass)  # type: ignore[arg-type]
+    resonance = []
+    if "m" in total.names and m != 0 and transfer_of(setup):
+        resonance.append(derived("modal_constant", "1/kg", 1 / m, propagated(total, {"m": -1 / m**2}), dof))
+    if k * m <= 0:
+        return resonance
+    w_n = np.sqrt(k / m)
+    f_n = w_n / (2 * np.pi)
     slopes = {"k": f_n / (2 * k), "m": -f_n / (2 * m)}
-    resonance = [derived("f_n", "Hz", float(f_n), propagated(total, slopes), dof)]
+    resonance.insert(0, derived("f_n", "Hz", float(f_n), propagated(total, slopes), dof))
     if "c" in total.names:
-        c = total.value("c")
-        zeta = c / (2 * np.sqrt(k * m))
-        slopes = {"c": 1 / (2 * np.sqrt(k * m)), "k": -zeta / (2 * k), "m": -zeta / (2 * m)}
-        resonance.append(derived("zeta", "1", float(zeta), propagated(total, slopes), dof))
+        zeta = total.value("c") / (2 * m * w_n)
+        slopes = {"c": 1 / (2 * m * w_n), "k": -zeta / (2 * k), "m": -zeta / (2 * m)}
+        resonance.insert(1, derived("zeta", "1", float(zeta), propagated(total, slopes), dof))
     return resonance
 
 

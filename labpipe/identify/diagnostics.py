@@ -11,7 +11,7 @@ from labpipe.arrays import BoolArray, FloatArray
 from labpipe.identify.corrections import is_direct
 from labpipe.identify.statistics import Estimate, condition_number
 from labpipe.records.finding import Finding
-from labpipe.records.identification import Parameter
+from labpipe.records.identification import Goodness, Parameter
 from labpipe.records.response import FrequencyResponse
 
 # Condition numbers of a column-scaled design above 30 are strong collinearity (Belsley, Kuh and Welsch 1980, section 3.2);
@@ -24,16 +24,17 @@ HARMFUL_GROWTH = 30.0
 # and the lost ones differ from processor to processor): larger numbers are written as a power of ten.
 ROUGH = 1e4
 MISMATCH_P = 0.01
+# Parameters of a transfer FRF's mode that are zero for the simplest structure: that they are says nothing against the model.
+OPTIONAL = ("modal_constant_quadrature", "residual_re", "residual_im")
 FEW_DOF = 5
 EQUATIONS_PER_PARAMETER = 3
 LOW_COHERENCE = 0.9
+LOW_GOF = 0.5
 LOW_SNR = 10.0
 
 
-def estimate_findings(
-    estimate: Estimate, names: Sequence[str], n_line: int, estimator: str, units: Sequence[str] = (), *, leaking: bool = False
-) -> list[Finding]:
-    """Warnings on the estimate: convergence, collinearity, few lines, model mismatch; *leaking*: a finding says that blocks are short."""
+def estimate_findings(estimate: Estimate, names: Sequence[str], n_line: int, units: Sequence[str] = ()) -> list[Finding]:
+    """Warnings on the estimate: convergence, collinearity, few lines. Its residual is judged in `mismatch`."""
     warnings: list[Finding] = []
     if not estimate.converged:
         message = f"the estimator did not converge in {estimate.iterations} iterations; its numbers are not a result"
@@ -43,7 +44,6 @@ def estimate_findings(
     if estimate.dof < FEW_DOF or n_equation < EQUATIONS_PER_PARAMETER * len(names):
         message = f"{n_line} lines give {n_equation} equations for {len(names)} parameters; widen the band or measure with finer spacing"
         warnings.append(Finding("few-lines", message))
-    warnings.extend(_mismatch(estimate, estimator, leaking))
     return warnings
 
 
@@ -110,31 +110,45 @@ def collinear_groups(scaled_design: FloatArray, names: Sequence[str]) -> list[li
     return [[name for name, inside in zip(names, involved, strict=True) if inside]] if np.any(involved) else []
 
 
-def _mismatch(estimate: Estimate, estimator: str, leaking: bool) -> list[Finding]:
+def goodness_findings(gof: Goodness) -> list[Finding]:
+    """A warning where the fit explains little of the response, or less than its mean does."""
+    value = gof.r2_adjusted
+    if value < 0:
+        message = f"G.o.F {value:.3g} is negative: a constant would follow the data better than this fit. Its numbers are not a result"
+        return [Finding("negative-gof", f"{message}; check the band, the ports, the signs of the channels and the model")]
+    if value < LOW_GOF:
+        message = (
+            f"G.o.F {value:.3g}: the fit explains less than half of how the data vary over the band; the rest is noise, or not this model"
+        )
+        return [Finding("low-gof", message)]
+    return []
+
+
+def excess_findings(estimate: Estimate, estimator: str) -> list[Finding]:
+    """A finding where the residual exceeds the measured noise, for models whose intervals are not from a covariance alone."""
     reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
     if reduced is None or p_value is None or p_value >= MISMATCH_P:
         return []
     factor = np.sqrt(reduced)
-    # Equation errors are biased and inefficient: their residual exceeds the noise for a correct model as well.
     cause = "the model is incomplete" if estimator == "ml" else f"the model is incomplete, or {estimator} is biased; compare with ml"
-    remedy = f"Multiply the standard errors by {factor:.3g} at least, or narrow the band."
-    if leaking:
-        cause, remedy = f"leakage of the short blocks, or {cause}", "Use longer blocks first: a narrower band leaves the leakage as it is."
     message = (
         f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom {reduced:.3g}, "
-        f"p = {p_value:.2g}): {cause}. {remedy}"
+        f"p = {p_value:.2g}): {cause}. Multiply the standard errors by {factor:.3g} at least, or narrow the band."
     )
     return [Finding("model-mismatch", message)]
 
 
-def parameter_findings(parameters: Sequence[Parameter]) -> list[Finding]:
-    """Warnings on the reported parameters: insignificant ones, and values impossible for a passive support."""
+def parameter_findings(parameters: Sequence[Parameter], *, driving: bool = True) -> list[Finding]:
+    """Warnings on the reported parameters: insignificant ones, and values impossible for a passive support.
+
+    *driving*: False for the response at another point than the force's, whose coefficients have either sign.
+    """
     warnings: list[Finding] = []
-    weak = [p.name for p in parameters if p.significant is False and not p.derived]
+    weak = [p.name for p in parameters if p.significant is False and not p.derived and p.name not in OPTIONAL]
     if weak:
         message = f"{', '.join(weak)} cannot be told from zero at 95 %; a fit without them (`eliminate: true`) is as good"
         warnings.append(Finding("insignificant", message))
-    negative = [p.name for p in parameters if is_direct(p.name) and p.value < 0 and p.significant]
+    negative = [p.name for p in parameters if driving and is_direct(p.name) and p.value < 0 and p.significant]
     if negative:
         warnings.append(Finding("unphysical", f"{', '.join(negative)} is negative; check the mass, the sign of the channels and the band"))
     return [*warnings, *_modal_findings(parameters)]
@@ -197,7 +211,18 @@ def covariance_findings(response: FrequencyResponse) -> list[Finding]:
         return []
     message = (
         "the FRF has no covariance (imported without it, or of a single average), so chi-square could not be checked: a high G.o.F alone "
-        "does not show that the model is right, and of fits by ml only the structure of the residual does. Give the variance of the FRF, "
-        "or measure several averages"
+        "does not show that the model is right, only the structure of the residual does. Give the variance of the FRF, or measure several "
+        "averages"
     )
     return [Finding("no-covariance", message)]
+
+
+def judged_findings(judged: bool) -> list[Finding]:
+    """A warning where nothing could tell whether a residual is noise."""
+    if judged:
+        return []
+    message = (
+        "whether the residual is noise could not be judged: the noise is not known, and for the structure of the residual the lines are "
+        "too few, or the output error has no minimum here. The intervals hold only if the model is right"
+    )
+    return [Finding("not-judged", message)]

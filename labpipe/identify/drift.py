@@ -15,7 +15,7 @@ from labpipe.arrays import FloatArray
 from labpipe.distributions import f_tail
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
-from labpipe.identify.model import ResponseModel
+from labpipe.identify.model import FittedModel
 from labpipe.identify.weights import has_noise, whitened, whitener
 from labpipe.records.finding import Finding
 
@@ -46,7 +46,7 @@ class _Chance:
         return f_tail(square / (n * self.variance), n, self.dof)
 
 
-def drift_findings(measured: Measured, model: ResponseModel, values: FloatArray, n_band: int = 1) -> list[Finding]:
+def drift_findings(measured: Measured, model: FittedModel, values: FloatArray, n_band: int = 1) -> list[Finding]:
     """A finding where the halves of the record differ by more than noise; *values* (n_parameter,) [parameter units] of the fit.
 
     Shapes: the gain of every channel, all stiffness or all damping by one factor, each by itself, and all parameters together; p-values
@@ -81,7 +81,7 @@ def drift_findings(measured: Measured, model: ResponseModel, values: FloatArray,
     return [Finding("drift", message)]
 
 
-def _kinds(jacobian: FloatArray, model: ResponseModel, values: FloatArray) -> list[_Shape]:
+def _kinds(jacobian: FloatArray, model: FittedModel, values: FloatArray) -> list[_Shape]:
     """All stiffness, all damping coefficients by one factor."""
     shapes = []
     for unit, name in KINDS.items():
@@ -131,7 +131,7 @@ def _of_shape(shape: _Shape, change: FloatArray, chance: _Chance) -> str:
     return f"it looks like {shape.name} changed by {100 * amount:+.2g} +- {100 * error:.1g} %"
 
 
-def _of_parameters(jacobian: FloatArray, model: ResponseModel, values: FloatArray, change: FloatArray, chance: _Chance) -> str:
+def _of_parameters(jacobian: FloatArray, model: FittedModel, values: FloatArray, change: FloatArray, chance: _Chance) -> str:
     """The parameter that changed most, in standard errors."""
     inverse = np.linalg.pinv(jacobian @ jacobian.T)
     changes = inverse @ (jacobian @ change)

@@ -13,21 +13,31 @@ from labpipe.identify.bootstrap import bootstrapped
 from labpipe.identify.comparison import candidates, comparison_findings, comparison_notes
 from labpipe.identify.constraints import constrained
 from labpipe.identify.dense_curve import drawn_densely
-from labpipe.identify.diagnostics import MISMATCH_P, covariance_findings, estimate_findings, parameter_findings, quality_findings
+from labpipe.identify.derived import BandModel
+from labpipe.identify.diagnostics import (
+    covariance_findings,
+    estimate_findings,
+    goodness_findings,
+    judged_findings,
+    parameter_findings,
+    quality_findings,
+)
 from labpipe.identify.drift import drift_findings
 from labpipe.identify.given_mass import mass_findings
 from labpipe.identify.leakage import expected
+from labpipe.identify.likelihood import maximum_likelihood_from
 from labpipe.identify.measured import Measured, measured_part, select_ports
+from labpipe.identify.mismatch import Judgement, judge
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.model_kinds import DECAYS, RESPONSES
 from labpipe.identify.motions import motion_notes
-from labpipe.identify.proportional import ProportionalModel
-from labpipe.identify.reported import mismatch_factor, reported_parameters
-from labpipe.identify.residual_structure import structure_findings
-from labpipe.identify.settings import ESTIMATORS, MODELS, FitSettings, check_kind
+from labpipe.identify.physical import mode_findings
+from labpipe.identify.reported import reported_parameters, widened_parameters, without_intervals
+from labpipe.identify.settings import ESTIMATE, ESTIMATORS, MODELS, FitSettings, check_kind
 from labpipe.identify.setup import Setup
 from labpipe.identify.short_blocks import leakage_findings
 from labpipe.identify.statistics import Estimate, condition_number, correlation, student_limit
+from labpipe.identify.transfer_mode import TransferMode, transfer_of, transfer_start
 from labpipe.records.finding import Finding
 from labpipe.records.free_decay import FreeDecays
 from labpipe.records.identification import Fit, FittedCurve, Parameter
@@ -55,18 +65,16 @@ def fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
     setup = Setup(outputs, inputs, settings)
-    model = constrained(MODELS[settings.model](setup), settings)
+    model = _model(setup)
     fits, bands = [], _bands(response, settings)
     for band, lines in bands:
         measured = measured_part(response, rows, columns, lines)
         try:
-            fit = _fit_band(setup, model, measured, band)
+            fit = _fit_band(setup, model, measured, band, len(bands))
         except FitError as error:
             raise FitError(f"band {band[0]:g}-{band[1]:g} Hz: {error.what}", where=error.where, hint=error.hint) from None
         drift = drift_findings(measured, fit.model, fit.values, len(bands))
-        judged = settings.estimator == "ml" and not response.line_correlation
-        structure = structure_findings(measured, fit.model, fit.values, len(bands)) if judged else []
-        quality = (*quality_findings(response, rows, columns, lines), *covariance_findings(response), *drift, *structure)
+        quality = (*quality_findings(response, rows, columns, lines), *covariance_findings(response), *drift)
         curve = _curve(response, measured, fit)
         # The bands of a sliding fit are drawn as coefficients over frequency, not as curves.
         curve = _between_lines(response, curve, fit) if len(bands) == 1 else curve
@@ -112,28 +120,47 @@ class _BandFit:
 
     fit: Fit
     fitted: ComplexArray
-    model: DynamicModel | ProportionalModel
+    model: BandModel
     values: FloatArray
 
 
-def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: Measured, band: Band) -> _BandFit:
+def _model(setup: Setup) -> BandModel:
+    """The settings' model; a transfer FRF of unknown mass has a residue of any sign and phase, which ml can fit."""
     settings = setup.settings
-    estimate = ESTIMATORS[settings.estimator](measured, model, settings.weight)
+    plain = not (settings.fixed or settings.tied or settings.eliminate) and settings.damping == "viscous"
+    if settings.model == "sdof" and settings.mass == ESTIMATE and settings.estimator == "ml" and plain and transfer_of(setup):
+        return TransferMode()
+    return constrained(MODELS[settings.model](setup), settings)
+
+
+def _estimated(measured: Measured, model: BandModel, settings: FitSettings) -> Estimate:
+    """The estimate by the settings' estimator."""
+    if isinstance(model, TransferMode):
+        return maximum_likelihood_from(measured, model, transfer_start(measured), "least squares of a mode with a residue of any phase")
+    return ESTIMATORS[settings.estimator](measured, model, settings.weight)
+
+
+def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_band: int) -> _BandFit:
+    settings = setup.settings
+    estimate = _estimated(measured, model, settings)
     dropped: list[str] = []
     if settings.eliminate and isinstance(model, DynamicModel):
         model, estimate, dropped = _eliminated(measured, model, estimate, settings)
     shown = expected(measured, model) if settings.estimator == "ml" else model
     fitted = shown.receptance(estimate.values, measured.omega)
     leakage = leakage_findings(measured, model.whole(estimate.values), settings.estimator)
-    parameters = reported_parameters(estimate, model, setup, mismatch_factor(estimate, MISMATCH_P))
+    judgement = judge(measured, model, estimate, settings.estimator, n_band, leaking=bool(leakage))
+    parameters = reported_parameters(estimate, model, setup)
     notes = (*estimate.notes, *dropped)
     if settings.bootstrap:
         refit = functools.partial(_refit, setup, model)
         parameters, note = bootstrapped(parameters, measured, fitted, refit, settings.bootstrap, settings.name)
         notes = (*notes, note)
+    parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     notes = (*notes, *motion_notes(measured))
     # Candidates show whether proportional damping is justified.
-    ml_estimate = estimate if settings.estimator == "ml" and not settings.eliminate else None
+    of_model = settings.estimator == "ml" and not settings.eliminate and not isinstance(model, TransferMode)
+    ml_estimate = estimate if of_model else None
     compared_models, left_out = (
         candidates(measured, setup, ml_estimate) if settings.compare or settings.damping == "proportional" else ((), ())
     )
@@ -153,10 +180,13 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
         converged=estimate.converged,
         iterations=estimate.iterations,
         findings=(
-            *estimate_findings(estimate, model.names, measured.omega.size, settings.estimator, model.units, leaking=bool(leakage)),
+            *estimate_findings(estimate, model.names, measured.omega.size, model.units),
+            *judgement.findings,
+            *judged_findings(judgement.judged),
+            *goodness_findings(estimate.gof),
             *leakage,
             *_mass_findings(measured, model, estimate, setup),
-            *parameter_findings(parameters),
+            *_parameter_findings(parameters, band, setup),
             *comparison_findings(compared_models),
         ),
         notes=notes,
@@ -165,19 +195,43 @@ def _fit_band(setup: Setup, model: DynamicModel | ProportionalModel, measured: M
     return _BandFit(fit, fitted, model, estimate.values)
 
 
-def _mass_findings(measured: Measured, model: DynamicModel | ProportionalModel, estimate: Estimate, setup: Setup) -> list[Finding]:
+def _parameter_findings(parameters: tuple[Parameter, ...], band: Band, setup: Setup) -> list[Finding]:
+    """Warnings on the parameters; those on the one mode of sdof say more than those on its coefficients."""
+    of_mode = mode_findings(parameters, band, setup)
+    driving = setup.settings.mass != ESTIMATE or not transfer_of(setup)
+    others = parameter_findings(parameters, driving=driving)
+    return [*(finding for finding in others if not (of_mode and finding.code == "unphysical")), *of_mode]
+
+
+def _with_honest_intervals(
+    parameters: tuple[Parameter, ...],
+    judgement: Judgement,
+    estimate: Estimate,
+    model: BandModel,
+    setup: Setup,
+) -> tuple[Parameter, ...]:
+    """The parameters with the intervals that the judgement of the residual leaves them."""
+    if judgement.refused:
+        return without_intervals(parameters)
+    if judgement.covariance is None:
+        return parameters
+    pair = [reported_parameters(replace(estimate, covariance=c), model, setup) for c in (estimate.covariance, judgement.covariance)]
+    return widened_parameters(parameters, *pair)
+
+
+def _mass_findings(measured: Measured, model: BandModel, estimate: Estimate, setup: Setup) -> list[Finding]:
     """The given mass against a free one, for models linear in their parameters and responses of reliable phase."""
     if not isinstance(model, DynamicModel) or setup.settings.estimator == "amplitude" or not estimate.converged:
         return []
     return mass_findings(measured, model, estimate.values, setup)
 
 
-def _refit(setup: Setup, model: DynamicModel | ProportionalModel, measured: Measured) -> tuple[Parameter, ...]:
+def _refit(setup: Setup, model: BandModel, measured: Measured) -> tuple[Parameter, ...]:
     """The parameters of one bootstrap repeat; FitError where the estimator does not converge."""
-    estimate = ESTIMATORS[setup.settings.estimator](measured, model, setup.settings.weight)
+    estimate = _estimated(measured, model, setup.settings)
     if not estimate.converged:
         raise FitError("not converged")
-    return reported_parameters(estimate, model, setup, None)
+    return reported_parameters(estimate, model, setup)
 
 
 def _eliminated(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from labpipe.spectra.periodic import neighbourhood_mean
 
 if TYPE_CHECKING:
     from labpipe.identify.measured import Measured
-    from labpipe.identify.model import DynamicModel, ResponseModel
+    from labpipe.identify.model import DynamicModel, FittedModel, ReceptanceModel, ResponseModel
 
 # Lines to either side over which the noise beside the leakage is averaged, and rounds of that average.
 HALF_WIDTH, ROUNDS = 8, 4
@@ -56,7 +56,7 @@ class Leakage:
         there = self.numbers[np.minimum(second, self.numbers.size - 1)] == self.numbers + distance
         return np.flatnonzero(there), second[there]
 
-    def points_of(self, model: ResponseModel, parameters: FloatArray) -> ComplexArray:
+    def points_of(self, model: ReceptanceModel, parameters: FloatArray) -> ComplexArray:
         """H [m/N] of the model at every line's points, (n_line, n_point, n_dof, n_input)."""
         omega, place = self.grid
         values: ComplexArray = model.receptance(parameters, omega)[place] * self._factors[:, :, None, None]
@@ -104,12 +104,16 @@ class SmearedModel:
         return self.leakage.averaged(self.model.jacobian(parameters, self.leakage.grid[0]))
 
 
-def expected(measured: Measured, model: ResponseModel) -> ResponseModel:
+@overload
+def expected(measured: Measured, model: ResponseModel) -> ResponseModel: ...
+@overload
+def expected(measured: Measured, model: FittedModel) -> FittedModel: ...
+def expected(measured: Measured, model: Any) -> Any:
     """The model as random data show it: with the leakage of their blocks, where that is known."""
     return model if measured.leakage is None else SmearedModel(model, measured.leakage)
 
 
-def leaking_noise(measured: Measured, model: ResponseModel, parameters: FloatArray) -> LineBlocks | None:
+def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatArray) -> LineBlocks | None:
     """Correlation of noise and leakage of all lines [1] at *parameters* (n_parameter,), relative to what their residual's power gives.
 
     The residual y - H1 u of a block is leakage sum_v (H(v) - H1(w)) W(w - v) u(v) and noise. What one block loses at its end the next

@@ -93,7 +93,7 @@ def _estimated(fit: Fit) -> list[Parameter]:
 
 def _covariance(fit: Fit, parameters: Sequence[Parameter]) -> FloatArray:
     """Covariance (n, n) of the estimates, enlarged where the residual exceeds the noise."""
-    errors = np.array([parameter.std_error_inflated or parameter.std_error or 0.0 for parameter in parameters])
+    errors = np.array([parameter.full_error or 0.0 for parameter in parameters])
     return np.asarray(fit.correlation * np.outer(errors, errors))
 
 

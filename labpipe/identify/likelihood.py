@@ -7,19 +7,21 @@ analytic Jacobian. For a known C this is the maximum-likelihood estimate and rea
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.arrays import IntArray
+from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import FitError
 from labpipe.identify.leakage import expected, leaking_noise
 from labpipe.identify.measured import Measured
-from labpipe.identify.model import ResponseModel
+from labpipe.identify.model import FittedModel, ReceptanceModel, ResponseModel
 from labpipe.identify.output_error import OutputError
 from labpipe.identify.regression import solve_scaled, triangle_of
+from labpipe.identify.shared_noise import shared_residual
 from labpipe.identify.starts import Start, starts
 from labpipe.identify.statistics import Estimate, determination
-from labpipe.identify.weights import WeightDoubt, equal_weights, fitted_doubt, has_noise, weight_doubt, whitener
+from labpipe.identify.weights import WeightDoubt, complex_rows, equal_weights, fitted_doubt, has_noise, weight_doubt, whitener
 from labpipe.optimise.levenberg import MAX_ITERATIONS, Minimum, minimise
 from labpipe.records.identification import Goodness
 
@@ -52,24 +54,34 @@ def maximum_likelihood(
     doubt = weight_doubt(measured, dof) if weighted else WeightDoubt()
     problem = OutputError(measured, expected(measured, model), whitener(measured) if weighted else equal_weights(measured))
     best, start = _best_minimum(problem, lambda chi2: weighted and doubt.p_value(chi2 / dof / doubt.excess, dof) < DOUBTFUL_P, most_steps)
+    return _estimate(measured, model, problem, best, start.name)
+
+
+def maximum_likelihood_from(measured: Measured, model: FittedModel, start: FloatArray, name: str) -> Estimate:
+    """The same from start values (n_parameter,) [parameter units] at hand, for a model that no linear one is near; *name* of the start."""
+    n_parameter = len(model.names)
+    if measured.n_equation <= n_parameter:
+        raise FitError(f"{measured.n_equation} real equations cannot determine {n_parameter} parameters", hint="widen the band")
+    whiten = whitener(measured) if has_noise(measured) else equal_weights(measured)
+    problem: OutputError[ReceptanceModel] = OutputError(measured, expected(measured, model), whiten)
+    return _estimate(measured, model, problem, minimise(problem, start), name)
+
+
+def _estimate(measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], best: Minimum, start: str) -> Estimate:
+    """The estimate at a minimum of *problem*, with its doubt."""
+    n_parameter, dof = len(model.names), measured.n_equation - len(model.names)
     values, converged, iterations = best.values, best.converged, best.steps
-    jacobian, residual = problem.jacobian(values), problem.residual(values)
-    _, inverse = solve_scaled(jacobian, residual)
-    design, amplification = triangle_of(jacobian), problem.size * np.sqrt(np.diag(inverse))
-    reduced = float(residual @ residual) / dof
+    jacobian = problem.jacobian(values)
+    assessed = assess(measured, model, problem, values)
+    design, amplification = triangle_of(jacobian), problem.size * np.sqrt(np.diag(assessed.inverse))
     r2, adjusted = determination(measured.matrix, measured.matrix - problem.model.receptance(values, measured.omega), n_parameter)
-    notes: tuple[str, ...] = (f"ml: started from {start.name}.",)
-    if weighted:
-        noise = measured.noise or leaking_noise(measured, model, values)
-        covariance, doubt = fitted_doubt(measured, noise, doubt, jacobian, inverse)
-        reduced /= doubt.excess
-        gof = Goodness(r2, adjusted, reduced, doubt.p_value(reduced, dof))
-    else:
+    notes: tuple[str, ...] = (f"ml: started from {start}.",)
+    if not has_noise(measured):
         notes = (*notes, UNWEIGHTED_NOTE)
-        covariance, gof = reduced * (measured.shared_noise * inverse), Goodness(r2, adjusted)
+    gof = Goodness(r2, adjusted, assessed.reduced, assessed.p_value)
     return Estimate(
         values=values,
-        covariance=covariance,
+        covariance=assessed.covariance,
         scaled_design=design,
         gof=gof,
         dof=dof,
@@ -80,6 +92,39 @@ def maximum_likelihood(
         amplification=amplification,
         squares=problem.chi2(values),
     )
+
+
+@dataclass(frozen=True)
+class Assessed:
+    """What noise leaves of a minimum: the estimates' covariance (n, n) [parameter units], and chi-square where the noise is known.
+
+    *inverse* (J^T J)^-1 (n, n) of the whitened Jacobian; *reduced* chi-square per degree of freedom with its *p_value*, None for an
+    unknown noise, whose size the residual gives.
+    """
+
+    covariance: FloatArray
+    inverse: FloatArray
+    reduced: float | None = None
+    p_value: float | None = None
+
+
+def assess(measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], values: FloatArray) -> Assessed:
+    """The doubt of the minimum *values* (n,) [parameter units] of *problem*; *model*: that of the data, its parameters first among them.
+
+    Correction for weights from an estimated covariance and for noise that lines share as in `weights`.
+    """
+    jacobian, residual = problem.jacobian(values), problem.residual(values)
+    _, inverse = solve_scaled(jacobian, residual)
+    squares, dof = float(residual @ residual), residual.size - values.size
+    if not has_noise(measured):
+        if measured.line_noise is None:
+            return Assessed(squares / dof * (measured.shared_noise * inverse), inverse)
+        shared = shared_residual(measured.line_noise, complex_rows(jacobian, measured.omega.size), inverse)
+        return Assessed(squares / shared.mean * shared.covariance, inverse)
+    noise = measured.noise or leaking_noise(measured, model, values[: len(model.names)])
+    covariance, doubt = fitted_doubt(measured, noise, weight_doubt(measured, dof), jacobian, inverse)
+    reduced = squares / dof / doubt.excess
+    return Assessed(covariance, inverse, reduced, doubt.p_value(reduced, dof))
 
 
 def _interval_dof(measured: Measured, n_parameter: int, dof: int) -> IntArray | None:

@@ -24,12 +24,13 @@ class LineScatter:
     dof: FloatArray
 
 
-def line_scatter(jacobian: FloatArray, residual: FloatArray, n_line: int) -> LineScatter:
+def line_scatter(jacobian: FloatArray, residual: FloatArray, n_line: int, *, alone: bool = False) -> LineScatter:
     """sum over lines l, d of w_d g_l g_{l+d}^T, with g_l = (J^T J)^-1 J_l^T (1 - H_ll)^-1 r_l and w_d = 1 - d / (D + 1).
 
     *jacobian* (n_equation, n_parameter) [1 per parameter unit], *residual* (n_equation,) [1] of output_error.OutputError: real parts, then
     imaginary parts. (1 - H_ll)^-1 undoes what the line itself takes from its residual (jackknife, MacKinnon and White 1985). The degrees
     of freedom are those of a quadratic form of independent lines (Bell and McCaffrey 2002, Survey Methodology 28:169).
+    *alone*: the noise of every line is its own, so that D = 0 and only its size differs (HC3, MacKinnon and White 1985).
     numpy.linalg.LinAlgError for dependent columns.
     """
     orthogonal, triangle = np.linalg.qr(jacobian)
@@ -38,7 +39,7 @@ def line_scatter(jacobian: FloatArray, residual: FloatArray, n_line: int) -> Lin
     scatter = np.linalg.solve(np.eye(leverage.shape[1]) - leverage, _by_line(residual[:, None], n_line))
     to_parameters = np.linalg.inv(triangle)
     shares = (by_line.swapaxes(1, 2) @ scatter)[:, :, 0] @ to_parameters.T
-    weights = _bartlett(n_line)
+    weights = np.zeros(0) if alone else _bartlett(n_line)
     covariance = shares.T @ shares
     for distance, weight in enumerate(weights, start=1):
         product = weight * (shares[:-distance].T @ shares[distance:])

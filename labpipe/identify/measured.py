@@ -25,8 +25,9 @@ class Measured:
     change (n_line, n_output, n_input) [m/N]: of the second half of the record against the first, or None.
     shared_noise, shared_power: sum of c and of c^2 over the chosen lines, itself included, averaged over the lines, c the correlation
     of their noise (a window spreads it over neighbours): factor on the variance of a sum over lines, and on that of their powers. Where
-    c is complex, lines do not add up and shared_noise is the upper bound shared_power. *noise*: the same correlation line by line, None
-    for independent lines. *blocks* of random data and their *leakage* where it is known (H1), or None.
+    c is complex, lines do not add up and shared_noise is the upper bound shared_power; where noise cancels between lines it is 1 at least,
+    since no estimate is a plain sum. *line_noise*: the same correlation line by line, None for independent lines; *noise*: that of lines
+    that each have gains of their own. *blocks* of random data and their *leakage* where it is known (H1), or None.
     """
 
     omega: FloatArray
@@ -40,6 +41,7 @@ class Measured:
     shared_noise: float = 1.0
     shared_power: float = 1.0
     noise: SharedNoise | None = None
+    line_noise: SharedNoise | None = None
     leakage: Leakage | None = None
     blocks: Blocks | None = None
 
@@ -93,6 +95,7 @@ def measured_part(response: FrequencyResponse, rows: list[int], columns: list[in
     numbers, correlation = _line_numbers(response.frequency, lines), np.array(response.line_correlation, np.complex128)
     real = response.line_gains is None and not np.any(correlation.imag)
     gains = None if response.line_gains is None else _chosen_gains(response.line_gains[lines], rows, columns)
+    line_noise = SharedNoise(numbers, correlation, gains) if correlation.size else None
     return Measured(
         omega=2 * np.pi * frequency,
         matrix=matrix,
@@ -101,11 +104,12 @@ def measured_part(response: FrequencyResponse, rows: list[int], columns: list[in
         noise_lines=noise_lines,
         outputs=outputs,
         inputs=inputs,
-        shared_noise=_shared(numbers, correlation.real if real else np.abs(correlation) ** 2),
+        shared_noise=max(_shared(numbers, correlation.real if real else np.abs(correlation) ** 2), 1.0),
         shared_power=_shared(numbers, np.abs(correlation) ** 2),
         blocks=response.blocks,
         leakage=_leakage(response, frequency),
-        noise=SharedNoise(numbers, correlation, gains) if correlation.size and gains is not None else None,
+        noise=None if gains is None else line_noise,
+        line_noise=line_noise,
         change=None if response.change is None else response.change[lines][:, rows][:, :, columns] / factor[:, None, None],
     )
 

@@ -68,13 +68,18 @@ class ReceptanceModel(Protocol):
         ...
 
 
-class ResponseModel(ReceptanceModel, Protocol):
-    """Model of an output-error fit: the FRF and its Jacobian, and a model linear in its parameters for the start."""
+class FittedModel(ReceptanceModel, Protocol):
+    """Model of a fit: the FRF and its Jacobian, and its parameters' names and units."""
 
     @property
     def names(self) -> tuple[str, ...]: ...
     @property
     def units(self) -> tuple[str, ...]: ...
+
+
+class ResponseModel(FittedModel, Protocol):
+    """Model of an output-error fit that has a model linear in its parameters for the start."""
+
     @property
     def linear(self) -> DynamicModel:
         """The model linear in its parameters of which this one is a special case."""

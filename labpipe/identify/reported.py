@@ -2,35 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from labpipe.identify.corrections import Estimated, corrected
-from labpipe.identify.derived import derived_parameters
-from labpipe.identify.model import DynamicModel
-from labpipe.identify.proportional import ProportionalModel
+from labpipe.identify.derived import BandModel, derived_parameters
 from labpipe.identify.setup import Setup
-from labpipe.identify.statistics import Estimate, estimated, inflation_factors
+from labpipe.identify.statistics import Estimate, estimated, inflation_factors, widened
 from labpipe.records.identification import Parameter
 
 
-def reported_parameters(
-    estimate: Estimate, model: DynamicModel | ProportionalModel, setup: Setup, mismatch: float | None
-) -> tuple[Parameter, ...]:
-    """Estimated and derived parameters. *mismatch*: factor on the standard errors where the residual exceeds the noise, else None.
+def reported_parameters(estimate: Estimate, model: BandModel, setup: Setup) -> tuple[Parameter, ...]:
+    """Estimated and derived parameters with the doubt that noise leaves them.
 
     Without convergence the values of the last step, without standard errors.
     """
     total = Estimated(model.names, model.units, estimate.values, estimate.covariance)
     dof = int(estimate.student_dof.min())
-    parameters = [*_coefficients(estimate, corrected(total, setup.settings), model), *derived_parameters(total, model, setup, dof)]
-    if not estimate.converged:
-        return tuple(_without_std_error(parameter) for parameter in parameters)
-    return tuple(parameters) if mismatch is None else tuple(_inflated(parameter, mismatch) for parameter in parameters)
+    parameters = (*_coefficients(estimate, corrected(total, setup.settings), model), *derived_parameters(total, model, setup, dof))
+    return parameters if estimate.converged else without_intervals(parameters)
 
 
-def _coefficients(estimate: Estimate, reported: Estimated, model: DynamicModel | ProportionalModel) -> list[Parameter]:
+def _coefficients(estimate: Estimate, reported: Estimated, model: BandModel) -> list[Parameter]:
     """The estimated parameters, followed by those tied to them."""
     vifs = inflation_factors(estimate.scaled_design)
     coefficients = [
@@ -42,16 +37,17 @@ def _coefficients(estimate: Estimate, reported: Estimated, model: DynamicModel |
     return coefficients + [replace(parameter, name=alias, derived=True) for parameter, term in pairs for alias in term.aliases]
 
 
-def _without_std_error(parameter: Parameter) -> Parameter:
-    return replace(parameter, std_error=None, t_ratio=None, ci95=None, significant=None)
+def without_intervals(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """The values alone."""
+    return tuple(replace(parameter, std_error=None, t_ratio=None, ci95=None, significant=None) for parameter in parameters)
 
 
-def _inflated(parameter: Parameter, factor: float) -> Parameter:
-    error = parameter.std_error
-    return replace(parameter, std_error_inflated=None if error is None else factor * error)
+def widened_parameters(parameters: Sequence[Parameter], plain: Sequence[Parameter], wide: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """Intervals and significance as much wider as the standard errors of *wide* are than those of *plain*, all in the same order.
 
-
-def mismatch_factor(estimate: Estimate, p_limit: float) -> float | None:
-    """sqrt(chi-square per degree of freedom) where it is significantly above 1, else None."""
-    reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
-    return float(np.sqrt(reduced)) if reduced is not None and p_value is not None and p_value < p_limit else None
+    None becomes narrower: where errors of two parameters compensate, that of a derived one could.
+    """
+    factors = [(after.std_error or 0.0) / (before.std_error or np.inf) for before, after in zip(plain, wide, strict=True)]
+    return tuple(
+        widened(parameter, max(factor, 1.0)) if factor > 0 else parameter for parameter, factor in zip(parameters, factors, strict=True)
+    )

@@ -11,12 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import FitError
-from labpipe.identify.measured import Measured
-from labpipe.identify.model import ReceptanceModel
-from labpipe.identify.output_error import OutputError
-from labpipe.identify.weights import NOISE_FREE, equal_weights, has_noise
-from labpipe.records.finding import Finding
+from labpipe.distributions import chi2_tail
+from labpipe.identify.shared_noise import SharedNoise
 
 STRUCTURE_P = 0.01
 # Draws of noise: the least p-value of four statistics cannot be below about 4 / draws.
@@ -42,53 +38,64 @@ class Structure:
     said: str
 
 
-def structure_findings(measured: Measured, model: ReceptanceModel, values: FloatArray, n_band: int = 1) -> list[Finding]:
-    """A finding where the residual of an unweighted output-error fit is not noise; *values* (n_parameter,) [parameter units].
+@dataclass(frozen=True)
+class Null:
+    """The noise that a residual is held against.
 
-    p-values are for the best of *n_band* bands (Bonferroni). None where the noise is known, which chi-square judges, or where there is
-    none. Noise is taken as independent from line to line: a window whose lines share noise looks like structure, and the message says so.
+    *shared*: its correlation from line to line, None for independent lines. *uneven*: its power is a + b |H|^2 along the lines, with a and
+    b from the residual, else the same at all. *n_smooth*: smooth curves that the model has already, so that the next ones are looked for.
+    *n_draw*: most draws.
     """
-    if has_noise(measured):
-        return []
-    problem = OutputError(measured, model, equal_weights(measured))
-    try:
-        residual, jacobian = problem.residual(values), problem.jacobian(values)
-    except FitError:
-        return []
-    if np.linalg.norm(residual) <= NOISE_FREE * problem.size:
-        return []
-    structure = residual_structure(residual, jacobian, np.abs(measured.matrix).reshape(measured.omega.size, -1))
-    if structure is None or structure.p_value * n_band >= STRUCTURE_P:
-        return []
-    message = (
-        f"the residual is not noise: {structure.said} (p = {structure.p_value:.2g} for noise under the same fit). The model is incomplete "
-        "(a mode is missing or leaks in from beside the band, gain or stiffness changed), or the window of an analyser makes neighbouring "
-        "lines share their noise. The intervals do not hold; narrow the band, or use a richer model"
-    )
-    return [Finding("model-mismatch", message)]
+
+    shared: SharedNoise | None = None
+    uneven: bool = False
+    n_smooth: int = 0
+    n_draw: int = DRAWS
 
 
-def residual_structure(residual: FloatArray, jacobian: FloatArray, size: FloatArray) -> Structure | None:
+def residual_structure(residual: FloatArray, jacobian: FloatArray, size: FloatArray, null: Null | None = None) -> Structure | None:
     """The structure of a residual (n_equation,) [1] of a fit with *jacobian* (n_equation, n_parameter) [1 per parameter unit].
 
     *size* (n_line, n_element) [m/N]: amplitude of the response. Both parts are ordered as in `output_error`: real parts line by line, then
     imaginary parts. None where the lines are too few for any structure.
     """
-    n_line = size.shape[0]
-    if n_line <= LAGS + DEGREE + 1:
+    null, n_line = null or Null(), size.shape[0]
+    if n_line <= LAGS + null.n_smooth + DEGREE + 1:
         return None
     errors = _by_line(residual, n_line)
-    levels = np.sqrt(np.mean(np.abs(errors) ** 2, axis=0))
+    levels = _levels(errors, size if null.uneven else None)
     if np.any(levels == 0):
         return None
-    n_draw = int(np.clip(VALUES // errors.size, FEWEST_DRAWS, DRAWS))
+    n_draw = int(np.clip(VALUES // errors.size, FEWEST_DRAWS, null.n_draw))
     if n_draw * errors.size > MOST_VALUES:
         return None
     basis = np.linalg.qr(jacobian)[0]
-    noise = np.random.default_rng(n_line).standard_normal((residual.size, n_draw))
-    noise *= np.tile(levels, 2 * n_line)[:, None]
+    noise = _drawn(n_line, size.shape[1], n_draw, null.shared)
+    noise *= np.tile(levels.reshape(-1), 2)[:, None]
     noise -= basis @ (basis.T @ noise)
-    return _least_p(_statistics(errors[:, :, None], size)[0], _statistics(_by_line(noise, n_line), size))
+    smooth = _smooth(n_line, null.n_smooth)
+    return _least_p(_statistics(errors[:, :, None], size, smooth)[0], _statistics(_by_line(noise, n_line), size, smooth))
+
+
+def _levels(errors: ComplexArray, size: FloatArray | None) -> FloatArray:
+    """Root of the power along the lines (n_line, n_element) [1]: the mean one, or a + b *size*^2 by least squares, both at least 0."""
+    power = np.abs(errors) ** 2
+    mean = np.mean(power, axis=0)
+    if size is None:
+        return np.broadcast_to(np.sqrt(mean), power.shape)
+    square = size**2 / np.mean(size**2, axis=0)
+    spread = np.mean((square - 1) ** 2, axis=0)
+    slope = np.clip(np.divide(np.mean((square - 1) * power, axis=0), spread, out=np.zeros_like(spread), where=spread > 0), 0.0, mean)
+    return np.asarray(np.sqrt(mean + slope * (square - 1)))
+
+
+def _drawn(n_line: int, n_element: int, n_draw: int, shared: SharedNoise | None) -> FloatArray:
+    """Noise of unit variance, (2 n_line n_element, n_draw) [1]: real parts, then imaginary parts."""
+    rng = np.random.default_rng(n_line)
+    if shared is None:
+        return rng.standard_normal((2 * n_line * n_element, n_draw))
+    noise = shared.drawn_often(rng, n_element, n_draw).reshape(n_line * n_element, n_draw)
+    return np.concatenate([noise.real, noise.imag])
 
 
 def _by_line(values: FloatArray, n_line: int) -> ComplexArray:
@@ -97,17 +104,25 @@ def _by_line(values: FloatArray, n_line: int) -> ComplexArray:
     return np.asarray((values[:half] + 1j * values[half:]).reshape(n_line, -1, *values.shape[1:]))
 
 
-def _statistics(residual: ComplexArray, size: FloatArray) -> FloatArray:
-    """Four statistics (n_draw, 4) of residuals (n_line, n_element, n_draw) that structure makes large, whatever their size."""
+def _statistics(residual: ComplexArray, size: FloatArray, smooth: FloatArray) -> FloatArray:
+    """Four statistics (n_draw, 4) of residuals (n_line, n_element, n_draw) that structure makes large, whatever their size.
+
+    *size* (n_line, n_element) [m/N]; *smooth* (n_line, n_curve) [1]: curves that are looked for.
+    """
     scaled = residual / np.sqrt(np.mean(np.abs(residual) ** 2, axis=0))
     lags = [np.abs(np.sum(scaled[d:] * scaled[:-d].conj(), axis=0)) ** 2 for d in range(1, LAGS + 1)]
     sums = np.cumsum(np.concatenate([np.zeros_like(scaled[:1]), scaled]), axis=0)
     moving = [np.max(np.abs(sums[width:] - sums[:-width]) ** 2, axis=(0, 1)) / width for width in WIDTHS]
     weight = (size**2 / np.mean(size**2, axis=0))[:, :, None]
-    smooth = np.linalg.qr(np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, scaled.shape[0]), DEGREE))[0]
     energy = np.abs(np.einsum("ln,led->ned", smooth, scaled)) ** 2
     statistics = [np.sum(lags, axis=(0, 1)), np.max(moving, axis=0), np.sum(np.abs(scaled) ** 2 * weight, axis=(0, 1))]
     return np.stack([*statistics, np.sum(energy, axis=(0, 1))], axis=-1)
+
+
+def _smooth(n_line: int, n_known: int) -> FloatArray:
+    """DEGREE + 1 orthonormal polynomials of the line number, of the degrees from *n_known* upwards, (n_line, DEGREE + 1) [1]."""
+    place = np.linspace(-1, 1, n_line)
+    return np.asarray(np.linalg.qr(np.polynomial.chebyshev.chebvander(place, n_known + DEGREE))[0][:, n_known:])
 
 
 def _least_p(observed: FloatArray, draws: FloatArray) -> Structure:
@@ -116,5 +131,15 @@ def _least_p(observed: FloatArray, draws: FloatArray) -> Structure:
     p_values = (1 + np.sum(draws >= observed, axis=0)) / (n_draw + 1)
     ranks = n_draw - np.argsort(np.argsort(draws, axis=0), axis=0)
     least = np.min(ranks / (n_draw + 1), axis=1)
-    best = int(np.argmin(p_values))
-    return Structure(float((1 + np.sum(least <= p_values[best])) / (n_draw + 1)), SAID[best])
+    # Of several beyond all draws the one that is furthest.
+    best = int(np.lexsort((-observed / np.mean(draws, axis=0), p_values))[0])
+    p_value = float((1 + np.sum(least <= p_values[best])) / (n_draw + 1))
+    if p_values[best] * (n_draw + 1) < 2:
+        p_value = min(p_value, len(SAID) * _tail(float(observed[best]), draws[:, best]))
+    return Structure(p_value, SAID[best])
+
+
+def _tail(value: float, draws: FloatArray) -> float:
+    """Probability of a value beyond all draws (n_draw,): of the gamma distribution with their mean and variance."""
+    mean, variance = float(np.mean(draws)), float(np.var(draws))
+    return chi2_tail(2 * value * mean / variance, 2 * mean**2 / variance)

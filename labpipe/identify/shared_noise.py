@@ -38,11 +38,16 @@ class SharedNoise:
 
     def drawn(self, rng: np.random.Generator, n_element: int) -> ComplexArray:
         """Circular normal noise of this correlation, (n_line, n_element) [1]."""
+        return self.drawn_often(rng, n_element, 1)[:, :, 0]
+
+    def drawn_often(self, rng: np.random.Generator, n_element: int, n_draw: int) -> ComplexArray:
+        """*n_draw* independent draws of it, (n_line, n_element, n_draw) [1]."""
         kernel = self._kernel(self._n_place)
         power = np.maximum(fft.fft(kernel).real, 0.0)
-        white = rng.standard_normal((2, kernel.size, n_element)) / np.sqrt(2)
-        shared = fft.ifft(np.sqrt(power)[:, None] * fft.fft(white[0] + 1j * white[1], axis=0), axis=0)
-        return np.asarray(sum(gain * shared[self._places + neighbour] for neighbour, gain in enumerate(self._factors)))
+        white = rng.standard_normal((2, kernel.size, n_element, n_draw)) / np.sqrt(2)
+        shared = fft.ifft(np.sqrt(power)[:, None, None] * fft.fft(white[0] + 1j * white[1], axis=0), axis=0)
+        drawn = sum(gain[:, :, None] * shared[self._places + neighbour] for neighbour, gain in enumerate(self._factors))
+        return np.asarray(drawn)
 
     @property
     def trace(self) -> float:

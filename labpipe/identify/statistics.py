@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -70,6 +70,19 @@ def estimated(name: str, unit: str, value: float, std_error: float, dof: int, vi
     interval = (value - limit * std_error, value + limit * std_error)
     significant = abs(value) > limit * std_error
     return Parameter(name, value, unit, std_error=std_error, t_ratio=t_ratio, ci95=interval, significant=significant, vif=vif)
+
+
+def widened(parameter: Parameter, factor: float) -> Parameter:
+    """The parameter with its interval *factor* [1] times as wide, because noise is not all that is wrong; std_error stays that of noise."""
+    if parameter.std_error is None:
+        return parameter
+    error, value = factor * parameter.std_error, parameter.value
+    interval, ratio, significant = parameter.ci95, parameter.t_ratio, parameter.significant
+    if interval is not None:
+        interval = (value + factor * (interval[0] - value), value + factor * (interval[1] - value))
+        significant = None if significant is None else bool(interval[0] > 0 or interval[1] < 0)
+    ratio = None if ratio is None or factor == 0 else ratio / factor
+    return replace(parameter, std_error_inflated=error, ci95=interval, t_ratio=ratio, significant=significant)
 
 
 def derived(name: str, unit: str, value: float, std_error: float, dof: int) -> Parameter:

@@ -80,9 +80,7 @@ def fitted_doubt(
     if noise is None:
         return doubt.inflation * inverse, doubt
     n_equation, n_parameter = jacobian.shape
-    half = n_equation // 2
-    complex_rows = (jacobian[:half] + 1j * jacobian[half:]).reshape(measured.omega.size, -1, n_parameter)
-    residual = shared_residual(noise, complex_rows, inverse)
+    residual = shared_residual(noise, complex_rows(jacobian, measured.omega.size), inverse)
     dof = n_equation - n_parameter
     shared = dof / residual.dof
     estimated = np.isfinite(measured.noise_dof)
@@ -94,6 +92,12 @@ def fitted_doubt(
     )
     lost = doubt.inflation / measured.shared_noise if measured.noise is None else 1.0
     return lost * residual.covariance, changed
+
+
+def complex_rows(jacobian: FloatArray, n_line: int) -> ComplexArray:
+    """A Jacobian (n_equation, n_parameter) of real parts, then imaginary parts, as complex (n_line, n_element, n_parameter) [its unit]."""
+    half = jacobian.shape[0] // 2
+    return np.asarray((jacobian[:half] + 1j * jacobian[half:]).reshape(n_line, -1, jacobian.shape[1]))
 
 
 def _residual_dof(measured: Measured, dof: int, shared: float) -> float:

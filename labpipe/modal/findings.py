@@ -39,8 +39,9 @@ def modal_findings(estimate: ModalEstimate, p_noise: float) -> tuple[Finding, ..
     if factor is not None:
         message = (
             f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom "
-            f"{estimate.chi2_reduced:.3g}, p = {estimate.chi2_p:.2g}): a mode is missing, or the structure is not linear. Multiply the "
-            f"standard errors by {factor:.3g} at least, name the missing mode in `poles`, or narrow the band."
+            f"{estimate.chi2_reduced:.3g}, p = {estimate.chi2_p:.2g}): a mode is missing, or the structure is not linear. The "
+            f"intervals that are printed are {factor:.3g} times those of noise alone, since the excess counts as noise. Name the missing "
+            "mode in `poles`, or narrow the band."
         )
         warnings.append(Finding("model-mismatch", message))
     elif estimate.chi2_reduced is None and p_noise < MISMATCH_P:

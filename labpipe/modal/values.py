@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.identify.statistics import correlation, derived
+from labpipe.identify.statistics import correlation, derived, widened
 from labpipe.modal.likelihood import Refined
 from labpipe.records.identification import Parameter
 
@@ -64,7 +64,7 @@ def modal_parameters(
         return tuple(replace(parameter, std_error=None, ci95=None) for parameter in parameters)
     if inflation is None:
         return tuple(parameters)
-    return tuple(replace(parameter, std_error_inflated=inflation * (parameter.std_error or 0.0)) for parameter in parameters)
+    return tuple(widened(parameter, inflation) for parameter in parameters)
 
 
 def strongest_points(refined: Refined, driving: Sequence[DrivingPoint]) -> tuple[DrivingPoint, ...]:

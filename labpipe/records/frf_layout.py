@@ -10,6 +10,8 @@ from labpipe.records.response import FORMS
 from labpipe.records.settings import Settings, setting
 from labpipe.records.windowed import WindowedSettings
 
+# Windows of analysers by name.
+WINDOWS = ("boxcar", "hann", "hamming", "blackman", "flattop")
 MECHANICAL = tuple(form for form in FORMS if form != "other")
 AXES = ("frequency", "output", "input")
 # Columns that together are a complex number.
@@ -86,6 +88,9 @@ class FrfLayout(Settings):
     unit: str = setting("text", "unit of the numbers, for example g/N; default: SI", default="")
     output: tuple[str, ...] = setting("names", "dof of the response; of a matrix: of every row", default=())
     input: tuple[str, ...] = setting("names", "dof of the force; of a matrix: of every column", default=())
+    window: str = setting(
+        "choice", "window of the analyser's blocks, through which neighbouring lines share noise", choices=WINDOWS, default=""
+    )
     windowed: WindowedSettings | None = setting(
         "section", "window of the hits behind the FRF: its damping is taken out", section=WindowedSettings, default=None
     )

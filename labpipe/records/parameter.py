@@ -11,7 +11,8 @@ class Parameter:
 
     *std_error*, *t_ratio*, *ci95* are None where none can be given (at a bound, not determined). *significant*: |t| exceeds the
     two-sided 95 % Student quantile. *vif*: variance inflation factor. *derived*: computed from the others (f_n, zeta, ...).
-    *std_error_inflated*: std_error times the root of chi-square per degree of freedom, where the residual exceeds the noise.
+    *std_error* is what noise alone leaves; *std_error_inflated*: with what else the residual shows, where it is not noise. *ci95*,
+    *t_ratio* and *significant* are by the latter then.
     """
 
     name: str
@@ -26,3 +27,8 @@ class Parameter:
     derived: bool = False
     at_bound: bool = False
     std_error_inflated: float | None = None
+
+    @property
+    def full_error(self) -> float | None:
+        """The standard error that goes with the interval: the inflated one, where there is one."""
+        return self.std_error if self.std_error_inflated is None else self.std_error_inflated

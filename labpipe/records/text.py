@@ -69,7 +69,7 @@ def parameter_cells(parameter: Parameter) -> tuple[str, ...]:
     """Name, value, standard error, interval, unit and limits, in the display unit."""
     unit = display_unit(parameter.unit, parameter.value)
     limits = "at bound" if parameter.at_bound else "not significant" if parameter.significant is False else ""
-    error = "" if parameter.std_error is None else f"{_difference(parameter.std_error, unit):.2g}"
+    error = "" if parameter.full_error is None else f"{_difference(parameter.full_error, unit):.2g}"
     interval = "" if parameter.ci95 is None else " to ".join(f"{to_display(end, unit):.6g}" for end in parameter.ci95)
     return (parameter.name, f"{to_display(parameter.value, unit):.6g}", error, interval, "" if unit == "1" else unit, limits)
 

@@ -64,7 +64,7 @@ class CoefficientSeries:
     def errors(self) -> FloatArray:
         """Standard errors (n,) [display unit], NaN where a fit has none."""
         zero = to_display(0.0, self.unit)
-        errors = [value.parameter.std_error for value in self.values]
+        errors = [value.parameter.full_error for value in self.values]
         return np.array([np.nan if error is None else abs(to_display(error, self.unit) - zero) for error in errors])
 
     def intervals(self) -> FloatArray:

@@ -14,7 +14,7 @@ from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figures
 from labpipe.report.modal_figures import modal_blocks
 from labpipe.report.ring_down_figures import ring_down_figures
 from labpipe.report.wear_figures import wear_figures
-from labpipe.report.wording import STARS_EXPLAINED, band_text, fit_title, inflated_text, parameter_row, unit_text
+from labpipe.report.wording import STARS_EXPLAINED, band_text, entangled_text, fit_title, inflated_text, parameter_row, unit_text
 
 PARAMETER_HEADER = ("parameter", "value", "unit", "std. error", "95 % interval", "t-ratio", "significance", "VIF")
 NUMERIC = (1, 3, 4, 5, 7)
@@ -62,6 +62,7 @@ def _single(fit: Fit) -> tuple[Block, ...]:
         Paragraph(_described(fit)),
         Table(PARAMETER_HEADER, rows, f"Parameters of {fit_title(fit)}", NUMERIC),
         Paragraph(STARS_EXPLAINED),
+        *(Paragraph(sentence, "note") for sentence in entangled_text(fit)),
         *(Paragraph(note, "note") for note in fit.notes),
         *candidate_blocks(fit),
         *modal_blocks(fit),

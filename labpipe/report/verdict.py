@@ -10,7 +10,9 @@ from labpipe.sections import section
 
 MOST_NOTES = 12
 # Codes of findings with which a result must not be used.
-SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch", "mass", "drift", "unstable-loop")
+SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch", "negative-gof", "mass", "drift", "unstable-loop")
+# Models whose residual is held against no noise: their points have none.
+WITHOUT_NOISE = ("straight-line",)
 
 
 def verdict_sections(identification: Identification) -> tuple[Section, ...]:
@@ -47,10 +49,32 @@ def _judged(identification: Identification) -> tuple[Block, ...]:
     if failed:
         lead = Paragraph(f"NOT ACCEPTED: {failed} of {len(outcomes)} rules fail.{doubt}", "failed")
     else:
-        lead = Paragraph(f"ACCEPTED: all {len(outcomes)} rules hold.{doubt}", "passed")
+        unchecked = _unchecked(identification)
+        said = f" Not checked: {'; '.join(unchecked)}." if unchecked else ""
+        lead = Paragraph(f"ACCEPTED: all {len(outcomes)} rules hold.{doubt}{said}", "note" if unchecked else "passed")
     rows = tuple((outcome.section, outcome.rule, _outcome_text(outcome), "holds" if outcome.passed else "FAILS") for outcome in outcomes)
     table = Table(("section", "rule", "found (SI)", "outcome"), rows, "Rules of the pipeline")
     return (lead, *_by_goodness_alone(identification), *_not_to_be_signed(identification), table)
+
+
+def _unchecked(identification: Identification) -> list[str]:
+    """What no rule looked at, in words; empty where everything was checked, which alone makes a box green."""
+    unchecked = [] if identification.outcomes else ["no accept or expect rule was given"]
+    fits = [fit for fit in identification.fits if fit.model not in WITHOUT_NOISE]
+    without = [fit_title(fit) for fit in fits if fit.gof.chi2_reduced is None]
+    if without:
+        unchecked.append(f"chi-square, since the noise is not known ({_listed(without)})")
+    unjudged = [origin for origin, finding in _of_fits(identification) if finding.code == "not-judged"]
+    if unjudged:
+        unchecked.append(f"whether the residual is noise ({_listed(unjudged)})")
+    return unchecked
+
+
+def _listed(origins: list[str]) -> str:
+    """Each origin once, up to a number."""
+    names = list(dict.fromkeys(origins))
+    more = [f"and {len(names) - MOST_NOTES} more"] if len(names) > MOST_NOTES else []
+    return ", ".join([*names[:MOST_NOTES], *more])
 
 
 def _by_goodness_alone(identification: Identification) -> tuple[Block, ...]:
@@ -105,7 +129,10 @@ def _warnings(identification: Identification) -> tuple[Block, ...]:
         origin, finding = entries[0]
         more = f" ({len(entries)} times in all; this is the first)" if len(entries) > 1 else ""
         blocks.append(Paragraph(f"{code}: {origin}{more}: {finding.message}", "warning"))
-    return tuple(blocks) or (Paragraph(none, "passed"),)
+    if blocks:
+        return tuple(blocks)
+    unchecked = _unchecked(identification)
+    return (Paragraph(f"{none} Not checked: {'; '.join(unchecked)}.", "note") if unchecked else Paragraph(none, "passed"),)
 
 
 def _notes(identification: Identification) -> tuple[Block, ...]:

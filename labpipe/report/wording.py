@@ -15,6 +15,8 @@ STARS_EXPLAINED = (
     "(the value does not differ significantly from zero). Derived values are computed from the estimated ones. "
     "VIF: variance inflation, 1 when no other parameter resembles this one."
 )
+# Variance inflation from which regression texts speak of collinearity (Marquardt 1970), and the correlation of two that gives it.
+LARGE_VIF, CLOSE = 10.0, 0.95
 LEGIBLE = {"1": "", "N.s/m": "N s/m"}
 
 
@@ -43,7 +45,7 @@ def parameter_row(parameter: Parameter, dof: int, unit: str = "") -> tuple[str, 
     *unit*: that of a whole table; by default that which suits the value.
     """
     unit = unit or display_unit(parameter.unit, parameter.value)
-    error = None if parameter.std_error is None else abs(to_display(parameter.std_error, unit) - to_display(0.0, unit))
+    error = None if parameter.full_error is None else abs(to_display(parameter.full_error, unit) - to_display(0.0, unit))
     value = to_display(parameter.value, unit)
     interval = "none"
     if parameter.ci95 is not None:
@@ -92,12 +94,32 @@ def threshold_text(threshold: StudyThreshold, share: float) -> str:
     return f"{what} up to a noise of {100 * threshold.noise:.3g} %"
 
 
+def entangled_text(fit: Fit) -> list[str]:
+    """Sentences on parameters that the data hardly tell apart: large variance inflation, near-singular correlation of the estimates."""
+    sentences = []
+    large = [(p.name, p.vif) for p in fit.parameters if p.vif is not None and p.vif >= LARGE_VIF]
+    if large:
+        listed = ", ".join(f"{name} ({vif:.3g} times)" for name, vif in large)
+        sentences.append(f"Large variance inflation (VIF): the variance is many times what it would be by itself for {listed}.")
+    names = [parameter.name for parameter in fit.parameters if not parameter.derived]
+    n = min(len(names), fit.correlation.shape[0])
+    pairs = [(names[i], names[j], float(fit.correlation[i, j])) for j in range(n) for i in range(j)]
+    close = [f"{first} and {second} ({value:+.4f})" for first, second, value in pairs if abs(value) >= CLOSE]
+    if close:
+        sentences.append(
+            f"The correlation of the estimates is near-singular: {', '.join(close)} are known together far better than each by itself, and "
+            "an error of one is made good by the other."
+        )
+    return sentences
+
+
 def inflated_text(fit: Fit) -> str:
-    """Sentence on standard errors with the residual's excess taken as noise; empty without an excess."""
-    inflated = [p for p in fit.parameters if p.std_error_inflated is not None and not p.derived]
-    if not inflated:
+    """Sentence on intervals that are wider than those of noise, or missing, because the residual is not noise; empty where it is."""
+    mismatch = any(finding.code == "model-mismatch" for finding in fit.findings)
+    if mismatch and fit.converged and all(p.ci95 is None for p in fit.parameters):
+        return " The residual is not noise and nothing explains it: no standard errors and intervals are given (model-mismatch above)."
+    wider = [(p.name, p.std_error_inflated / p.std_error) for p in fit.parameters if p.std_error_inflated is not None and p.std_error]
+    if not wider:
         return ""
-    listed = ", ".join(
-        f"{p.name} {to_display(p.std_error_inflated or 0.0, display_unit(p.unit)):.2g} {unit_text(p.unit)}" for p in inflated
-    )
-    return f" The residual exceeds the noise; standard errors times the root of chi² per degree of freedom: {listed}."
+    listed = ", ".join(f"{name} {factor:.3g}" for name, factor in wider)
+    return f" The residual is not noise (model-mismatch above): standard errors and intervals are those of noise alone times: {listed}."

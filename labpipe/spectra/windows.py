@@ -14,6 +14,8 @@ SHARED = 1e-3
 FURTHEST_LINE = 20
 # The same for the exponential window, whose noise falls off slowly: as one over the distance.
 FAINT = 0.02
+# Samples that stand for a window whose length is not known: its correlation depends on the shape alone.
+WINDOW_SAMPLES = 1024
 
 
 def hann(n_sample: int) -> FloatArray:
@@ -71,6 +73,18 @@ def line_correlation(window: FloatArray, step: int, n_block: int) -> tuple[float
     shared = weight @ power
     above = np.flatnonzero(shared[1:] > SHARED * shared[0])
     return tuple(float(c) for c in shared[1 : above[-1] + 2] / shared[0]) if above.size else ()
+
+
+def amplitude_correlation(name: str) -> tuple[float, ...]:
+    """r_d = sum w^2 cos(2 pi d n / N) / sum w^2 of lines d = 1, 2, ... apart, down to SHARED: Hann -2/3, 1/6; boxcar none.
+
+    That of the noise of an FRF whose force is the same in every block (a sweep, a period, a hit): noise / F of one line and the next.
+    The origin of the phase is the beginning of the block, as it is of an FRF. ConfigError for an unknown *name*.
+    """
+    window = window_values(name, WINDOW_SAMPLES)
+    power = np.fft.fft(window**2).real[: FURTHEST_LINE + 1] / np.dot(window, window)
+    above = np.flatnonzero(np.abs(power[1:]) > SHARED)
+    return tuple(float(value) for value in power[1 : above[-1] + 2]) if above.size else ()
 
 
 def exponential_correlation(window: FloatArray, origin: float) -> ComplexArray:

@@ -28,6 +28,7 @@ from labpipe.spectra.damping import undamped
 from labpipe.spectra.joining import joined
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.windows import amplitude_correlation
 
 # The path of the reference to how files are described, which is no file.
 DESCRIPTION = "(entry under frfs)"
@@ -105,6 +106,8 @@ def load_ready(frf: ReadyFrf, test: str = "", conditions: dict[str, str] | None 
     response = joined(responses) if frf.layout.each else responses[0]
     if frf.layout.windowed is not None:
         response = undamped(response, frf.layout.windowed.exponential)
+    if frf.layout.window and not response.line_correlation:
+        response = dataclasses.replace(response, line_correlation=amplitude_correlation(frf.layout.window))
     return dataclasses.replace(response, name=name, conditions=conditions or response.conditions)
 
 

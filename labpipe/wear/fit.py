@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.identify.dense_curve import drawn_densely
-from labpipe.identify.diagnostics import MISMATCH_P, collinear_groups, estimate_findings, quality_findings
+from labpipe.identify.diagnostics import MISMATCH_P, collinear_groups, estimate_findings, excess_findings, quality_findings
 from labpipe.identify.regression import triangle_of
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.statistics import (
@@ -239,7 +239,7 @@ def _parameter(solved: _Solved, number: int, vif: float | None, interval: Interv
 def _estimate_findings(solved: _Solved, estimate: Estimate, estimator: str) -> list[Finding]:
     """Findings on the estimate; collinear nuisance parameters are left out, their prior determines them."""
     names = [solved.misfit.model.names[number] for number in _sensitive_parameters(solved)]
-    findings = estimate_findings(estimate, names, solved.misfit.receptance.frequency.size, estimator)
+    findings = [*estimate_findings(estimate, names, solved.misfit.receptance.frequency.size), *excess_findings(estimate, estimator)]
     group = {name for collinear in (collinear_groups(estimate.scaled_design, names) if names else []) for name in collinear}
     along = DEPTH in solved.misfit.model.names and not group & {DEPTH, ANGLE}
     return [finding for finding in findings if finding.code != "collinear" or not along]

@@ -21,9 +21,9 @@ from labpipe.records.finding import Finding
 from labpipe.records.identification import Failed, Fit, Goodness, Identification, Parameter, RuleOutcome
 
 
-def parameter(name: str, value: float, error: float | None, unit: str = "N/m", inflated: float | None = None) -> Parameter:
+def parameter(name: str, value: float, error: float | None, unit: str = "N/m") -> Parameter:
     ci95 = None if error is None else (value - 1.96 * error, value + 1.96 * error)
-    return Parameter(name, value, unit, std_error=error, t_ratio=None, ci95=ci95, significant=True, std_error_inflated=inflated)
+    return Parameter(name, value, unit, std_error=error, t_ratio=None, ci95=ci95, significant=True)
 
 
 def fit(test: str, stiffness: float, error: float | None = 10.0, name: str = "direct", codes: tuple[str, ...] = ()) -> Fit:
@@ -185,10 +185,9 @@ def test_no_folder_and_no_results_are_named(tmp_path: Path) -> None:
             pass
 
 
-def test_intervals_grow_with_the_residual() -> None:
+def test_intervals_are_those_of_the_fit() -> None:
     assert interval(parameter("k", 10.0, None)) == (None, None)
     assert interval(parameter("k", 10.0, 1.0)) == pytest.approx((8.04, 11.96))
-    assert interval(parameter("k", 10.0, 1.0, inflated=2.0)) == pytest.approx((6.08, 13.92))
 
 
 def test_lists_on_the_terminal_and_as_csv(campaign: Path, labpipe) -> None:

@@ -16,6 +16,7 @@ from labpipe.artefacts.identification_file import write_identification
 from labpipe.catalogue.index import INDEX, interval, open_index, verdict, warning_codes
 from labpipe.catalogue.query import Filter, results, values
 from labpipe.errors import DataError
+from labpipe.identify.statistics import widened
 from labpipe.records.finding import Finding, note
 from labpipe.records.identification import Failed, Fit, Goodness, Identification, Parameter, RuleOutcome
 
@@ -154,7 +155,7 @@ def test_an_interval_is_widened_as_its_error_is(value: float, error: float, fact
     """ci95 of +- 2 s becomes +- 2 f s where the residual exceeds the noise by f."""
     plain = Parameter("k", value, "N/m", std_error=error, t_ratio=None, ci95=(value - 2 * error, value + 2 * error))
     assert interval(plain) == plain.ci95
-    low, high = interval(replace(plain, std_error_inflated=factor * error))
+    low, high = interval(widened(plain, factor))
     assert high - low == pytest.approx(4 * factor * error, rel=1e-6, abs=1e-6 * abs(value) * 1e-6)
     assert (low + high) / 2 == pytest.approx(value, abs=1e-6 * (abs(value) + factor * error))
     assert interval(replace(plain, ci95=None)) == (None, None)

@@ -161,12 +161,12 @@ def nearly_parallel(angle: float) -> Estimate:
 )
 def test_numbers_beyond_rounding_are_written_as_powers_of_ten(angle: float, condition: str, growth: str) -> None:
     """cot(angle / 2) is 2 / angle for small angles: 200, 2000, 2e5 (10^5.3) and 1e7."""
-    (finding,) = estimate_findings(nearly_parallel(angle), ["k", "c"], 100, "ml", ["N/m", "N.s/m"])
+    (finding,) = estimate_findings(nearly_parallel(angle), ["k", "c"], 100, ["N/m", "N.s/m"])
     assert f"(condition number {condition}, limit 30)" in finding.message
     assert f"can become {growth} % in them" in finding.message
 
 
 def test_columns_that_are_one_have_an_infinite_condition() -> None:
     estimate = replace(nearly_parallel(0.01), scaled_design=np.ones((2, 2)) / np.sqrt(2), amplification=np.full(2, np.inf))
-    (finding,) = estimate_findings(estimate, ["k", "c"], 100, "ml", ["N/m", "N.s/m"])
+    (finding,) = estimate_findings(estimate, ["k", "c"], 100, ["N/m", "N.s/m"])
     assert "can become inf % in them" in finding.message

@@ -48,13 +48,15 @@ def test_sandwich_errors_are_the_scatter(three_dof_response, known: bool) -> Non
 
 
 def test_ls_of_the_same_data_is_overconfident(three_dof_response) -> None:
-    """Its bias stands outside its standard errors, and chi-square says so."""
-    (fit,) = identify(three_dof_response(3 * PER_CENT, np.random.default_rng(1)), replace(KNOWN, estimator="ls"))
+    """Its bias stands outside its standard errors; the finding says so, and the intervals include the distance from ml."""
+    response = three_dof_response(3 * PER_CENT, np.random.default_rng(1))
+    (fit,), (right,) = identify(response, replace(KNOWN, estimator="ls")), identify(response, replace(KNOWN, estimator="ml"))
     k = fit.parameter("k_3_3")
     assert abs(k.value - 2.0) > 4 * k.std_error
     assert fit.gof.chi2_reduced > 2
-    assert any(finding.code == "model-mismatch" and "compare with ml" in finding.message for finding in fit.findings)
-    assert k.std_error_inflated == pytest.approx(k.std_error * np.sqrt(fit.gof.chi2_reduced))
+    assert any(finding.code == "model-mismatch" and "ls is biased" in finding.message for finding in fit.findings)
+    assert k.std_error_inflated == pytest.approx(np.hypot(k.std_error, k.value - right.parameter("k_3_3").value), rel=1e-6)
+    assert k.ci95[0] < 2.0 < k.ci95[1]
     assert any("bias" in note for note in fit.notes)
 
 

@@ -9,8 +9,11 @@ import pytest
 from scipy import stats
 
 from labpipe.identify.fitting import identify
+from labpipe.identify.likelihood import maximum_likelihood
 from labpipe.identify.measured import measured_part
+from labpipe.identify.models import sdof
 from labpipe.identify.settings import FitSettings
+from labpipe.identify.setup import Setup
 from labpipe.identify.weights import WeightDoubt, weight_doubt
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 
@@ -44,8 +47,9 @@ def test_only_chosen_lines_share(response: FrequencyResponse) -> None:
     assert measured_part(replace(response, line_correlation=()), [0], [0], every).shared_noise == 1.0
 
 
-@pytest.mark.parametrize("estimator", ["ml", "ls", "iv", "amplitude"])
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize(
+    ("estimator", "known"), [(e, k) for e in ("ml", "ls", "iv", "amplitude") for k in (True, False) if (e, k) != ("ml", False)]
+)
 def test_standard_errors_grow_by_the_root_of_the_shared_noise(response: FrequencyResponse, estimator: str, known: bool) -> None:
     response = response if known else replace(response, covariance=None)
     settings = FitSettings("sdof", mass=0.79, estimator=estimator)
@@ -54,6 +58,23 @@ def test_standard_errors_grow_by_the_root_of_the_shared_noise(response: Frequenc
     for name in ("k", "c"):
         assert shared.parameter(name).value == alone.parameter(name).value
         assert shared.parameter(name).std_error == pytest.approx(factor * alone.parameter(name).std_error, rel=1e-12)
+
+
+@pytest.mark.parametrize("correlation", [SHARED, (-2 / 3, 1 / 6)])
+def test_noise_of_unknown_size_follows_the_correlation_line_by_line(response: FrequencyResponse, correlation: tuple[float, ...]) -> None:
+    """Generalised least squares' algebra with the whole matrix R: cov = s^2 A J^T R J A, s^2 = e^T e / tr((1 - J A J^T) R)."""
+    response = replace(response, covariance=None, line_correlation=correlation)
+    model = sdof(Setup(response.outputs, response.inputs, FitSettings("sdof", mass=0.79)))
+    estimate = maximum_likelihood(measured_part(response, [0], [0], np.ones(100, bool)), model)
+    k, c = estimate.values
+    w = 2 * np.pi * response.frequency
+    h = 1 / (k - 0.79 * w**2 + 1j * w * c)
+    slopes = np.stack([-(h**2), -1j * w * h**2], axis=1)
+    j, e = (np.concatenate([part.real, part.imag]) for part in (slopes, response.matrix[:, 0, 0] - h))
+    r = np.eye(100) + sum(value * (np.eye(100, k=d) + np.eye(100, k=-d)) for d, value in enumerate(correlation, start=1))
+    r, a = np.kron(np.eye(2), r), np.linalg.inv(j.T @ j)
+    variance = e @ e / np.trace((np.eye(200) - j @ a @ j.T) @ r)
+    np.testing.assert_allclose(estimate.covariance, variance * (a @ j.T @ r @ j @ a), rtol=1e-6)
 
 
 def test_bootstrap_scatters_as_much(response: FrequencyResponse) -> None:

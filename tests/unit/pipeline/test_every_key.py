@@ -188,6 +188,22 @@ def test_the_sensitivity_of_a_probe_reaches_the_damping(tmp_path: Path) -> None:
         assert second.parameter(name).value == pytest.approx(1.5 * first.parameter(name).value, rel=1e-9)
 
 
+def test_the_window_of_ready_responses_reaches_their_fits(tmp_path: Path) -> None:
+    """Noise that neighbouring lines share by a window changes no value, but the standard errors."""
+    w = 2 * np.pi * np.arange(15.0, 35.0, 0.25)
+    rng = np.random.default_rng(5)
+    h = 1 / (18e3 - 0.79 * w**2 + 20j * w) + 1e-6 * (rng.normal(size=w.size) + 1j * rng.normal(size=w.size))
+    rows = "".join(f"{f:g},{value.real:.9g},{value.imag:.9g}\n" for f, value in zip(w / (2 * np.pi), h, strict=True))
+    text = "title: t\nfrfs: {file: h.csv}\nidentify: {a: {model: sdof, mass: 0.79 kg}}\nreport: {formats: []}\n"
+    files = {"h.csv": f"# form: receptance\nfrequency_hz,y/f:re,y/f:im\n{rows}", "pipeline.yaml": text}
+    lab = finished_laboratory(tmp_path, files)
+    (plain,) = done(lab / "pipeline.yaml", lab / "out").fits
+    (lab / "pipeline.yaml").write_text(text.replace("h.csv}", "h.csv, window: flattop}"))
+    old, new = (done(lab / "pipeline.yaml", lab / folder).fits[0] for folder in ("out", "new"))
+    assert old.parameters == new.parameters != plain.parameters
+    assert old.parameter("k").value == plain.parameter("k").value
+
+
 # Other sections, each in a small pipeline of its own.
 
 SECTIONS = {

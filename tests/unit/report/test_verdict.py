@@ -25,7 +25,7 @@ FIT = Fit(
     lines=15,
     equations=30,
     dof=28,
-    gof=Goodness(0.99, 0.98),
+    gof=Goodness(0.99, 0.98, 1.02, 0.4),
     parameters=(K,),
     condition_number=12.3,
     correlation=np.ones((1, 1)),
@@ -48,6 +48,20 @@ def test_an_accepted_result_says_so_with_its_rules() -> None:
     (table,) = (block for block in sections[0].blocks if isinstance(block, Table))
     assert table.rows == (("accept", "direct.gof >= 0.95", "0.98", "holds"),)
     assert [section.heading for section in sections] == ["Verdict", "Warnings"] and words(sections)["Warnings"][0][1] == "passed"
+
+
+def test_a_box_is_green_only_when_the_rules_were_checked() -> None:
+    """No noise, no test of the residual, no rule: each is named, and neither box is green."""
+    blind = replace(FIT, gof=Goodness(0.99, 0.98))
+    (lead, *_), (clean,) = words(verdict_sections(replace(RESULT, fits=(blind,)))).values()
+    unchecked = "Not checked: chi-square, since the noise is not known (direct, test 427N)."
+    assert lead[0].endswith(unchecked) and clean[0].endswith(unchecked) and lead[1] == clean[1] == "note"
+    bare = words(verdict_sections(replace(RESULT, outcomes=())))["Warnings"]
+    assert "Not checked: no accept or expect rule was given" in bare[0][0] and bare[0][1] == "note"
+    unjudged = replace(blind, findings=(Finding("not-judged", "few lines", WARNING),))
+    assert (
+        "whether the residual is noise (direct, test 427N)" in words(verdict_sections(replace(RESULT, fits=(unjudged,))))["Verdict"][0][0]
+    )
 
 
 def test_a_failed_rule_and_no_rules_at_all() -> None:

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError
-from labpipe.spectra.windows import effective_averages, line_correlation, noise_bandwidth, overlap_correlation, window_values
+from labpipe.spectra.windows import (
+    amplitude_correlation,
+    effective_averages,
+    line_correlation,
+    noise_bandwidth,
+    overlap_correlation,
+    window_values,
+)
 
 # Harris 1978, table 1: equivalent noise bandwidth [lines], correlation at 75 % and 50 % overlap [per cent].
 HARRIS = {"boxcar": (1.00, 75.0, 50.0), "bartlett": (1.33, 71.9, 25.0), "hann": (1.50, 65.9, 16.7)}
@@ -70,6 +77,14 @@ def test_line_correlation_is_the_sum_over_pairs_of_blocks(name: str, overlap: fl
     found = line_correlation(window, step, 5)
     expected = [correlation_written_out(window, step, 5, apart) for apart in range(1, len(found) + 1)]
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_amplitudes_share_noise_through_a_window() -> None:
+    """w^2 of Hann is 3/8 - cos / 2 + cos(2 x) / 8: -1/4 and 1/16 over 3/8."""
+    assert amplitude_correlation("hann") == pytest.approx((-2 / 3, 1 / 6), rel=1e-9)
+    assert amplitude_correlation("boxcar") == ()
+    with pytest.raises(ConfigError, match="unknown window"):
+        amplitude_correlation("hahn")
 
 
 def test_line_correlation_closed_forms() -> None:
