@@ -23,6 +23,11 @@ def mismatch(estimate: ModalEstimate) -> float | None:
     return float(np.sqrt(estimate.chi2_reduced))
 
 
+def unexplained(estimate: ModalEstimate, p_noise: float) -> bool:
+    """Whether the residual is no noise where the noise is not known: nothing then says how wide an interval would be."""
+    return estimate.chi2_reduced is None and p_noise < MISMATCH_P
+
+
 def modal_findings(estimate: ModalEstimate, p_noise: float) -> tuple[Finding, ...]:
     """Warnings: no convergence, negative damping, a residual beyond the measured noise or alike on neighbouring lines."""
     warnings = []
@@ -44,10 +49,11 @@ def modal_findings(estimate: ModalEstimate, p_noise: float) -> tuple[Finding, ..
             "mode in `poles`, or narrow the band."
         )
         warnings.append(Finding("model-mismatch", message))
-    elif estimate.chi2_reduced is None and p_noise < MISMATCH_P:
+    elif unexplained(estimate, p_noise):
         message = (
-            f"the residual is not noise: it is alike on neighbouring lines (p = {p_noise:.2g}). A mode is missing, or the structure is not "
-            "linear; the intervals do not hold. Name the missing mode in `poles`, or narrow the band."
+            f"the residual is not noise: it is alike on neighbouring lines (p = {p_noise:.2g}). A mode is missing, the structure is not "
+            "linear, or its modes differ from point to point (a sensor that loads it). So no interval is given. Name the missing mode in "
+            "`poles`, or narrow the band."
         )
         warnings.append(Finding("model-mismatch", message))
     return tuple(warnings)

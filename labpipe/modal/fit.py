@@ -10,10 +10,11 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.diagnostics import quality_findings
 from labpipe.identify.measured import Measured, measured_part, select_ports
+from labpipe.identify.reported import without_intervals
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.statistics import determination
 from labpipe.identify.weights import has_noise
-from labpipe.modal.findings import mass_findings, mismatch, modal_findings, modal_notes
+from labpipe.modal.findings import mass_findings, mismatch, modal_findings, modal_notes, unexplained
 from labpipe.modal.growth import refine_with_terms
 from labpipe.modal.lscf import NormalEquations, Poles, normal_equations
 from labpipe.modal.missing import Completed, completed, kept_modes, with_real_modes
@@ -179,7 +180,7 @@ def _reported(settings: FitSettings, band: tuple[float, float], sides: _Sides, w
         equations=measured.n_equation,
         dof=estimate.dof,
         gof=Goodness(r2, adjusted, estimate.chi2_reduced, estimate.chi2_p),
-        parameters=parameters,
+        parameters=without_intervals(parameters) if unexplained(estimate, whole.p_noise) else parameters,
         condition_number=float(np.sqrt(np.linalg.cond(matrix))),
         correlation=matrix,
         converged=refined.converged,
