@@ -17,6 +17,8 @@ from labpipe import __version__
 
 # Packages of one feature each, by the distribution's name: the module, and the feature with its installation.
 OPTIONAL = {
+    "openpyxl": ("openpyxl", "recordings in .xlsx: pip install 'labpipe[excel]'"),
+    "asammdf": ("asammdf", "recordings in .mf4: pip install 'labpipe[mdf]'"),
     "distributed": ("distributed", "labpipe run --cluster: pip install 'labpipe[cluster]'"),
     "scikit-learn": ("sklearn", "networks as metamodels of journal coefficients: pip install 'labpipe[networks]'"),
 }

@@ -90,7 +90,7 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     first = next(
         n for n, line in enumerate(lines) if len(fields_of(line, delimiter)) == n_field and _is_numeric(line, delimiter, decimal, number)
     )
-    names, units = _header(lines[:first], delimiter, n_field)
+    names, units = header_of(lines[:first], delimiter, n_field)
     stamps = tuple(n for n, field in enumerate(fields_of(lines[first], delimiter)) if is_stamp(field))
     return Layout(encoding, delimiter, decimal, names, units, first, stamps)
 
@@ -156,7 +156,7 @@ def _header_fits(lines: list[str], candidate: tuple[str, str, list[int], int]) -
     return bool(above) and len(fields_of(above[-1], delimiter)) in (n_field, n_field - 1)
 
 
-def _header(above: list[str], delimiter: str, n_field: int) -> tuple[tuple[str, ...], dict[str, str]]:
+def header_of(above: list[str], delimiter: str, n_field: int) -> tuple[tuple[str, ...], dict[str, str]]:
     """Names and units from the lines above the numbers; columns without a header are called 1, 2, ..."""
     rows = [[field.strip().strip('"').strip() for field in fields_of(_COMMENT.sub("", line), delimiter)] for line in above]
     # A data row may end in a delimiter that its header lacks.

@@ -12,13 +12,14 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.hdf5_variables import hdf5_names, load_hdf5_variables
 from labpipe.formats.mat_file import is_hdf5, load_fields
+from labpipe.formats.numpy_table import load_arrays
 from labpipe.formats.packed import plain_suffix
 from labpipe.formats.table import TEXT_SUFFIXES, open_table
 from labpipe.formats.text_columns import TextColumns
 from labpipe.quantities import UnitError, parse_unit
 from labpipe.registry import nearest
 
-VARIABLE_SUFFIXES = (".mat", ".h5", ".hdf5", ".hdf")
+VARIABLE_SUFFIXES = (".mat", ".h5", ".hdf5", ".hdf", ".npz")
 
 
 class DescribedColumns:
@@ -101,11 +102,18 @@ def columns_of_table(path: Path) -> DescribedColumns:
 
 
 def columns_of_variables(path: Path) -> DescribedColumns:
-    """The variables of a MATLAB or HDF5 file; fields of structures are named with dots: FRF.y_values.values."""
+    """The variables of a MATLAB, HDF5 or .npz file; fields of structures are named with dots: FRF.y_values.values."""
     if plain_suffix(path) not in VARIABLE_SUFFIXES:
         what = f"files with the ending '{plain_suffix(path)}' hold columns, no variables"
         raise DataError(what, where=str(path), hint="write 'columns' in place of 'variables'")
-    if is_hdf5(path):
+    if plain_suffix(path) == ".npz":
+        arrays = load_arrays(path)
+        names = list(arrays)
+
+        def read(index: int) -> Any:
+            return arrays[names[index]]
+
+    elif is_hdf5(path):
         names = [name.replace("/", ".") for name in hdf5_names(path)]
 
         def read(index: int) -> Any:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
@@ -22,6 +23,10 @@ READERS = Registry(
         **dict.fromkeys((".h5", ".hdf5", ".hdf"), "labpipe.formats.hdf5_table:hdf5_table"),
         ".tdms": "labpipe.formats.tdms_table:TdmsTable",
         ".wav": "labpipe.formats.wav_table:WavTable",
+        ".lvm": "labpipe.formats.lvm_table:LvmTable",
+        **dict.fromkeys((".npy", ".npz"), "labpipe.formats.numpy_table:numpy_table"),
+        **dict.fromkeys((".xlsx", ".xlsm"), "labpipe.formats.xlsx_table:XlsxTable"),
+        **dict.fromkeys((".mf4", ".mdf"), "labpipe.formats.mdf_table:MdfTable"),
     },
 )
 
@@ -50,6 +55,14 @@ def open_table(path: Path) -> Table:
         raise DataError(f"files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {', '.join(READERS.names())}")
     table: Table = READERS.load(suffix)(path)
     return table
+
+
+def load_extra(module: str, extra: str, path: Path) -> Any:
+    """A library that only some files need; DataError names the extra by which it is installed."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise DataError(f"needs the package {module}", where=str(path), hint=f"pip install 'labpipe[{extra}]'") from None
 
 
 def check_columns(table: Table, required: Sequence[str]) -> None:

@@ -263,10 +263,10 @@ class TimeAxisScreen:
                     hint="a lost sample or coarse times; if the logger runs evenly, give sample_rate in the rig file instead of time",
                 )
         rounded = self._largest[0] - self._smallest[0] > 0.5 * resolution
-        return _plain_rate(step, resolution / (self._n_sample - 1) if rounded else 0.0)
+        return plain_rate(step, resolution / (self._n_sample - 1) if rounded else 0.0)
 
 
-def _plain_rate(step: float, doubt: float) -> float:
+def plain_rate(step: float, doubt: float) -> float:
     """The rate [Hz] of fewest digits, 12 at most, whose step [s] lies within *doubt* [s]: files of one logger have one rate then."""
     rates = (float(f"{1 / step:.{digits}g}") for digits in range(1, 12))
     return next((rate for rate in rates if abs(1 / rate - step) <= doubt), float(f"{1 / step:.12g}"))

@@ -149,7 +149,10 @@ def test_a_wav_file_is_calibrated_by_the_sensitivity_per_full_scale(project: Pat
     assert pq.read_table(project / "out" / "r.recording.parquet")["a"].to_pylist() == [25.0, -12.5, 6.25]
 
 
-BROKEN = [(f"r{suffix}", b"MZ") for suffix in (".uff", ".mat", ".h5", ".tdms", ".wav", ".csv.gz", ".csv.zst")]
+BROKEN = [
+    (f"r{suffix}", b"MZ")
+    for suffix in (".uff", ".mat", ".h5", ".tdms", ".wav", ".csv.gz", ".csv.zst", ".lvm", ".npy", ".npz", ".xlsx", ".mf4")
+]
 
 
 @pytest.mark.parametrize(("file", "content"), [*BROKEN, *((name, b"") for name, _ in BROKEN), ("r.xls", b"1")])
