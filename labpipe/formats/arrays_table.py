@@ -79,11 +79,12 @@ def _is_named(name: str, names: tuple[str, ...]) -> bool:
 
 
 class ArraysTable:
-    """Columns of named arrays. Satisfies Table."""
+    """Columns of named arrays. Satisfies Table. *unused*: vectors of other lengths, with their number of values."""
 
     def __init__(self, path: Path, columns: Mapping[str, Column], units: dict[str, str], sample_rate: float | None) -> None:
         self.path = path
         self._columns = longest(columns, path)
+        self.unused = {name: column.n_value for name, column in columns.items() if name not in self._columns and column.n_value > 1}
         self.columns = tuple(self._columns)
         self.units = {name: unit for name, unit in units.items() if name in self._columns and unit}
         self.sample_rate = sample_rate

@@ -18,12 +18,14 @@ from labpipe.formats.names import unique
 
 CHUNK_ROWS = 1 << 17
 _UNITS = ("unit_string", "NI_UnitDescription", "unit")
+_SENSITIVITIES = ("sensitivity", "ni_sensitivity", "sensor_sensitivity", "transducer_sensitivity")
+_SENSITIVITY_UNITS = ("sensitivity_unit", "sensitivity_units", "ni_sensitivityunits", "sensor_sensitivity_unit")
 _SAME = 1e-6
 _BROKEN = (ValueError, TypeError, OSError, KeyError, IndexError, EOFError, OverflowError, MemoryError, NotImplementedError, struct.error)
 
 
 class TdmsTable:
-    """The longest channels, by name, or "group/name" for a repeated name. Satisfies Table."""
+    """The longest channels, by name, or "group/name" for a repeated name. Satisfies Table; *sensitivities* where properties state them."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -49,6 +51,7 @@ class TdmsTable:
         self._places = {name: (c.group_name, c.name) for name, c in zip(self.columns, channels, strict=True)}
         self._length = length
         self.units = {name: unit for name, channel in zip(self.columns, channels, strict=True) if (unit := _unit(channel))}
+        self.sensitivities = {name: text for name, channel in zip(self.columns, channels, strict=True) if (text := _sensitivity(channel))}
         self.sample_rate = _rate(channels, self.path)
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
@@ -77,6 +80,14 @@ def _is_numeric(channel: Any) -> bool:
 
 def _unit(channel: Any) -> str:
     return next((str(channel.properties[key]) for key in _UNITS if channel.properties.get(key)), "")
+
+
+def _sensitivity(channel: Any) -> str:
+    """The sensitivity that a property states ("100 mV/g"), or a number and its unit in two; '' for none."""
+    properties = {str(key).lower(): str(value) for key, value in channel.properties.items()}
+    text = next((properties[key] for key in _SENSITIVITIES if properties.get(key)), "")
+    unit = next((properties[key] for key in _SENSITIVITY_UNITS if properties.get(key)), "")
+    return f"{text} {unit}".strip()
 
 
 def _rate(channels: list[Any], path: Path) -> float | None:

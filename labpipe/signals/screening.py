@@ -105,8 +105,10 @@ class ChannelScreen:
             return []
         first = min(start for n, start in runs if n)
         share = 100 * count / self.n_sample
+        # Not 1e+02.
+        percent = f"{share:.0f}" if share >= 99.5 else f"{share:.2g}"
         message = (
-            f"channel {name}: {count} samples ({share:.2g} %) stand at the end of the range, the first is sample {first}; "
+            f"channel {name}: {count} samples ({percent} %) stand at the end of the range, the first is sample {first}; "
             "the peaks are cut off and amplitudes come out too small"
         )
         return [Finding("clipped", message)]
@@ -163,7 +165,9 @@ class _EndValues:
             self._first_in_runs = start + begin - carried
 
     def clipped(self) -> tuple[int, int]:
-        """(clipped samples, first of them)."""
+        """(clipped samples, first of them); none where the extreme is zero: there a window has set the force to zero, or nothing acted."""
+        if self._extreme == 0:
+            return 0, -1
         if self._counts.size > NEXT_VALUES and self._counts[-1] >= CLIPPED_CROWD * np.mean(self._counts[:-1]):
             return int(self._counts[-1]), self._first
         return self._in_runs, self._first_in_runs

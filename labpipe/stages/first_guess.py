@@ -3,27 +3,32 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.config.reader import DECIDE
 from labpipe.config.rig import DEFAULT_ROLES
+from labpipe.errors import DataError
 from labpipe.formats.table import Table
-from labpipe.quantities import QUANTITIES, UnitError, parse_unit
+from labpipe.quantities import QUANTITIES, UnitError, parse_unit, readings
+from labpipe.signals.screening import TimeAxisScreen
 
 # Largest number of rows read.
 MOST_ROWS = 1 << 21
 # Relative deviation of the steps of a time axis.
 EVEN = 1e-3
+# A copy is looked for where a column exceeds this share of its peak, at so many samples at least.
+FAINT, LEAST_LOUD = 0.01, 8
 
 _RECORDED = ("force", "displacement", "velocity", "acceleration", "voltage", "current", "pressure", "temperature", "moment")
 _BRACKETS = re.compile(r"\[.*?\]|\(.*?\)")
+_POINT = re.compile(r"^(\d+)[+-][XYZ](?:_\d+)?$")
 _BY_NAME = (
     ("tacho", r"tacho|keyphasor|key.?phasor|trigger|rpm|drehzahl"),
-    ("force", r"force|hammer|kraft|load.?cell|impact|shaker|\bf[xyz]?\d*\b"),
+    ("force", r"force|hammer|kraft|load.?cell|impact|impuls|excitation|anregung|shaker|\bf[xyz]?\d*\b"),
     ("acceleration", r"acc|beschl|\ba[xyz]?\d*\b"),
     ("velocity", r"vel|\bv[xyz]?\d*\b"),
     ("displacement", r"disp|prox|probe|eddy|gap|weg|\b[xyz]\d*\b"),
@@ -35,7 +40,7 @@ _BY_NAME = (
 class GuessedChannel:
     """One channel of a rig file to be: *key* its name, *quantity* and *unit* or DECIDE; *sensitivity* DECIDE for a sensor in volts.
 
-    *role* is empty where it follows from a quantity that is still to be decided.
+    *role* is empty where it follows from a quantity that is still to be decided; *guess*: what was taken from the name alone.
     """
 
     key: str
@@ -45,6 +50,8 @@ class GuessedChannel:
     role: str
     dof: str
     sensitivity: str = ""
+    invert: bool = False
+    guess: str = ""
 
     @property
     def decisions(self) -> tuple[str, ...]:
@@ -56,7 +63,8 @@ class GuessedChannel:
             else "the unit of the recorded numbers",
             "sensitivity": "recorded volts per quantity, for example 8 V/mm",
         }
-        return tuple(text for name, text in questions.items() if getattr(self, name) == DECIDE)
+        decisions = tuple(text for name, text in questions.items() if getattr(self, name) == DECIDE)
+        return (*decisions, self.guess) if decisions and self.guess else decisions
 
 
 def first_rows(table: Table) -> tuple[tuple[str, ...], FloatArray]:
@@ -73,37 +81,106 @@ def first_rows(table: Table) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def time_columns(names: Sequence[str], rows: FloatArray) -> list[str]:
-    """Columns of *rows* (n_row, n_column) [recorded units] that are a time axis: all steps equal and positive."""
-    steps = np.diff(rows, axis=0)
-    mean = steps.mean(axis=0)
-    even = (mean > 0) & (np.abs(steps - mean).max(axis=0) <= EVEN * np.abs(mean))
-    return [name for name, is_even in zip(names, even, strict=True) if is_even]
+    """Columns of *rows* (n_row, n_column) [recorded units] that are a time axis: all steps equal, as printed, and positive."""
+    return [name for name, column in zip(names, rows.T, strict=True) if step_of(column)]
 
 
-def guess_channels(names: Sequence[str], units: dict[str, str]) -> list[GuessedChannel]:
-    """A channel for every column; the force of a rig with one response acts along it."""
+def step_of(column: FloatArray) -> float:
+    """The step of a column (n_row,) [recorded units] that is a time axis, 0 for any other."""
+    screen = TimeAxisScreen("")
+    try:
+        screen.add(column)
+        return 1 / screen.sample_rate()
+    except DataError:
+        return 0.0
+
+
+def copies(names: Sequence[str], rows: FloatArray) -> dict[str, str]:
+    """Columns of *rows* (n_row, n_column) [recorded units] that repeat an earlier one: why each is no channel of its own.
+
+    A copy equals the other column, or is it under a window: everywhere between zero and the other, and somewhere nearly equal.
+    """
+    found: dict[str, str] = {}
+    for number, name in enumerate(names):
+        for other in range(len(names)):
+            if other == number or names[other] in found:
+                continue
+            reason = _copied(rows[:, number], rows[:, other], other < number)
+            if reason:
+                found[name] = f"{reason} of {names[other]}"
+                break
+    return found
+
+
+def _copied(column: FloatArray, other: FloatArray, is_later: bool) -> str:
+    """How a column repeats another; '' where it does not."""
+    if np.array_equal(column, other):
+        return "a copy" if is_later and np.any(column) else ""
+    size = np.abs(other)
+    loud = size > FAINT * size.max(initial=0.0)
+    if np.count_nonzero(loud) < LEAST_LOUD:
+        return ""
+    share = column[loud] / other[loud]
+    windowed = share.min() >= 0 and share.max() <= 1 + EVEN and share.max() > 1 - 0.1 and share.min() < 1 - 0.1
+    return "a windowed copy" if windowed and np.all(np.abs(column) <= size * (1 + EVEN) + EVEN * size.max()) else ""
+
+
+def guess_channels(names: Sequence[str], units: dict[str, str], sensitivities: Mapping[str, str] | None = None) -> list[GuessedChannel]:
+    """A channel for every column by its name, unit and sensitivity; the force of a rig with one response acts along it."""
     keys: list[str] = []
     for name in names:
         keys.append(_key(name, keys))
     guessed = [_guess(name, key, units.get(name, "")) for name, key in zip(names, keys, strict=True)]
+    guessed = [_sensed(channel, (sensitivities or {}).get(channel.column, "")) for channel in guessed]
+    if len({_node(name) for name in names if _node(name)}) > 1:
+        guessed = [_at_node(channel) for channel in guessed]
     outputs = [channel for channel in guessed if channel.role == "output"]
     return [_along(channel, outputs) for channel in guessed]
+
+
+def _at_node(channel: GuessedChannel) -> GuessedChannel:
+    """The channel with the node before its direction, where there are several nodes."""
+    node = _node(channel.column)
+    return replace(channel, dof=f"{node}.{channel.dof}") if node else channel
 
 
 def _guess(name: str, key: str, unit: str) -> GuessedChannel:
     plain_name = re.sub(r"[_\W]+", " ", _BRACKETS.sub(" ", name).lower())
     by_name = next((quantity for quantity, pattern in _BY_NAME if re.search(pattern, plain_name)), DECIDE)
     quantity = _measured_in(unit)
-    sensitivity = ""
+    sensitivity = guess = ""
     if quantity in ("voltage", "") and by_name not in (DECIDE, "tacho"):
         # A sensor's volts, or a number without a unit: the quantity follows from the name.
         sensitivity = DECIDE if quantity == "voltage" else ""
         quantity = by_name
+        guess = f"{quantity} is a guess from the name"
+    elif by_name == "force" and quantity not in ("force", "moment"):
+        guess = f"the name says force, the unit {quantity}"
+        quantity = DECIDE
     elif by_name == "tacho":
         quantity, unit = "tacho", unit or "V"
     quantity = quantity or DECIDE
     role = DEFAULT_ROLES.get(quantity, "" if quantity == DECIDE else "reference")
-    return GuessedChannel(key, name, quantity, unit or DECIDE, role, _direction(name) or key, sensitivity)
+    invert = bool(_node(name)) and "-" in name
+    return GuessedChannel(key, name, quantity, unit or DECIDE, role, _direction(name) or key, sensitivity, invert, guess)
+
+
+def _sensed(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:
+    """The channel with the sensitivity that the file states, for a sensor recorded in volts: its unit says what is measured."""
+    match = re.match(r"^\s*[\d.eE+-]+\s*(\S.*)$", sensitivity)
+    if match is None or _measured_in(channel.unit) != "voltage":
+        return channel
+    try:
+        dimensions = [reading.dimension for reading in readings(match[1])]
+    except UnitError:
+        return channel
+    volt = parse_unit("V").dimension
+    for quantity in _RECORDED:
+        wanted = tuple(u - q for u, q in zip(volt, parse_unit(QUANTITIES[quantity].si_unit).dimension, strict=True))
+        if wanted in dimensions and quantity != "voltage":
+            role = DEFAULT_ROLES.get(quantity, "reference")
+            return replace(channel, quantity=quantity, role=role, sensitivity=sensitivity.strip(), guess="")
+    return channel
 
 
 def _measured_in(unit: str) -> str:
@@ -111,11 +188,17 @@ def _measured_in(unit: str) -> str:
     if not unit:
         return ""
     try:
-        dimension = parse_unit(unit).dimension
+        dimensions = [reading.dimension for reading in readings(unit)]
     except UnitError:
         return ""
-    matching = (name for name in _RECORDED if parse_unit(QUANTITIES[name].si_unit).dimension == dimension)
+    matching = (name for name in _RECORDED if parse_unit(QUANTITIES[name].si_unit).dimension in dimensions)
     return next(matching, "")
+
+
+def _node(name: str) -> str:
+    """The node of a point and direction such as "12-Z" of a universal file, '' for other names."""
+    match = _POINT.match(name)
+    return match[1] if match else ""
 
 
 def _direction(name: str) -> str:
@@ -140,4 +223,4 @@ def _along(channel: GuessedChannel, outputs: Sequence[GuessedChannel]) -> Guesse
     """A force whose name has no direction acts along the only response."""
     if channel.role != "input" or channel.dof != channel.key or len(outputs) != 1:
         return channel
-    return GuessedChannel(channel.key, channel.column, channel.quantity, channel.unit, channel.role, outputs[0].dof, channel.sensitivity)
+    return replace(channel, dof=outputs[0].dof)

@@ -20,8 +20,9 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.signals.first_look import Excitation, look
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
-from labpipe.stages.first_guess import GuessedChannel, first_rows, guess_channels, time_columns
+from labpipe.stages.first_guess import GuessedChannel, copies, first_rows, guess_channels, step_of, time_columns
 from labpipe.stages.frf import is_response, load_response
+from labpipe.stages.frf_guess import GuessedFrf, guessed_frf
 
 MARK = "# <- decide:"
 # A fit looks at this share of the peak's frequency to either side, and at this many lines at least.
@@ -50,6 +51,7 @@ class FirstLook:
     rate: float
     time: str
     rows: FloatArray
+    unused: tuple[str, ...] = ()
 
     def column_of(self, role: str) -> list[int]:
         return [number for number, channel in enumerate(self.channels) if channel.role == role]
@@ -60,6 +62,9 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     paths = [Path(os.path.relpath(path, folder)).as_posix() for path in files]
     if is_response(files[0]):
         return Scaffold("", _pipeline_of_responses(load_response(files[0]), paths))
+    guessed = guessed_frf(files[0]) if files[0].is_file() else None
+    if guessed is not None:
+        return Scaffold("", _pipeline_of_tables(guessed, paths))
     first = first_look(open_table(files[0]))
     return Scaffold(_rig(first, files[0]), _pipeline(first, files, paths))
 
@@ -74,9 +79,17 @@ def first_look(table: Table) -> FirstLook:
     if not signal_numbers:
         raise DataError("holds no column but time", where=str(table.path))
     time = times[0] if times and table.sample_rate is None else ""
-    step = float(np.mean(np.diff(rows[:, names.index(time)]))) * time_scale(time) if time else 0.0
+    step = step_of(rows[:, names.index(time)]) * time_scale(time) if time else 0.0
     rate = table.sample_rate or (1 / step if step else 0.0)
-    return FirstLook(tuple(guess_channels([names[n] for n in signal_numbers], table.units)), rate, time, rows[:, signal_numbers])
+    copied = copies([names[n] for n in signal_numbers], rows[:, signal_numbers])
+    chosen = [n for n in signal_numbers if names[n] not in copied]
+    others: dict[str, int] = getattr(table, "unused", {})
+    unused = (
+        *(f"{name}: {reason}" for name, reason in copied.items()),
+        *(f"{name}: {n_value} values, the channels have {rows.shape[0]}" for name, n_value in others.items()),
+    )
+    channels = guess_channels([names[n] for n in chosen], table.units, getattr(table, "sensitivities", {}))
+    return FirstLook(tuple(channels), rate, time, rows[:, chosen], unused)
 
 
 def _rig(first: FirstLook, path: Path) -> str:
@@ -87,6 +100,7 @@ def _rig(first: FirstLook, path: Path) -> str:
         lines.append(f"sample_rate: {DECIDE}    {MARK} the sampling rate, for example 20 kHz; the file does not state it")
     lines.append("channels:                      # key = the name used everywhere else")
     lines.extend(_channel_line(channel) for channel in first.channels)
+    lines.extend(f"# not used: {unused}" for unused in first.unused)
     lines.append("# mass: 1 kg                   # that moves with the response; without it the mass is estimated")
     return "\n".join(lines) + "\n"
 
@@ -96,6 +110,8 @@ def _channel_line(channel: GuessedChannel) -> str:
     entries |= {"role": channel.role, "dof": channel.dof} if channel.role else {"dof": channel.dof}
     if channel.sensitivity:
         entries["sensitivity"] = channel.sensitivity
+    if channel.invert:
+        entries["invert"] = "true"
     decisions = f"  {MARK} {'; '.join(channel.decisions)}" if channel.decisions else ""
     return f"  {channel.key}: {{{', '.join(f'{key}: {text}' for key, text in entries.items())}}}{decisions}".replace(f'"{DECIDE}"', DECIDE)
 
@@ -146,6 +162,8 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
     if excitation.kind == "periodic":
         lines.append(f"  skip: {1 if excitation.repeats > 2 else 0}".ljust(31) + "# transient periods")
     if rate:
+        # The line at 0 Hz says nothing of a motion.
+        low = low or rate / excitation.length
         lines.append(f"  band: {low:.6g}-{high:.6g} Hz".ljust(31) + "# where the force has power")
     return lines
 
@@ -197,7 +215,8 @@ def _around(frequency: FloatArray, mobility: FloatArray) -> tuple[float, float]:
     """The band around the highest peak, with LEAST_LINES lines at least."""
     peak = int(np.argmax(mobility))
     reach = max(AROUND * float(frequency[peak]), LEAST_LINES / 2 * float(np.median(np.diff(frequency))))
-    return max(float(frequency[peak]) - reach, float(frequency[0])), min(float(frequency[peak]) + reach, float(frequency[-1]))
+    lowest = float(frequency[frequency > 0][0])
+    return max(float(frequency[peak]) - reach, lowest), min(float(frequency[peak]) + reach, float(frequency[-1]))
 
 
 def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) -> str:
@@ -211,4 +230,29 @@ def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) ->
         band = _around(response.frequency, _mobility(response)[:, row])
         fit = _fit_lines(f"fit_{row + 1}", json.dumps(response.inputs[0].label), json.dumps(port.label), band)
         lines.extend(line.replace("estimator: ml", f"estimator: {estimator}") for line in fit)
+    return "\n".join(lines) + "\n"
+
+
+def _pipeline_of_tables(guessed: GuessedFrf, paths: Sequence[str]) -> str:
+    """A pipeline that begins with FRFs in tables of another program: one file, or one for each point."""
+    columns = ", ".join(f"{kind}: {json.dumps(name, ensure_ascii=False)}" for kind, name in guessed.columns.items())
+    unit = (
+        json.dumps(guessed.unit, ensure_ascii=False)
+        if guessed.unit
+        else f"{DECIDE}    {MARK} the unit of the numbers, for example g/N, or m/(N.s^2)"
+    )
+    lines = ["# What to do with the FRFs. Paths are relative to this file.", "title: Stiffness and damping from measured FRFs", "frfs:"]
+    if len(paths) > 1:
+        lines.append(f"  each: {json.dumps(list(paths), ensure_ascii=False)}")
+        lines.append(f"  pattern: {DECIDE}    {MARK} where the dofs stand in the files' names, for example 'H_{{output}}_{{input}}'")
+    else:
+        lines.append(f"  file: {json.dumps(paths[0], ensure_ascii=False)}")
+    lines += [f"  columns: {{{columns}}}", f"  unit: {unit}"]
+    if len(paths) == 1:
+        lines.append(f"  output: {DECIDE}    {MARK} the dof of the response, for example x")
+        lines.append(f"  input: {DECIDE}    {MARK} the dof of the force, for example f")
+    moving = guessed.frequency > 0
+    band = _around(guessed.frequency[moving], guessed.size[moving, None]) if moving.sum() > 1 else None
+    fit = _fit_lines("fit", f"{DECIDE}    {MARK} the dof of the force", f"{DECIDE}    {MARK} the dof of the response", band)
+    lines += ["identify:", *(line.replace("estimator: ml", "estimator: ls") for line in fit)]
     return "\n".join(lines) + "\n"

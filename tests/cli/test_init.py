@@ -136,6 +136,50 @@ def test_frfs_need_no_rig_file(tmp_path: Path, labpipe) -> None:
     assert fit["estimator"] == "ls" and fit["parameters"][0]["value"] == pytest.approx(K, rel=1e-9)
 
 
+def frf_table(path: Path) -> None:
+    """An accelerance in g/N with a line at 0 Hz, as an analyser writes it."""
+    frequency = np.arange(0.0, 80.0, 0.5)
+    omega = 2 * np.pi * frequency
+    h = -(omega**2) / (K - MASS * omega**2 + 1j * omega * C) / 9.80665
+    rows = "".join(f"{f:g}\t{v.real:.12e}\t{v.imag:.12e}\n" for f, v in zip(frequency, h, strict=True))
+    path.write_text("Beam, 3 averages\nFrequency [Hz]\tReal [g/N]\tImaginary [g/N]\n" + rows)
+
+
+def test_a_table_of_an_frf_becomes_a_pipeline_of_frfs(tmp_path: Path, labpipe) -> None:
+    """Columns and unit from the header; the dofs are for a person, and the band begins above 0 Hz."""
+    frf_table(tmp_path / "h.txt")
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "h.txt")
+    assert ended.code == 0 and "pipeline.yaml:7, pipeline.yaml:8" in ended.out and not (tmp_path / "rig/rig.yaml").exists()
+    pipeline = tmp_path / "rig/pipeline.yaml"
+    ended = labpipe("run", pipeline, "-o", tmp_path / "out")
+    assert ended.code == 2 and ended.err.count("is still to be decided") == 4
+    pipeline.write_text(pipeline.read_text().replace(f"output: {DECIDE}", "output: y").replace(f"input: {DECIDE}", "input: f"))
+    assert labpipe("run", pipeline, "-o", tmp_path / "out").code == 0
+    (fit,) = json.loads((tmp_path / "out/identification.json").read_text())["fits"]
+    assert fit["parameters"][0]["value"] == pytest.approx(K, rel=1e-6)
+
+
+def test_tables_of_several_points_ask_where_the_dofs_stand(tmp_path: Path, labpipe) -> None:
+    for name in ("h_x_f.txt", "h_y_f.txt"):
+        frf_table(tmp_path / name)
+    assert labpipe("init", tmp_path / "rig", tmp_path / "h_x_f.txt", tmp_path / "h_y_f.txt").code == 0
+    text = (tmp_path / "rig/pipeline.yaml").read_text()
+    assert 'each: ["../h_x_f.txt", "../h_y_f.txt"]' in text and f"pattern: {DECIDE}" in text
+    text = re.sub(rf"pattern: {DECIDE}.*", "pattern: 'h_{output}_{input}'", text)
+    (tmp_path / "rig/pipeline.yaml").write_text(text.replace(f"output: {DECIDE}", "output: y").replace(f"input: {DECIDE}", "input: f"))
+    assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
+
+
+def test_what_an_analyser_stored_beside_the_channels_is_named_as_not_used(tmp_path: Path, labpipe) -> None:
+    force, y = signals()
+    windowed = y * np.exp(-np.arange(y.size) / 500)
+    savemat(tmp_path / "run.mat", {"fs": RATE, "force": force, "probe_y": y, "probe_y_window": windowed, "coherence": np.ones(99)})
+    assert labpipe("init", tmp_path / "rig", tmp_path / "run.mat").code == 0
+    text = (tmp_path / "rig/rig.yaml").read_text()
+    assert "# not used: probe_y_window: a windowed copy of probe_y" in text
+    assert f"# not used: coherence: 99 values, the channels have {y.size}" in text and text.count("column:") == 2
+
+
 def test_what_cannot_be_read_is_refused_and_nothing_is_written(tmp_path: Path, labpipe) -> None:
     (tmp_path / "notes.txt").write_text("no numbers here\n")
     for path, what in ((tmp_path / "notes.txt", "no row of numbers"), (tmp_path / "gone.csv", "no such file")):

@@ -213,3 +213,20 @@ def rate_of(times: np.ndarray) -> float:
     for start in range(0, times.size, 1000):
         screen.add(times[start : start + 1000])
     return screen.sample_rate()
+
+
+def test_the_zeros_of_a_force_window_are_no_clipping() -> None:
+    """A push of a hammer under a force window: half its samples are its lowest value, zero; cut off at the top it is clipped."""
+    force = np.zeros(400)
+    force[20:40] = np.sin(np.pi * (np.arange(20) + 0.5) / 20)
+    assert screened(force[:, None], 64).findings() == ()
+    (finding,) = screened(np.minimum(force, 0.8)[:, None], 64).findings()
+    assert finding.code == "clipped" and "first is sample 26" in finding.message
+
+
+@pytest.mark.parametrize(("n_clipped", "percent"), [(1000, "100 %"), (996, "100 %"), (990, "99 %"), (123, "12 %"), (3, "0.3 %")])
+def test_shares_are_written_without_powers_of_ten(n_clipped: int, percent: str) -> None:
+    samples = np.where(np.arange(1000) < n_clipped, 5.0, np.linspace(-4, 4, 1000))
+    samples[-1] = -4.5
+    (finding,) = screened(samples[:, None], 100, [(-10.0, 5.0)]).findings()
+    assert f"({percent})" in finding.message

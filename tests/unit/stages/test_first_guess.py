@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.config.reader import DECIDE
-from labpipe.stages.first_guess import GuessedChannel, guess_channels, time_columns
+from labpipe.stages.first_guess import GuessedChannel, copies, guess_channels, time_columns
 
 
 def guess(name: str, unit: str = "") -> GuessedChannel:
@@ -39,22 +39,55 @@ def test_unit_and_name_say_the_quantity(name: str, unit: str, quantity: str, rol
     assert (found.quantity, found.role) == (quantity, role) and found.column == name
 
 
-def test_the_unit_goes_before_the_name() -> None:
-    """A column called force in um is a displacement: units are measured, names are given."""
-    assert guess("force", "um").quantity == "displacement"
+def test_a_name_that_its_unit_contradicts_is_for_a_person() -> None:
+    """A column called force in um or g: neither the name nor the unit is believed."""
+    for unit, measured in (("um", "displacement"), ("g", "acceleration")):
+        found = guess("force", unit)
+        assert found.quantity == DECIDE and found.decisions[-1] == f"the name says force, the unit {measured}"
+
+
+def test_the_g_of_accelerometers_is_an_acceleration() -> None:
+    assert guess("channel 1", "g").quantity == "acceleration" and guess("channel 1", "mg").quantity == "acceleration"
+
+
+@pytest.mark.parametrize(
+    ("sensitivity", "quantity", "role"),
+    [("100 mV/g", "acceleration", "output"), ("2.3 mV/N", "force", "input"), ("8 V/mm", "displacement", "output")],
+)
+def test_a_sensitivity_of_the_file_says_what_is_measured(sensitivity: str, quantity: str, role: str) -> None:
+    (found,) = guess_channels(["ai0"], {"ai0": "V"}, {"ai0": sensitivity})
+    assert (found.quantity, found.role, found.sensitivity, found.decisions) == (quantity, role, sensitivity, ())
+    (scaled,) = guess_channels(["ai0"], {"ai0": "m/s^2"}, {"ai0": sensitivity})
+    assert scaled.sensitivity == "" and scaled.quantity == "acceleration"
+
+
+def test_nodes_and_signs_of_points_become_dofs() -> None:
+    names = ["1+Z", "12-Z", "3+X_2"]
+    found = guess_channels(names, dict.fromkeys(names, "m/s^2"))
+    assert [(channel.dof, channel.invert) for channel in found] == [("1.z", False), ("12.z", True), ("3.x", False)]
+
+
+def test_copies_of_a_channel_are_named() -> None:
+    """y again, y under an exponential and under a force window; a quarter of y and noise are channels of their own."""
+    rng = np.random.default_rng(8)
+    y = rng.normal(size=500)
+    windows = [np.exp(-np.arange(500) / 80), np.arange(500) < 50, np.full(500, 0.25)]
+    rows = np.column_stack([y, y, *(y * window for window in windows), rng.normal(size=500), np.zeros(500)])
+    names = ["y", "again", "exponential", "cut", "quarter", "noise", "zero"]
+    assert copies(names, rows) == {"again": "a copy of y", "exponential": "a windowed copy of y", "cut": "a windowed copy of y"}
 
 
 @pytest.mark.parametrize(("name", "quantity"), [("probe x", "displacement"), ("hammer", "force"), ("acc z", "acceleration")])
 def test_volts_of_a_sensor_need_its_sensitivity(name: str, quantity: str) -> None:
     found = guess(name, "V")
     assert (found.quantity, found.unit, found.sensitivity) == (quantity, "V", DECIDE)
-    assert found.decisions == ("recorded volts per quantity, for example 8 V/mm",)
+    assert found.decisions == ("recorded volts per quantity, for example 8 V/mm", f"{quantity} is a guess from the name")
 
 
 def test_a_number_without_a_unit_needs_one() -> None:
     found = guess("force")
     assert (found.quantity, found.unit) == ("force", DECIDE)
-    assert found.decisions == ("the unit of the recorded numbers, for example N",)
+    assert found.decisions == ("the unit of the recorded numbers, for example N", "force is a guess from the name")
 
 
 def test_what_nothing_is_known_of_is_left_to_a_person() -> None:
