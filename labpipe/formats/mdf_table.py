@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import logging
+import sys
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -44,13 +47,31 @@ class MdfTable:
         self.units = {name: unit for name, (_, _, unit) in zip(names, channels, strict=True) if unit}
         self.sample_rate: float | None = None
 
-    def _open(self) -> Any:
-        try:
-            return self._library.MDF(self.path)
-        # The library has errors of many kinds for a damaged file.
-        except Exception as error:
-            reason = (str(error).splitlines() or ["damaged"])[0]
-            raise DataError(f"is not a readable MDF file ({reason[:80]})", where=str(self.path)) from None
+    @contextmanager
+    def _open(self) -> Iterator[Any]:
+        """The file; DataError for a damaged one, for which the library has errors of many kinds, at opening and at reading."""
+        file, reason = self._opened()
+        if not reason:
+            try:
+                with file:
+                    yield file
+                    return
+            except DataError:
+                raise
+            except Exception as error:
+                reason = str(error)
+        raise DataError(f"is not a readable MDF file ({(reason.splitlines() or ['damaged'])[0][:80]})", where=str(self.path))
+
+    def _opened(self) -> tuple[Any, str]:
+        """The file, or why it cannot be opened."""
+        with _without_complaints():
+            try:
+                return self._library.MDF(self.path), ""
+            except Exception as error:
+                reason = str(error) or "damaged"
+            # What the library has begun goes here, not later.
+            gc.collect()
+        return None, reason
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, n_column) [unit of the file], scaled."""
@@ -62,6 +83,17 @@ class MdfTable:
                     times if name == TIME else file.get(group=self._group, index=self._places[name], **part).samples for name in columns
                 ]
                 yield np.column_stack([np.asarray(signal, np.float64) for signal in signals])
+
+
+@contextmanager
+def _without_complaints() -> Iterator[None]:
+    """Silence for a half-made object of the library, which fails once more when it goes."""
+    hook = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+    finally:
+        sys.unraisablehook = hook
 
 
 def _is_numeric(signal: Any) -> bool:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import tokenize
+import warnings
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +14,10 @@ import numpy as np
 from labpipe.errors import DataError
 from labpipe.formats.arrays_table import ArraysTable, columns_of, is_numeric, rate_of
 
-_BROKEN = (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile, MemoryError)
+_BROKEN = (
+    ValueError, TypeError, OSError, EOFError, KeyError, SyntaxError, OverflowError, MemoryError, NotImplementedError,
+    tokenize.TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 
 
 def load_arrays(path: Path) -> dict[str, Any]:
@@ -19,11 +25,13 @@ def load_arrays(path: Path) -> dict[str, Any]:
     if path.stat().st_size == 0:
         raise DataError("the file is empty", where=str(path))
     try:
-        stored = np.load(path, allow_pickle=False, mmap_mode="r" if path.suffix.lower() == ".npy" else None)
-        if isinstance(stored, np.ndarray):
-            return {"": stored}
-        with stored:
-            return {name: stored[name] for name in stored.files}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            stored = np.load(path, allow_pickle=False, mmap_mode="r" if path.suffix.lower() == ".npy" else None)
+            if isinstance(stored, np.ndarray):
+                return {"": stored}
+            with stored:
+                return {name: stored[name] for name in stored.files}
     except _BROKEN as error:
         reason = (str(error).splitlines() or ["damaged"])[0]
         raise DataError(f"is not a readable NumPy file of numbers ({reason[:80]})", where=str(path)) from None

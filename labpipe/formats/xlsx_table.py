@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import zipfile
+import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import datetime, time
@@ -41,10 +41,14 @@ class XlsxTable:
         if self.path.stat().st_size == 0:
             raise DataError("the file is empty", where=str(self.path))
         try:
-            book = openpyxl.load_workbook(self.path, read_only=True, data_only=True)
-            sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
-            book.close()
-        except (zipfile.BadZipFile, KeyError, ValueError, TypeError, OSError, EOFError, SyntaxError) as error:
+            with warnings.catch_warnings():
+                # Of styles and extensions that are no numbers.
+                warnings.simplefilter("ignore")
+                book = openpyxl.load_workbook(self.path, read_only=True, data_only=True)
+                sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
+                book.close()
+        # The library has errors of many kinds for a damaged file.
+        except Exception as error:
             reason = (str(error).splitlines() or ["damaged"])[0]
             raise DataError(f"is not a readable Excel workbook ({reason[:80]})", where=str(self.path)) from None
         numeric = {title: rows for title, rows in sheets.items() if any(map(_is_numeric, rows))}

@@ -102,4 +102,7 @@ def _band(force: FloatArray, sample_rate: float) -> tuple[float, float]:
     power = np.mean(np.abs(fft.rfft(blocks * np.hanning(length), axis=1)) ** 2, axis=0)
     power[0] = 0.0
     lines = np.flatnonzero(power > EXCITED * power.max()) * sample_rate / length
+    if not lines.size:
+        # A force that does not vary, or holds no number, has power nowhere.
+        return 0.0, 0.4 * sample_rate
     return float(lines[0]), float(min(lines[-1], 0.4 * sample_rate))

@@ -57,6 +57,24 @@ def test_another_unit_of_one_test_among_several_reaches_the_result(lab: Path, la
     assert ended.code == 0, ended
 
 
+def test_the_window_behind_a_table_is_taken_out(lab: Path, labpipe) -> None:
+    """H(j w + 1/tau) under a window of 0.7 s, which adds 2 m / tau = 5.714 N.s/m of damping: c comes out without it."""
+    rate = 1j * OMEGA + 1 / 0.7
+    element = 1 / (80e3 + 2.0 * rate**2 + 40 * rate)
+    np.savetxt(lab / "w.txt", np.column_stack([FREQUENCY, element.real, element.imag]))
+    table = (
+        TABLE.replace("amplitude_db: 2, phase_deg: 3", "re: 2, im: 3").replace("unit: g/N", "form: receptance").replace("h.txt", "w.txt")
+    )
+    entry = table.replace("input: y", "input: y, windowed: {exponential: 0.7 s}")
+    (lab / "p.yaml").write_text(HEAD.replace("{entry}", entry) + FIT + ACCEPT.replace("0.0001 %", "0.01 %"))
+    ended = labpipe("run", "p.yaml", "-o", "out")
+    assert ended.code == 0, ended
+    (lab / "p.yaml").write_text(
+        HEAD.replace("{entry}", table) + FIT + "accept: {support.c: 45.714 N.s/m +- 0.2 %}\nreport: {formats: []}\n"
+    )
+    assert labpipe("run", "p.yaml", "-o", "out").code == 0
+
+
 @pytest.mark.parametrize(
     ("entry", "fault"),
     [

@@ -135,6 +135,25 @@ def test_the_longest_group_of_an_mdf_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(whole(tmp_path / "r.mf4", "n", "time [s]", "f"), np.column_stack([ticks, times, force]))
 
 
+def test_damaged_files_are_refused_in_one_line(tmp_path: Path) -> None:
+    """Bytes overwritten: what the libraries throw, and what half-made objects of theirs say when they go, is one message."""
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as file:
+        file.append([Signal(np.arange(9.0), np.arange(9.0), name="f")])
+        file.save(tmp_path / "good.mf4")
+    np.save(tmp_path / "good.npy", np.arange(9.0))
+    np.savez_compressed(tmp_path / "good.npz", f=np.arange(9.0))
+    workbook(tmp_path / "good.xlsx", [1.0, 2.0])
+    for suffix, place in ((".mf4", 64), (".npy", 12), (".npz", 60), (".xlsx", -60)):
+        content = bytearray((tmp_path / f"good{suffix}").read_bytes())
+        content[place : place + 40] = b"{(" * 20
+        (tmp_path / f"bad{suffix}").write_bytes(content)
+        with pytest.raises(DataError, match="is not a readable") as caught:
+            whole(tmp_path / f"bad{suffix}")
+        assert len(str(caught.value).splitlines()) == 1
+
+
 @pytest.mark.parametrize(("module", "suffix", "extra"), [("openpyxl", ".xlsx", "excel"), ("asammdf", ".mf4", "mdf")])
 def test_a_library_that_is_not_there_is_named_with_its_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, suffix: str, extra: str
