@@ -42,16 +42,19 @@ class _Solved:
 class Evidence:
     """Inputs of a comparison: fits and responses of the tests, and the settings of the fits.
 
-    *solved*: cache of matched theories by fit, term and theory, since several comparisons use the same.
+    *conditions* of tests without a response (free decays), by their names. *solved*: cache of matched theories by fit, term and theory,
+    since several comparisons use the same.
     """
 
     fits: tuple[Fit, ...]
     responses: tuple[FrequencyResponse, ...]
     fit_settings: tuple[FitSettings, ...]
     solved: dict[tuple[str, str, TheorySettings], _Solved] = field(default_factory=dict)
+    conditions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def campaign(self, settings: CompareSettings) -> Campaign:
-        return campaign_of(settings, self.fits, {response.name: response.conditions for response in self.responses})
+        measured = {response.name: response.conditions for response in self.responses}
+        return campaign_of(settings, self.fits, {**measured, **self.conditions})
 
     def response(self, test: str) -> FrequencyResponse:
         """The response of a test; ConfigError where it is missing."""

@@ -26,6 +26,11 @@ def decay_findings(fitted: Decayed, tested: Judged, laws: dict[int, FittedLaw], 
     if not fitted.converged:
         message = f"the fit of the decay did not converge in {fitted.steps} steps; its numbers are not a result"
         warnings.append(Finding("no-convergence", message))
+    lasting = _lasting(fitted)
+    if lasting:
+        where = ", ".join(f"{frequency:.4g} Hz" for frequency in lasting)
+        what = f"the damping ratio at {where} cannot be told from zero at 95 %: hum, an excitation that goes on, or too short a decay"
+        warnings.append(Finding("insignificant", what))
     growing = fitted.poles[fitted.poles.real >= 0]
     if growing.size:
         where = ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in growing)
@@ -43,6 +48,13 @@ def decay_findings(fitted: Decayed, tested: Judged, laws: dict[int, FittedLaw], 
         )
         warnings.append(Finding("model-mismatch", message))
     return tuple(warnings)
+
+
+def _lasting(fitted: Decayed) -> list[float]:
+    """Frequencies [Hz] of the modes that decay, but by less than two standard errors of their decay."""
+    errors = np.sqrt(np.diag(fitted.covariance)[0::2])
+    lasting = (fitted.poles.real < 0) & (-fitted.poles.real < 2 * errors)
+    return [float(abs(pole) / (2 * np.pi)) for pole in fitted.poles[lasting]]
 
 
 def _over_amplitude(mode: int, fitted: FittedLaw, first: float) -> Finding:

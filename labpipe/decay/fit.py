@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -138,8 +138,8 @@ def _reported(
     )
 
 
-def _square_sum(parts: object) -> float:
-    return float(sum(np.sum(np.asarray(part) ** 2) for part in parts))  # type: ignore[attr-defined]
+def _square_sum(parts: Iterable[FloatArray]) -> float:
+    return sum(float(np.sum(part**2)) for part in parts)
 
 
 def _free_of_nuisance(piece: Piece) -> FloatArray:

@@ -41,12 +41,12 @@ def _frequency_and_damping(pole: complex) -> tuple[tuple[str, str, float, FloatA
     size = abs(pole)
     towards = np.array([pole.real, pole.imag]) / (2 * np.pi * size)
     turned = np.array([-(pole.imag**2), pole.real * pole.imag]) / size**3
-    return ("f_n", "Hz", size / (2 * np.pi), towards), ("zeta", "1", -pole.real / size, turned)
+    return ("f_n", "Hz", float(size / (2 * np.pi)), towards), ("zeta", "1", float(-pole.real / size), turned)
 
 
 def _support(pole: complex, block: FloatArray, mass: float, suffix: str, dof: int) -> tuple[Parameter, Parameter]:
     """k and c of the support under the mass."""
-    stiffness, damping = mass * abs(pole) ** 2, -2 * mass * pole.real
+    stiffness, damping = float(mass * abs(pole) ** 2), float(-2 * mass * pole.real)
     k = derived("k" + suffix, "N/m", stiffness, _error(2 * mass * np.array([pole.real, pole.imag]), block), dof)
     return k, derived("c" + suffix, "N.s/m", damping, _error(np.array([-2 * mass, 0.0]), block), dof)
 

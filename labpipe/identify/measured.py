@@ -116,7 +116,7 @@ def measured_part(response: FrequencyResponse, rows: list[int], columns: list[in
 
 def _leakage(response: FrequencyResponse, frequency: FloatArray) -> Leakage | None:
     blocks = response.blocks
-    if blocks is None or blocks.estimator != "H1":
+    if blocks is None or blocks.estimator != "H1" or blocks.degree:
         return None
     numbers = np.round(frequency * blocks.length).astype(np.intp)
     return Leakage(kernel_of(blocks), numbers, np.array(response.line_correlation, float), DERIVATIVES[response.form])

@@ -195,6 +195,14 @@ class Identification:
         return not self.failed and all(outcome.passed for outcome in self.outcomes)
 
     @property
+    def measured_tests(self) -> list[tuple[str, dict[str, Any]]]:
+        """Name and conditions of every test that was measured: as a response, or as free decays that were fitted."""
+        if self.responses:
+            return [(response.name, response.conditions) for response in self.responses]
+        decayed = {fit.test for fit in self.fits if fit.ring_down is not None}
+        return [(name, dict(conditions)) for name, conditions in self.test_conditions.items() if name in decayed]
+
+    @property
     def test_conditions(self) -> dict[str, dict[str, str]]:
         """The conditions of every test by its name, as people wrote them: as listed, and as its response had them."""
         listed = {test["name"]: dict(test["conditions"]) for test in self.settings.get("tests", [])}

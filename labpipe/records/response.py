@@ -36,13 +36,17 @@ class Port:
 
 @dataclass(frozen=True)
 class Blocks:
-    """Blocks of random data averaged to an FRF: length [s], window, overlap of neighbours [1], number, estimator (H1, H2, Hv)."""
+    """Blocks of random data averaged to an FRF: length [s], window, overlap of neighbours [1], number, estimator (H1, H2, Hv).
+
+    degree: of the local polynomials that take the place of the window; 0 for Welch's averages.
+    """
 
     length: float
     window: str
     overlap: float
     number: int
     estimator: str
+    degree: int = 0
 
 
 @dataclass(frozen=True, repr=False)

@@ -16,11 +16,11 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
     rigs = dict.fromkeys(str(result.rig["name"]) for result in identifications if result.rig.get("name"))
     of_sections = [facts for result in identifications for facts in section_facts(result)]
     rigs |= dict.fromkeys(facts["rig"] for facts in of_sections if "rig" in facts)
-    tests = [response for result in identifications for response in result.responses]
-    dates = sorted({str(value) for test in tests for key, value in test.conditions.items() if key.lower() in DATES})
+    tests = [conditions for result in identifications for _, conditions in result.measured_tests]
+    dates = sorted({str(value) for test in tests for key, value in test.items() if key.lower() in DATES})
     conditions: dict[str, list[str]] = {}
     for test in tests:
-        for key, value in test.conditions.items():
+        for key, value in test.items():
             if key.lower() not in DATES:
                 conditions.setdefault(key, []).append(str(value))
     sources = {source["sha256"] for result in identifications for source in result.sources}

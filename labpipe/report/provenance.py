@@ -37,7 +37,7 @@ def _rig(identification: Identification) -> tuple[Block, ...]:
         )
         header = ("channel", "column", "quantity", "role", "dof", "recorded unit", "SI per recorded unit")
         blocks.append(Table(header, rows, "Channels", (6,)))
-    conditions = {response.name: response.conditions for response in identification.responses if response.conditions}
+    conditions = {name: entry for name, entry in identification.measured_tests if entry}
     stated = tuple((test or "test", key, str(value)) for test, entry in conditions.items() for key, value in entry.items())
     if stated:
         blocks.append(Table(("test", "condition", "value"), stated, "Test conditions"))

@@ -14,6 +14,7 @@ from labpipe.records.response import Blocks
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.coherence import multiple_coherence, ordinary_coherence, partial_coherence
 from labpipe.spectra.estimators import ESTIMATORS, INSTRUMENTS
+from labpipe.spectra.from_local import local_parts
 from labpipe.spectra.halves import Halved, change_of_random, cut_at, joined_spectra
 from labpipe.spectra.independence import check_forces, check_responses
 from labpipe.spectra.parts import Parts, coherence_findings, lines_left
@@ -26,7 +27,9 @@ from labpipe.spectra.windows import window_values
 
 
 def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
-    """The FRF from Welch averages of all recordings; DataError for recordings or forces that do not allow one."""
+    """The FRF from Welch averages of all recordings, or by local polynomials; DataError for recordings or forces that do not allow one."""
+    if settings.local == "polynomial":
+        return local_parts(sources, settings, layout)
     halved = [_welch_average(source, settings) for source in sources]
     spectra = [whole for whole, _ in halved]
     assert settings.block is not None

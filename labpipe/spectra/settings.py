@@ -15,6 +15,7 @@ NEEDED = {"periodic": "period", "random": "block", "impact": "block"}
 OF_RESPONSES = ("period", "block", "band", "exclude", "mask", "remove", "directional")
 ESTIMATORS = ("H1", "H2", "Hv")
 DETRENDS = ("constant", "linear", "none")
+LOCALS = ("none", "polynomial")
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,11 @@ class FrfSettings(Settings):
     overlap: float = setting("value", "overlap of neighbouring blocks (random)", unit="1", default=0.5)
     detrend: str = setting("choice", "trend taken out of every block (random)", choices=DETRENDS, default="constant")
     estimator: str = setting("choice", "estimator of random data and hits", choices=ESTIMATORS, default="H1")
+    local: str = setting(
+        "choice", "FRF and leakage as polynomials over neighbouring lines, in place of a window (random)", choices=LOCALS, default="none"
+    )
+    degree: int = setting("integer", "degree of the local polynomials", default=2)
+    half_width: int | None = setting("integer", "lines to either side that they span; default: as many as the noise needs", default=None)
     band: tuple[float, float] | None = setting("band", "frequencies kept", unit="Hz", default=None)
     exclude: tuple[tuple[float, float], ...] = setting("bands", "bands left out", unit="Hz", default=())
     mask: MaskSettings | None = setting("section", "lines of the shaft speed left out", section=MaskSettings, default=None)
@@ -129,6 +135,7 @@ class FrfSettings(Settings):
         if self.realisations and self.excitation != "periodic":
             raise ConfigError(f"'realisations' are of periodic excitation, not of {self.excitation}", hint="leave it out")
         self._check_windowed()
+        self._check_local()
         if self.remove is not None and self.excitation != "random":
             what = f"'remove' works on random excitation, not on {self.excitation}"
             raise ConfigError(what, hint="leave the lines out with `mask`")
@@ -146,6 +153,19 @@ class FrfSettings(Settings):
     def damping_window(self) -> float | None:
         """Time constant [s] of the exponential window that the blocks of hits have in the end, whoever applied it; None for none."""
         return self.impact.decay if self.windowed is None else self.windowed.exponential
+
+    def _check_local(self) -> None:
+        """ConfigError for a local method without random data, and for polynomials without room."""
+        if self.local == "none":
+            return
+        if self.excitation != "random":
+            raise ConfigError(f"'local' is for random excitation, not for {self.excitation}", hint="leave it out", field="local")
+        if self.estimator != "H1":
+            raise ConfigError(f"'local' takes the forces as exact, {self.estimator} does not", hint="estimator: H1", field="estimator")
+        if self.degree < 1:
+            raise ConfigError(f"'degree' is {self.degree}", hint="2 follows a resonance, 4 follows it better", field="degree")
+        if self.half_width is not None and self.half_width <= self.degree:
+            raise ConfigError("'half_width' must exceed 'degree'", hint="leave it out", field="half_width")
 
     def _check_length(self) -> None:
         """ConfigError where the length of a period or block is missing, or where a free decay is given keys of responses."""

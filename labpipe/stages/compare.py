@@ -29,7 +29,8 @@ def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparis
 
     Otherwise LabpipeError names the comparison.
     """
-    evidence = Evidence(tuple(work.fits), tuple(work.responses), work.pipeline.fits)
+    conditions = {test.name: test.conditions for test in work.tests}
+    evidence = Evidence(tuple(work.fits), tuple(work.responses), work.pipeline.fits, conditions=conditions)
     comparisons: list[Comparison] = []
     for comparison in settings:
         try:

@@ -149,7 +149,10 @@ def _sources(files: Sequence[Path], paths: Sequence[str], kind: str) -> list[str
 
 def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
     if excitation is None:
-        return ["frf:", f"  excitation: {DECIDE}    {MARK} periodic (with period: 1 s), random or impact (with block: 1 s)"]
+        return [
+            "frf:",
+            f"  excitation: {DECIDE}    {MARK} periodic (with period: 1 s), random or impact (with block: 1 s), decay (no force)",
+        ]
     remark = {
         "periodic": f"period of {excitation.length} samples, {excitation.repeats} times",
         "random": "force without a period",

@@ -8,6 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import labpipe as library
+from labpipe.artefacts.identification_file import read_identification
+from labpipe.report.cover import cover_facts
+
 RIG = """name: Struck
 sample_rate: 512 Hz
 channels:
@@ -47,6 +51,7 @@ def test_stage_by_stage_gives_the_same_as_all_at_once(lab: Path, labpipe) -> Non
     assert labpipe("run", lab / "pipeline.yaml", "-o", lab / "whole").code == 0
     ended = labpipe("frf", "-c", lab / "pipeline.yaml", "-o", lab / "parts")
     assert ended.code == 0 and "1 free decay(s) of y at 512 Hz" in ended.out and (lab / "parts/frf.decay.parquet").exists()
+    assert library.read(lab / "parts/frf.decay.parquet").decays[0].samples.shape[0] == 1024 - 13
     assert labpipe("identify", "-c", lab / "pipeline.yaml", "-o", lab / "parts").code == 0
     assert labpipe("identify", "-c", lab / "pipeline.yaml", "-o", lab / "named", lab / "parts/frf.decay.parquet").code == 0
     fits = [json.loads((lab / folder / "identification.json").read_text())["fits"] for folder in ("whole", "parts", "named")]
@@ -74,6 +79,24 @@ def test_a_second_run_finds_everything_fresh_and_another_start_does_not(lab: Pat
     labpipe("run", lab / "pipeline.yaml", "-o", lab / "out", "--set", "frf.decay.start=0.5 s")
     message = json.loads(result.read_text())["fits"][0]["remarks"][0]["message"]
     assert "0.5 s to 2 s" in message
+
+
+def test_decays_are_compared_over_their_conditions(lab: Path, labpipe) -> None:
+    """The same recording under two preloads: no trend; cover and provenance name the conditions."""
+    (lab / "again.csv").write_text((lab / "ring.csv").read_text())
+    tests = "tests:\n" + "".join(
+        f"  - {{name: {name}, recordings: {file}, conditions: {{preload: {force} N}}}}\n"
+        for name, file, force in (("low", "ring.csv", 100), ("mid", "again.csv", 150), ("high", "ring.csv", 200))
+    )
+    trend = "compare:\n  trend: {kind: trend, fit: ring, parameter: k, over: preload, law: power}\nreport: {formats: [md]}\n"
+    (lab / "pipeline.yaml").write_text(PIPELINE.replace("recordings: ring.csv\n", tests).replace("report: {formats: []}\n", trend))
+    ended = labpipe("run", lab / "pipeline.yaml", "-o", lab / "out")
+    assert ended.code == 0, ended.err
+    result = json.loads((lab / "out/identification.json").read_text())
+    assert len(result["fits"]) == 3 and result["comparisons"][0]["name"] == "trend"
+    facts = dict(cover_facts([read_identification(lab / "out/identification.json")]))
+    assert facts["tests"] == "3 measured, from 1 source file(s)" and facts["preload"] == "100 N, 150 N, 200 N"
+    assert "| mid | preload | 150 N |" in (lab / "out/report.md").read_text()
 
 
 @pytest.mark.parametrize(

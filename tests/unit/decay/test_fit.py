@@ -84,6 +84,11 @@ def test_a_band_is_fitted_alone() -> None:
     assert fit.band_hz == (35.0, 45.0) and abs(fit.parameter("f_n_1").value - 40) < 0.01 and fit.findings == ()
 
 
+def test_an_oscillation_that_does_not_decay_is_no_mode() -> None:
+    fit = fitted(record(noisy([motion(((40.0, 1e-7, 0.3, 0.3),), times())], 5)))
+    assert {f.code for f in fit.findings} & {"insignificant", "unphysical"} and fit.parameter("zeta_1").significant is False
+
+
 @pytest.mark.parametrize(
     ("settings", "error", "message"),
     [
