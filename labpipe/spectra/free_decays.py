@@ -26,6 +26,10 @@ STILL_FULL = 0.95
 # A decay ends where its rms has come down to this many times that of the quietest stretches, and goes on for this share of its length:
 # an amplitude of the noise's size still says something.
 QUIET, BEYOND = 1.5, 0.5
+# Part of the largest rms below which a channel stands still: no sensor has so little noise.
+STILL = 1e-6
+# Stretches of noise, one after another, that end a decay: longer than the nodes of a beat that still stands out.
+SILENCE = 8
 # The largest rms over that of the quietest stretches below which nothing decays, and samples of a stretch at least.
 LEAST_RATIO = 4.0
 LEAST_STRETCH = 64
@@ -103,7 +107,9 @@ def _levels(samples: FloatArray, name: str) -> _Levels:
     size = np.sqrt(np.sum((swinging / np.std(swinging, axis=0)) ** 2, axis=1))
     levels = _Levels(size, period, 0.0)
     rms = _rms(size, levels.stretch)
-    quiet = float(np.quantile(rms, 0.05)) if rms.size else float("inf")
+    # A channel that stands still for a while (saturated, switched off) says nothing about its noise.
+    moving_rms = rms[rms > STILL * np.max(rms, initial=0.0)]
+    quiet = float(np.quantile(moving_rms, 0.05)) if moving_rms.size else float("inf")
     if not rms.size or np.max(rms) < LEAST_RATIO * quiet:
         raise DataError(f"in recording '{name}' no decay stands out of the noise", hint="excite it more, or name `start` and `end`")
     return replace(levels, floor=quiet)
@@ -164,5 +170,8 @@ def _end(levels: _Levels, start: int, limit: int) -> int:
     # Of five neighbouring stretches the median, so that a single loud one does not count.
     smooth = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(rms, 2, mode="edge"), 5), axis=1) if rms.size else rms
     loud = np.flatnonzero(smooth > QUIET * levels.floor)
-    length = (int(loud[-1]) + 1) * levels.stretch if loud.size else 0
+    # What is loud again after a long silence is something else: a hit too weak to be seen as one, a step, a touch.
+    silence = np.flatnonzero(np.diff(loud) > SILENCE)
+    last = loud[silence[0] if silence.size else -1] if loud.size else -1
+    length = (int(last) + 1) * levels.stretch
     return min(limit, start + round((1 + BEYOND) * length))

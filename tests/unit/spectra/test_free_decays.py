@@ -155,3 +155,9 @@ def test_a_drifting_rest_position_is_no_response() -> None:
     found = spans(recorded(y + wander))
     assert [round(start, 1) for start, _ in found] == [10.0, 40.0]
     assert all(end - start < 1.8 for start, end in found)
+
+
+def test_a_decay_does_not_go_on_through_silence_into_a_hit_too_weak_to_count() -> None:
+    """The second hit is four times the noise: no decay of its own, and no part of the first, which is lost in the noise after 1 s."""
+    ((start, end),) = spans(recorded(struck((0.5, 15.0), 30.0, zeta=0.02, strengths=(1.0, 0.04))))
+    assert start < 0.6 and end < 3.0
