@@ -27,7 +27,7 @@ def read_geometry(path: Path) -> Geometry:
     if not path.exists():
         raise DataError("no such file", where=str(path))
     try:
-        return read_geometry_uff(path) if path.suffix.lower() in UFF_SUFFIXES else read_geometry_csv(path)
+        return (read_geometry_uff(path) if path.suffix.lower() in UFF_SUFFIXES else read_geometry_csv(path)).checked()
     except DataError as error:
         error.where = error.where or str(path)
         raise

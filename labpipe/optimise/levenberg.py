@@ -81,6 +81,8 @@ def linearised_by_qr(problem: SquareSum, parameters: FloatArray) -> Linearisatio
     """The linearisation at *parameters* (n_parameter,) [parameter units] from residual and Jacobian."""
     residual, jacobian = problem.residual(parameters), problem.jacobian(parameters)
     scale = np.linalg.norm(jacobian, axis=0)
+    # A parameter that has run off to where nothing depends on it: damping keeps the step finite.
+    scale[scale == 0] = 1.0
     joint = np.asarray(np.linalg.qr(np.column_stack([jacobian / scale, residual]), mode="r"))
     n = scale.size
     return Linearisation(joint[:n, :n], joint[:n, -1], scale, float(residual @ residual), residual.size)

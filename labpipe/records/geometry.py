@@ -26,7 +26,8 @@ class Geometry:
     positions: FloatArray
     lines: IntArray
 
-    def __post_init__(self) -> None:
+    def checked(self) -> Geometry:
+        """The same; DataError for no point, one that stands twice, or a position that is no number."""
         repeated = [name for n, name in enumerate(self.names) if name in self.names[:n]]
         if repeated:
             raise DataError(f"point '{repeated[0]}' stands twice")
@@ -34,6 +35,7 @@ class Geometry:
             raise DataError("holds no point")
         if not np.all(np.isfinite(self.positions)):
             raise DataError("a position is no number")
+        return self
 
     def motion(self, dofs: Sequence[str], shapes: ComplexArray) -> ComplexArray:
         """How every point moves in each mode, (n_mode, n_point, 3) [1], from *shapes* (n_dof, n_mode) at the *dofs*; 0 where unmeasured.

@@ -29,6 +29,14 @@ class Parameter:
     std_error_inflated: float | None = None
 
     @property
+    def noise_ci95(self) -> tuple[float, float] | None:
+        """The 95 % interval by noise alone, for what is compared with a value of the same model on the same lines."""
+        if self.ci95 is None or not self.full_error or self.std_error is None:
+            return self.ci95
+        share = self.std_error / self.full_error
+        return self.value + share * (self.ci95[0] - self.value), self.value + share * (self.ci95[1] - self.value)
+
+    @property
     def full_error(self) -> float | None:
         """The standard error that goes with the interval: the inflated one, where there is one."""
         return self.std_error if self.std_error_inflated is None else self.std_error_inflated
