@@ -38,6 +38,8 @@ def decay_findings(fitted: Decayed, tested: Judged, laws: dict[int, FittedLaw], 
             Finding("unphysical", f"the oscillation at {where} does not decay: energy enters the structure, or it is an excitation")
         )
     warnings.extend(_over_amplitude(mode, law, amplitudes[mode]) for mode, law in laws.items())
+    gaining = [mode for mode, law in laws.items() if law.law.zeta_rest < -2 * np.sqrt(law.covariance[0, 0])]
+    warnings.extend(_gaining(mode, laws[mode].law.zeta_rest) for mode in gaining)
     explained = laws and all(law.law.p_value >= MISMATCH_P for law in laws.values())
     if not explained and min(tested.white, tested.amplitude) < MISMATCH_P:
         p_value = min(tested.white, tested.amplitude)
@@ -66,3 +68,12 @@ def _over_amplitude(mode: int, fitted: FittedLaw, first: float) -> Finding:
         f"(zeta_rest_{mode + 1}, zeta_slope_{mode + 1}); the frequency differs by {change:.2g} % there. Compare decays of one amplitude."
     )
     return Finding("amplitude-dependent", message)
+
+
+def _gaining(mode: int, zeta_rest: float) -> Finding:
+    message = (
+        f"mode {mode + 1}: the law over the amplitude has a damping ratio of {zeta_rest:.4g} at rest (zeta_rest_{mode + 1}), and a "
+        "structure at rest gains no energy. The amplitude is not what it depends on: two close modes that beat look like this. "
+        "Raise `modes`."
+    )
+    return Finding("unphysical", message)

@@ -69,6 +69,16 @@ def test_damping_over_amplitude_warns_and_takes_the_intervals() -> None:
     assert fit.ring_down.modes[0].law is not None
 
 
+def test_two_modes_that_beat_are_not_taken_for_a_law_that_gains_energy() -> None:
+    """Two linear modes 0.2 Hz apart under one: the law fits the beat with a damping at rest that no structure has."""
+    beating = motion(((40.0, 0.005, 1.0, 0.3), (40.2, 0.005, 0.5, 2.8)), times(2.0))
+    fit = fitted(record(noisy([beating], 1)))
+    rest = fit.parameter("zeta_rest_1")
+    assert rest.ci95 is not None and rest.ci95[1] < 0
+    (finding,) = [finding for finding in fit.findings if finding.code == "unphysical"]
+    assert "Raise `modes`" in finding.message and f"{rest.value:.4g}" in finding.message
+
+
 def test_a_mode_too_few_warns() -> None:
     fit = fitted(record(noisy([motion((*ONE, (55.0, 0.01, 0.05, 1.0)), times())], 4)))
     assert "model-mismatch" in [f.code for f in fit.findings] and "55" in fit.findings[-1].message
