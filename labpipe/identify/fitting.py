@@ -48,19 +48,23 @@ from labpipe.spectra.convert import receptance_factor
 Band = tuple[float, float]
 
 
-def identify(measured: FrequencyResponse | FreeDecays, settings: FitSettings) -> tuple[Fit, ...]:
+def identify(measured: FrequencyResponse | FreeDecays, settings: FitSettings, *, judging: bool = True) -> tuple[Fit, ...]:
     """Fit the settings' model to a response or to free decays: one Fit, or one per band or chosen peak.
 
+    *judging*: what a residual that is not noise shows widens the intervals; without it they are those of the estimator alone, which a
+    study counts, at a fraction of the time.
     Raises ConfigError where settings and measurement do not fit together, FitError where the data cannot support the fit.
     """
     check_kind(settings, DECAYS if isinstance(measured, FreeDecays) else RESPONSES)
+    if settings.kind.fit is fit_linear:
+        return fit_linear(measured, settings, judging=judging)  # type: ignore[arg-type]
     return settings.kind.fit(measured, settings)
 
 
-def fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
-    """Fits of a model linear in its parameters: one per band or chosen peak."""
+def fit_linear(response: FrequencyResponse, settings: FitSettings, *, judging: bool = True) -> tuple[Fit, ...]:
+    """Fits of a model linear in its parameters: one per band or chosen peak; *judging* as for `identify`."""
     if settings.peaks:
-        return tuple(fit for dof, bands in settings.peaks for fit in _diagonal_term(response, settings, dof, bands))
+        return tuple(fit for dof, bands in settings.peaks for fit in _diagonal_term(response, settings, dof, bands, judging))
     rows, columns = select_ports(response, settings.input, settings.output)
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
@@ -70,7 +74,7 @@ def fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
     for band, lines in bands:
         measured = measured_part(response, rows, columns, lines)
         try:
-            fit = _fit_band(setup, model, measured, band, len(bands))
+            fit = _fit_band(setup, model, measured, band, len(bands), judging)
         except FitError as error:
             raise FitError(f"band {band[0]:g}-{band[1]:g} Hz: {error.what}", where=error.where, hint=error.hint) from None
         drift = drift_findings(measured, fit.model, fit.values, len(bands))
@@ -82,10 +86,10 @@ def fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
     return tuple(fits)
 
 
-def _diagonal_term(response: FrequencyResponse, settings: FitSettings, dof: str, bands: tuple[Band, ...]) -> list[Fit]:
+def _diagonal_term(response: FrequencyResponse, settings: FitSettings, dof: str, bands: tuple[Band, ...], judging: bool) -> list[Fit]:
     """The fits of H of *dof* to the force along it, one per band; errors name the term."""
     try:
-        fits = identify(response, replace(settings, peaks=(), bands=bands, input=(dof,), output=(dof,)))
+        fits = identify(response, replace(settings, peaks=(), bands=bands, input=(dof,), output=(dof,)), judging=judging)
     except LabpipeError as error:
         error.what = f"term {dof}: {error.what}"
         raise
@@ -140,7 +144,7 @@ def _estimated(measured: Measured, model: BandModel, settings: FitSettings) -> E
     return ESTIMATORS[settings.estimator](measured, model, settings.weight)
 
 
-def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_band: int) -> _BandFit:
+def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_band: int, judging: bool) -> _BandFit:
     settings = setup.settings
     estimate = _estimated(measured, model, settings)
     dropped: list[str] = []
@@ -149,7 +153,7 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
     shown = expected(measured, model) if settings.estimator == "ml" else model
     fitted = shown.receptance(estimate.values, measured.omega)
     leakage = leakage_findings(measured, model.whole(estimate.values), settings.estimator)
-    judgement = judge(measured, model, estimate, settings.estimator, n_band, leaking=bool(leakage))
+    judgement = judge(measured, model, estimate, settings.estimator, n_band, leaking=bool(leakage)) if judging else Judgement()
     parameters = reported_parameters(estimate, model, setup)
     notes = (*estimate.notes, *dropped)
     if settings.bootstrap:

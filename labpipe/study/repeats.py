@@ -70,9 +70,9 @@ def _repeated(
 
 
 def _outcome(response: FrequencyResponse, settings: FitSettings) -> Outcome:
-    """A fit with FitError counts as not converged."""
+    """A fit with FitError counts as not converged; intervals are those of the estimator alone."""
     try:
-        (fit,) = identify(response, settings)
+        (fit,) = identify(response, settings, judging=False)
     except FitError:
         return Outcome(False, ())
     return Outcome(fit.converged, fit.parameters)

@@ -19,7 +19,7 @@ def pipeline(tmp_path_factory: pytest.TempPathFactory) -> Path:
     fits = "\n".join(
         f"  {name}: {{model: mdof, mass: [1 kg, 2 kg, 3 kg], symmetric: true, estimator: {name}}}" for name in ("ls", "iv", "ml")
     )
-    rules = '  study.ml.rmse_over_bound: [">= 0.8", "<= 1.2"]\n  study.ls[4 %].coverage: ">= 80 %"\n'
+    rules = '  study.ml.rmse_over_bound: [">= 0.8", "<= 1.2"]\n  study.ls[4 %].coverage: <= 90 %\n'
     study = f"study:\n  rig: {root}/configs/three-dof.yaml\n  noise: [2 %, 4 %]\n  repeats: 16\n"
     path.write_text(f"title: small\n{study}identify:\n{fits}\nexpect:\n{rules}", encoding="utf-8")
     return path
