@@ -53,7 +53,9 @@ def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout
     DataError when a recording has no dwells, when one is too short, when the recordings have no frequency in common, or when the forces
     are not independent.
     """
-    measured = [_lines(source, settings, layout.input_columns[number]) for number, source in enumerate(sources)]
+    measured = [
+        _lines(source, settings, layout.input_columns[number], layout.output_columns[number]) for number, source in enumerate(sources)
+    ]
     common, n_alone = _common([lines for lines, _ in measured])
     frequency = np.array([np.mean([line.frequency for line in row]) for row in common])
     chosen = lines_left(frequency, settings)
@@ -110,18 +112,21 @@ def _alone(number: int) -> tuple[Finding, ...]:
     return (Finding("dwells-left-out", f"{number} dwell(s) are left out: not every recording has their frequency"),)
 
 
-def _lines(source: SampleSource, settings: FrfSettings, input_columns: Sequence[int]) -> tuple[list[Line], Finding]:
+def _lines(
+    source: SampleSource, settings: FrfSettings, input_columns: Sequence[int], output_columns: Sequence[int]
+) -> tuple[list[Line], Finding]:
     """The evaluated dwells of a recording by rising frequency, and a note on them."""
     samples = np.concatenate(list(checked_blocks(source)))
     rate = source.sample_rate
     force = loudest(samples, np.array([column for column in input_columns if column >= 0]))
     try:
         dwells = _loud_sines(samples[:, force], find_dwells(samples[:, force]))
-        courses = _courses(samples, dwells, rate, force)
+        # The other forces are noise here, references know nothing of the steps.
+        courses = _courses(samples[:, [force, *output_columns]], dwells, rate)
         settle = _settle(courses) if settings.settle is None else settings.settle
     except DataError as error:
         raise DataError(f"'{source.name}': {error.what}", hint=error.hint) from None
-    settling = _Settling(settle, min(settle, _settle_of_force(courses, force, settle)), settings.skip)
+    settling = _Settling(settle, min(settle, _settle_of_force(courses, settle)), settings.skip)
     lines = [_line(source, samples, dwell, settling, force) for dwell in dwells]
     merged = _merged(lines)
     used = sum(line.duration for line in lines) * rate / samples.shape[0]
@@ -166,13 +171,13 @@ class _Settling:
         return int(np.ceil(max(time * rate, self.periods / dwell.frequency)))
 
 
-def _courses(samples: FloatArray, dwells: list[Dwell], rate: float, force: int) -> list[Course]:
-    """The amplitudes of the dwells that have periods enough, from the step on."""
+def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Course]:
+    """The amplitudes of the dwells that have periods enough, from the step on; the first channel is the force that steps."""
     courses = []
     for dwell in dwells:
         part = samples[dwell.start : dwell.stop]
         # An error of the frequency would turn the amplitudes as a transient does; the force settles first.
-        frequency = sine_frequency(part[part.shape[0] // 2 :, force], dwell.frequency)
+        frequency = sine_frequency(part[part.shape[0] // 2 :, 0], dwell.frequency)
         length = max(1, int(np.ceil(LEAST_SAMPLES * frequency))) / frequency
         count = int(part.shape[0] / length) - 1
         if count >= 2 * LEAST_BLOCKS:
@@ -188,10 +193,10 @@ def _settle(courses: list[Course]) -> float:
     return settle_time(courses)
 
 
-def _settle_of_force(courses: list[Course], force: int, otherwise: float) -> float:
+def _settle_of_force(courses: list[Course], otherwise: float) -> float:
     """The time after a step [s] from which the force alone is steady: it gives the frequency, the more exactly the longer it is."""
     try:
-        return _settle([course.of(force) for course in courses])
+        return _settle([course.of(0) for course in courses])
     except DataError:
         return otherwise
 
@@ -207,7 +212,10 @@ def _line(source: SampleSource, samples: FloatArray, dwell: Dwell, settling: _Se
     if count < LEAST_BLOCKS:
         length, needed = (dwell.stop - dwell.start) / rate, (start - dwell.start + (LEAST_BLOCKS * per_block + 2) / dwell.frequency) / rate
         what = f"the dwell of '{source.name}' at {dwell.frequency * rate:.6g} Hz lasts {length:.3g} s, {needed:.3g} s are needed"
-        raise DataError(f"{what}: {settling.responses:.3g} s for its transient, then periods", hint="longer dwells, or state `settle`")
+        raise DataError(
+            f"{what}: {settling.responses:.3g} s for its transient, then periods",
+            hint="longer dwells, or state `settle`; a slow sweep has none",
+        )
     rough = samples[start : start + round(n_period / dwell.frequency)]
     period = round(1 / dwell.frequency)
     steady = samples[dwell.start + settling.samples(settling.force, dwell, rate) : dwell.stop - period, force]

@@ -99,6 +99,15 @@ def test_recordings_of_two_forces_give_one_matrix_at_the_frequencies_they_share(
     ]
 
 
+def test_a_reference_channel_has_no_say_in_what_has_settled() -> None:
+    """A temperature that wanders all the time never settles; the FRF is that without it."""
+    plain = record(1, (36.0, 38.0, 40.0, 42.0, 44.0))
+    wandering = np.cumsum(np.random.default_rng(9).normal(size=plain.samples.shape[0]))
+    channels = (*CHANNELS, Channel("t", "temperature", "reference", "", 0.0))
+    both = dataclasses.replace(plain, channels=channels, samples=np.column_stack([plain.samples, wandering]))
+    np.testing.assert_allclose(measure([both], STEPPED).matrix, measure([plain], STEPPED).matrix, rtol=1e-12)
+
+
 def test_dwells_at_one_frequency_are_averaged() -> None:
     """Three dwells at each frequency: a third of the variance, three times the degrees of freedom."""
     steps = (36.0, 38.0, 40.0, 42.0, 44.0)
