@@ -12,7 +12,7 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.records.recording import Channel, Recording
 from labpipe.spectra.dwells import find_dwells
 from labpipe.spectra.measurement import measure
-from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.settings import FrfSettings, MaskSettings
 from labpipe.spectra.sine_fit import frequency_variance, sine_frequency
 from tests.unit.spectra.stepped_oscillator import CHANNELS, POLE, RATE, STEPS, motion, receptance, record
 
@@ -155,6 +155,7 @@ def test_dwells_too_short_and_steps_without_a_frequency_in_common_are_refused() 
     [
         ({"excitation": "random", "block": "1 s", "settle": "1 s"}, "'settle' is for stepped-sine, not for random"),
         ({"settle": "-1 s"}, "'settle' must not be negative"),
+        ({"mask": MaskSettings(speed=50.0)}, "'mask' needs its 'width' with stepped-sine"),
         ({"block": "1 s"}, "'block' is not for stepped-sine"),
     ],
 )
