@@ -17,13 +17,17 @@ def masked_bands(sources: Sequence[SampleSource], settings: FrfSettings) -> tupl
     """Bands (low, high) [Hz] around 1x, 2x, ... of every recording: slowest to fastest speed, extended by the mask's width."""
     if settings.mask is None:
         return ()
-    length = settings.period or settings.block
-    assert length is not None
-    width = LOBE[settings.excitation] / length if settings.mask.width is None else settings.mask.width
+    width = _usual_width(settings) if settings.mask.width is None else settings.mask.width
     ranges = dict.fromkeys(shaft_motion(source, settings.mask).speed_range for source in sources)
     return tuple(
         (max(order * low - width, 0.0), order * high + width) for low, high in ranges for order in range(1, settings.mask.harmonics + 1)
     )
+
+
+def _usual_width(settings: FrfSettings) -> float:
+    length = settings.period or settings.block
+    assert length is not None
+    return LOBE[settings.excitation] / length
 
 
 def mask_findings(bands: Sequence[tuple[float, float]]) -> tuple[Finding, ...]:

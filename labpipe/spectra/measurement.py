@@ -17,6 +17,7 @@ from labpipe.spectra.directional import directional
 from labpipe.spectra.from_impact import impact_parts
 from labpipe.spectra.from_periodic import LOW_SNR, periodic_parts
 from labpipe.spectra.from_random import random_parts
+from labpipe.spectra.from_stepped import stepped_parts
 from labpipe.spectra.joining import joined
 from labpipe.spectra.masks import mask_findings, masked_bands
 from labpipe.spectra.parts import Parts
@@ -33,6 +34,7 @@ EXCITATIONS: dict[str, Callable[[Sequence[SampleSource], FrfSettings, Layout], P
     "periodic": periodic_parts,
     "random": random_parts,
     "impact": impact_parts,
+    "stepped-sine": stepped_parts,
 }
 
 

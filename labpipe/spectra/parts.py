@@ -1,4 +1,4 @@
-"""The result of one excitation's evaluation, common to periodic, random and impact excitation."""
+"""The result of one excitation's evaluation, common to periodic, random, impact and stepped-sine excitation."""
 
 from __future__ import annotations
 

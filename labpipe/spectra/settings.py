@@ -8,7 +8,7 @@ from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, setting
 from labpipe.records.windowed import WindowedSettings
 
-EXCITATIONS = ("periodic", "random", "impact", "decay")
+EXCITATIONS = ("periodic", "random", "impact", "stepped-sine", "decay")
 # What each excitation must be given, if anything.
 NEEDED = {"periodic": "period", "random": "block", "impact": "block"}
 # Keys that a free decay has no use for: there is no FRF.
@@ -99,7 +99,12 @@ class FrfSettings(Settings):
     excitation: str = setting("choice", "kind of excitation", choices=EXCITATIONS)
     _: KW_ONLY
     period: float | None = setting("value", "length of one period of a periodic excitation", unit="s", default=None)
-    skip: int = setting("integer", "transient periods dropped at the start (periodic)", default=1)
+    skip: int = setting(
+        "integer", "transient periods dropped at the start (periodic), or at least, after each step (stepped-sine)", default=1
+    )
+    settle: float | None = setting(
+        "value", "time dropped after each step (stepped-sine); default: until the transient is in the noise", unit="s", default=None
+    )
     smooth: int = setting("integer", "noise is averaged over this many lines to either side (periodic)", default=5)
     block: float | None = setting("value", "length of one block (random, impact)", unit="s", default=None)
     window: str = setting("text", "window of random data: any name of scipy.signal.get_window", default="hann")
@@ -136,9 +141,21 @@ class FrfSettings(Settings):
             raise ConfigError(f"'realisations' are of periodic excitation, not of {self.excitation}", hint="leave it out")
         self._check_windowed()
         self._check_local()
+        self._check_stepped()
         if self.remove is not None and self.excitation != "random":
             what = f"'remove' works on random excitation, not on {self.excitation}"
             raise ConfigError(what, hint="leave the lines out with `mask`")
+
+    def _check_stepped(self) -> None:
+        """ConfigError for a settling time without steps, and for a mask without width where no block or period sets one."""
+        if self.excitation != "stepped-sine":
+            if self.settle is not None:
+                raise ConfigError(f"'settle' is for stepped-sine, not for {self.excitation}", hint="leave it out", field="settle")
+            return
+        if self.settle is not None and self.settle < 0:
+            raise ConfigError("'settle' must not be negative", field="settle")
+        if self.mask is not None and self.mask.width is None:
+            raise ConfigError("'mask' needs its 'width' with stepped-sine", hint="mask: {speed: 50 Hz, width: 0.5 Hz}", field="mask")
 
     def _check_windowed(self) -> None:
         if self.windowed is None:
@@ -170,6 +187,11 @@ class FrfSettings(Settings):
     def _check_length(self) -> None:
         """ConfigError where the length of a period or block is missing, or where a free decay is given keys of responses."""
         needed = NEEDED.get(self.excitation)
+        if self.excitation == "stepped-sine":
+            idle = [name for name in ("period", "block") if getattr(self, name) is not None]
+            if idle:
+                raise ConfigError(f"'{idle[0]}' is not for stepped-sine: its dwells are found", hint="leave it out", field=idle[0])
+            return
         if needed is None:
             idle = [name for name in OF_RESPONSES if getattr(self, name)]
             if idle:
