@@ -7,11 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from labpipe.identify.diagnostics import MISMATCH_P
+from labpipe.modal.likelihood import Refined
 from labpipe.modal.missing import Completed
+from labpipe.modal.residual_terms import Lines
 from labpipe.modal.whole_covariance import ModalEstimate
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Parameter
 
+# Lines in the half-power width below which a window is as wide as the mode.
+LEAST_LINES = 2.0
 # Standard errors beyond which a mass counts as negative.
 SURE = 3.0
 
@@ -57,6 +61,24 @@ def modal_findings(estimate: ModalEstimate, p_noise: float) -> tuple[Finding, ..
         )
         warnings.append(Finding("model-mismatch", message))
     return tuple(warnings)
+
+
+def width_findings(refined: Refined, lines: Lines, *, told: bool) -> tuple[Finding, ...]:
+    """A warning for modes hardly wider than a line where nothing is known of window or noise; *told*: something is.
+
+    Half-power width -2 Re lambda over the distance of the lines [1].
+    """
+    width = -2 * refined.poles.real / float(np.mean(np.diff(lines.omega)))
+    narrow = [] if told else [mode for mode in np.argsort(np.abs(refined.poles)) if width[mode] < LEAST_LINES]
+    if not narrow:
+        return ()
+    places = ", ".join(f"{abs(refined.poles[mode]) / (2 * np.pi):.6g} Hz ({width[mode]:.2g})" for mode in narrow)
+    message = (
+        f"half-power widths of {LEAST_LINES:g} lines or less: {places}. The window of the analyser, and how much leaked, decide such a "
+        "peak: its damping, and whether a second mode seems to stand beside it. No standard error shows that. Say `window:` in the entry "
+        "under frfs:, or measure with finer lines"
+    )
+    return (Finding("leakage", message),)
 
 
 def mass_findings(parameters: Sequence[Parameter]) -> tuple[Finding, ...]:

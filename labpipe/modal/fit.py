@@ -14,7 +14,7 @@ from labpipe.identify.reported import without_intervals
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.statistics import determination
 from labpipe.identify.weights import has_noise
-from labpipe.modal.findings import mass_findings, mismatch, modal_findings, modal_notes, unexplained
+from labpipe.modal.findings import mass_findings, mismatch, modal_findings, modal_notes, unexplained, width_findings
 from labpipe.modal.growth import refine_with_terms
 from labpipe.modal.lscf import NormalEquations, Poles, normal_equations
 from labpipe.modal.missing import Completed, completed, kept_modes, with_real_modes
@@ -90,7 +90,9 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     terms = whole.terms
     estimate = whole_covariance_fit(sides.measured, terms, whole.refined, real=real)
     fit = _reported(settings, band, sides, whole, estimate)
-    fit = replace(fit, notes=(*fit.notes, *dropped))
+    told = has_noise(sides.measured) or bool(response.line_correlation)
+    narrow = width_findings(estimate.refined, sides.lines, told=told)
+    fit = replace(fit, notes=(*fit.notes, *dropped), findings=(*fit.findings, *narrow))
     quality = quality_findings(response, rows, columns, chosen)
     modes = shape_record(estimate.refined, terms, sides.points, sides.references, sides.forces_move, _diagram_record(sides.lines, diagram))
     driving = tuple(place.dof for place in strongest_points(estimate.refined, sides.driving_points))

@@ -251,3 +251,22 @@ def test_points_that_load_the_structure_differently_get_no_modes_to_explain_it(d
     assert all(parameter.ci95 is None and parameter.std_error is None for parameter in fit.parameters)
     if detuned < BEAM_DAMPING:
         assert len([parameter for parameter in fit.parameters if parameter.name.startswith("f_n_")]) == 3
+
+
+@pytest.mark.parametrize(("told", "spacing", "warned"), [(False, 0.5, True), (False, 0.1, False), (True, 0.5, False)])
+def test_a_mode_hardly_wider_than_a_line_is_said_where_the_window_is_not_known(told: bool, spacing: float, warned: bool) -> None:
+    """The first mode of the beam is .4 Hz wide: .8 or 4 lines."""
+    exact = beam(6)
+    chosen = replace(exact, frequency=exact.frequency[::2], matrix=exact.matrix[::2]) if spacing == 0.5 else finer(exact, spacing)
+    response = replace(chosen, line_correlation=(-2 / 3, 1 / 6)) if told else chosen
+    leaking = [finding for finding in modal(response, band=(15.0, 30.0)).findings if finding.code == "leakage"]
+    assert bool(leaking) is warned
+
+
+def finer(response: FrequencyResponse, spacing: float) -> FrequencyResponse:
+    """The first mode of the beam on other lines, with the same noise."""
+    frequency = np.arange(10.0, 40.0, spacing)
+    w, w_n = 2 * np.pi * frequency, 2 * np.pi * BEAM_FREQUENCIES[0]
+    matrix = (beam_shapes()[:, 0] / (w_n**2 - w[:, None] ** 2 + 2j * BEAM_DAMPING * w_n * w[:, None]))[:, :, None]
+    noise = np.random.default_rng(8).normal(size=(2, *matrix.shape))
+    return replace(response, frequency=frequency, matrix=matrix + 1e-8 * (noise[0] + 1j * noise[1]))
