@@ -101,4 +101,4 @@ def predicted_fits(view: View, file: MagneticFile) -> Sequence[Fit]:
     form = receptance_factor(view.response.form, frequency)[:, None, None]
     matrix[:, np.array(rows)[:, None], np.array(columns)] = form * receptance(view, file, 2 * np.pi * frequency)
     plain = replace(view.settings, bootstrap=0, compare=False, eliminate=False)
-    return identify(replace(view.response, matrix=matrix), plain)
+    return identify(replace(view.response, matrix=matrix), plain, judging=False)

@@ -158,7 +158,7 @@ def _theory_curve(curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta:
 def _log_fit(curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: float, bending: float) -> FloatArray:
     """ln(k, c) of the fit on the theory's curve."""
     matrix = _theory_curve(curve, shaft, stiffness, beta, bending)[:, None, None]
-    (fit,) = identify(replace(curve.response, matrix=matrix), curve.settings)
+    (fit,) = identify(replace(curve.response, matrix=matrix), curve.settings, judging=False)
     return np.log([_positive(fit, "k"), _positive(fit, "c")])
 
 

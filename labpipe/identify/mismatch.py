@@ -34,8 +34,8 @@ MOST_STEPS = 40
 FEW_DRAWS = 299
 # Terms that make an estimate this much less certain are not told apart from the model: their fit says nothing about it.
 LEAST_CERTAIN = 4.0
-# Real numbers in the largest Jacobian for which terms are added.
-MOST_VALUES = 10_000_000
+# Real numbers in the largest Jacobian for which terms are added: of a matrix of many FRFs they would take longer than all the rest.
+MOST_VALUES = 300_000
 # Distance from ml in standard errors at which another estimator counts as biased.
 BIASED = 4.0
 
