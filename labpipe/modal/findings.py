@@ -63,13 +63,13 @@ def modal_findings(estimate: ModalEstimate, p_noise: float) -> tuple[Finding, ..
     return tuple(warnings)
 
 
-def width_findings(refined: Refined, lines: Lines, *, told: bool) -> tuple[Finding, ...]:
-    """A warning for modes hardly wider than a line where nothing is known of window or noise; *told*: something is.
+def width_findings(refined: Refined, lines: Lines, *, window_known: bool) -> tuple[Finding, ...]:
+    """A warning for modes hardly wider than a line unless noise or window of the FRFs is known.
 
     Half-power width -2 Re lambda over the distance of the lines [1].
     """
     width = -2 * refined.poles.real / float(np.mean(np.diff(lines.omega)))
-    narrow = [] if told else [mode for mode in np.argsort(np.abs(refined.poles)) if width[mode] < LEAST_LINES]
+    narrow = [] if window_known else [mode for mode in np.argsort(np.abs(refined.poles)) if width[mode] < LEAST_LINES]
     if not narrow:
         return ()
     places = ", ".join(f"{abs(refined.poles[mode]) / (2 * np.pi):.6g} Hz ({width[mode]:.2g})" for mode in narrow)

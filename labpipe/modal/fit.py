@@ -90,8 +90,8 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     terms = whole.terms
     estimate = whole_covariance_fit(sides.measured, terms, whole.refined, real=real)
     fit = _reported(settings, band, sides, whole, estimate)
-    told = has_noise(sides.measured) or bool(response.line_correlation)
-    narrow = width_findings(estimate.refined, sides.lines, told=told)
+    window_known = has_noise(sides.measured) or bool(response.line_correlation)
+    narrow = width_findings(estimate.refined, sides.lines, window_known=window_known)
     fit = replace(fit, notes=(*fit.notes, *dropped), findings=(*fit.findings, *narrow))
     quality = quality_findings(response, rows, columns, chosen)
     modes = shape_record(estimate.refined, terms, sides.points, sides.references, sides.forces_move, _diagram_record(sides.lines, diagram))

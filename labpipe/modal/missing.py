@@ -98,13 +98,13 @@ def completed(lines: Lines, refined: Refined, terms: ResidualTerms, noise: LineN
     They are kept only if the residual then is noise. If it is not, as where every point loads the structure otherwise, a further mode
     would be the poles' scatter by another name.
     """
-    found = done = Completed(refined, terms, whiteness(remaining(lines, terms, refined), noise))
+    first = done = Completed(refined, terms, whiteness(remaining(lines, terms, refined), noise))
     while adding and done.p_noise < MISMATCH_P and done.added < MOST_ADDED:
         more = _with_one_more(lines, done, noise)
         if more is None:
             break
         done = more
-    return done if done.p_noise >= MISMATCH_P else found
+    return done if done.p_noise >= MISMATCH_P else first
 
 
 def with_real_modes(lines: Lines, done: Completed, noise: LineNoise) -> Completed:
