@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.arrays import ComplexArray
+from labpipe.errors import DataError
 from labpipe.formats.uff_write import UNITS
 from labpipe.records.geometry import Geometry
 from labpipe.records.identification import Fit
@@ -18,18 +19,26 @@ from labpipe.records.modes import Modes
 
 _STRUCTURAL, _COMPLEX_EIGENVALUE, _TRANSLATIONS, _DISPLACEMENT, _COMPLEX, _VALUES = 1, 3, 2, 8, 5, 3
 _TITLE_WIDTH = 80
+TILTS = ("bx", "by", "bz")
 
 
 def write_shapes_uff(path: Path, fits: Sequence[Fit]) -> None:
-    """Write the modes of all *fits*; nodes are numbered as their points are named, or from 1 where names are no numbers."""
+    """Write the modes of all *fits*; nodes are numbered as their points are named, or from 1 where names are no numbers.
+
+    Records 55 are of translations: without a geometry, tilts of a body (bx, by, bz) are left out. DataError where nothing else moves.
+    """
     text = [UNITS.format(1.0, 0.0)]
     for first, fit in enumerate(fits):
         assert fit.modes is not None
-        geometry = fit.modes.geometry or Geometry.of_dofs(fit.modes.dofs)
+        moving = [n for n, dof in enumerate(fit.modes.dofs) if fit.modes.geometry or dof not in TILTS]
+        if not moving:
+            raise DataError(f"fit '{fit.name}' has tilts only", hint="records 55 are written of translations")
+        dofs = [fit.modes.dofs[n] for n in moving]
+        geometry = fit.modes.geometry or Geometry.of_dofs(dofs)
         labels = _labels(geometry)
         if first == 0:
             text += [_nodes(geometry, labels), *([_lines(geometry, labels)] if geometry.lines.size else [])]
-        motion = geometry.motion(fit.modes.dofs, fit.modes.shapes)
+        motion = geometry.motion(dofs, fit.modes.shapes[moving])
         text += [_mode(fit, fit.modes, n, labels, motion[n]) for n in range(fit.modes.frequency.size)]
     path.write_text("".join(text), encoding="ascii", errors="replace", newline="\n")
 

@@ -50,9 +50,9 @@ class Geometry:
 
     @classmethod
     def of_dofs(cls, dofs: Sequence[str]) -> Geometry:
-        """The points that *dofs* name, all in one place, for what needs no positions."""
+        """The points that *dofs* name, all in one place, for what needs no positions; directions alone ("x") are of one point, ""."""
         directed = [_DIRECTED.match(dof) for dof in dofs]
-        points = dict.fromkeys(match["point"] or dof if match else dof for match, dof in zip(directed, dofs, strict=True))
+        points = dict.fromkeys(match["point"] if match else dof for match, dof in zip(directed, dofs, strict=True))
         return cls(tuple(points), np.zeros((len(points), 3)), np.empty((0, 2), int))
 
     def check(self, dofs: Sequence[str]) -> None:

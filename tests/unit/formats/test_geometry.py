@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -120,6 +121,18 @@ def test_shapes_are_read_by_another_program(fit: Fit, tmp_path: Path) -> None:
         assert not mode["r1"].any() and not mode["r3"][[0, -1]].any()
     again = read_geometry(tmp_path / "shapes.uff")
     np.testing.assert_array_equal(again.lines, beam_geometry().lines)
+
+
+def test_directions_alone_are_those_of_one_node_and_tilts_are_left_out(fit: Fit, tmp_path: Path) -> None:
+    """Dofs x, z and by of a shaft: the shape's first two rows stand in x and z of node 1."""
+    assert fit.modes is not None
+    shaft = replace(fit.modes, geometry=None, dofs=("x", "z", "by"), points=("x", "z", "by"), shapes=fit.modes.shapes[:3])
+    write_shapes_uff(tmp_path / "shaft.uff", [replace(fit, modes=shaft)])
+    mode = pyuff.UFF(str(tmp_path / "shaft.uff")).read_sets(2)
+    assert mode["node_nums"].tolist() == [1] and not mode["r2"].any()
+    np.testing.assert_allclose([mode["r1"][0], mode["r3"][0]], shaft.shapes[:2, 0], atol=1e-5)
+    with pytest.raises(DataError, match="has tilts only"):
+        write_shapes_uff(tmp_path / "tilts.uff", [replace(fit, modes=replace(shaft, dofs=("bx", "by", "bz")))])
 
 
 def test_shapes_as_a_table(fit: Fit) -> None:
