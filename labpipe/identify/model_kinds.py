@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from labpipe.identify.settings import FitSettings
 
 
-# What a model is fitted to: a FrequencyResponse, or FreeDecays.
-RESPONSES, DECAYS = "responses", "decays"
+# What a model is fitted to: a FrequencyResponse, FreeDecays, or ChannelSpectra.
+RESPONSES, DECAYS, SPECTRA = "responses", "decays", "spectra"
 
 
 @dataclass(frozen=True)

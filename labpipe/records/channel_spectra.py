@@ -1,0 +1,76 @@
+"""Complex amplitudes of all channels of a test, line by line and run by run, with their covariance."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import DataError
+from labpipe.records.arrays import frozen_array
+from labpipe.records.finding import Finding
+from labpipe.records.recording import Channel
+
+
+@dataclass(frozen=True)
+class UncertainFactor:
+    """A number of the rig file that stands in sums of channels, with its doubt.
+
+    value, std_error [unit], an SI unit; *derivative* (n_channel, n_channel) real [SI units of the channels per unit of the value]: an
+    error of the number by d changes the vector z of all channels by d * (derivative @ z).
+    """
+
+    name: str
+    value: float
+    std_error: float
+    unit: str
+    derivative: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.derivative)
+        object.__setattr__(self, "derivative", frozen_array(self.derivative, np.float64, f"derivative of '{self.name}'", (n, n)))
+
+
+@dataclass(frozen=True)
+class ChannelSpectra:
+    """Spectra of the channels of one test: a vector z of all channels for every line and run, none of them taken as free of noise.
+
+    frequency    (n_line,) [Hz], increasing
+    vectors      (n_line, n_run, n_channel) complex amplitudes at e^{+jwt}, 0 to peak [SI units of the channels], corrected for the
+                 channels' delays and frequency responses; a run is one independent excitation: a recording of periodic data, or the
+                 part of random data that is due to one drive
+    covariance   (n_line, n_run, n_channel, n_channel) complex, E[e e^H] of the noise e of a vector; runs do not share noise
+    covariance_dof  complex degrees of freedom behind each covariance (inf: known)
+    line_correlation  E[e_(k+d) e_k*] of noise of unit variance with that of the next lines, d = 1, 2, ...; empty where independent
+    factors      numbers with a doubt that stand in derived channels
+    """
+
+    frequency: FloatArray
+    vectors: ComplexArray
+    covariance: ComplexArray
+    channels: tuple[Channel, ...]
+    runs: tuple[str, ...]
+    _: KW_ONLY
+    covariance_dof: float = float("inf")
+    line_correlation: tuple[complex, ...] = ()
+    factors: tuple[UncertainFactor, ...] = ()
+    name: str = ""
+    findings: tuple[Finding, ...] = ()
+    conditions: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n_line, n_run, n = np.size(self.frequency), len(self.runs), len(self.channels)
+        frequency = frozen_array(self.frequency, np.float64, "frequency", (n_line,))
+        if n_line > 1 and np.any(np.diff(frequency) <= 0):
+            raise DataError(f"the frequencies of '{self.name}' do not increase")
+        object.__setattr__(self, "frequency", frequency)
+        object.__setattr__(self, "vectors", frozen_array(self.vectors, np.complex128, "vectors", (n_line, n_run, n)))
+        object.__setattr__(self, "covariance", frozen_array(self.covariance, np.complex128, "covariance", (n_line, n_run, n, n)))
+
+    def columns(self, quantity: str, role: str = "") -> list[int]:
+        """Numbers of the channels of a quantity, of one role if it is given."""
+        return [
+            number for number, channel in enumerate(self.channels) if channel.quantity == quantity and (not role or channel.role == role)
+        ]
