@@ -80,6 +80,8 @@ _FIXED: dict[str, Unit] = {
     "1/min": Unit(1 / 60, _dimension(s=-1)),
     "deg": Unit(math.pi / 180, _dimension(rad=1)),
     "°": Unit(math.pi / 180, _dimension(rad=1)),
+    "l": Unit(1e-3, _dimension(m=3)),
+    "L": Unit(1e-3, _dimension(m=3)),
     "min": Unit(60.0, _dimension(s=1)),
     "h": Unit(3600.0, _dimension(s=1)),
     "in": Unit(0.0254, _dimension(m=1)),
@@ -108,6 +110,7 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity("strain", "epsilon", "1", "ue"),
         Quantity("pressure", "p", "Pa", "bar"),
         Quantity("temperature", "T", "K", "degC"),
+        Quantity("flow", "Q", "m^3/s", "l/min"),
         Quantity("tacho", "n", "V", "V"),
         Quantity("time", "t", "s", "s"),
         Quantity("frequency", "f", "Hz", "Hz"),
@@ -240,12 +243,15 @@ def parse_value(text: str | float, si_unit: str) -> float:
     return _finite((number * unit.factor + unit.offset) / target.factor * _angle_per_period(unit, target), text)
 
 
-_SI_UNITS = ("1", "N", "m", "Hz", "K", "Pa", "N.m", "s", "V", "A", "kg", "rad", "m/s", "Pa.s", "N/m")
+_SI_UNITS = ("1", "N", "m", "Hz", "K", "Pa", "N.m", "s", "V", "A", "kg", "rad", "m/s", "Pa.s", "N/m", "m^3/s", "kg/s", "W")
 
 
 def si_amount(text: str | float) -> tuple[float, str]:
-    """An amount of any usual dimension in SI with its unit: "427 N" -> (427.0, "N"), "3000 rpm" -> (50.0, "Hz"); UnitError for none."""
-    match = _VALUE.match(str(text))
+    """An amount of any usual dimension in SI with its unit: "427 N" -> (427.0, "N"), "3000 rpm" -> (50.0, "Hz"); UnitError for none.
+
+    A scatter behind it ("1000.2 N +- 3.1 N") is left aside.
+    """
+    match = _VALUE.match(str(text).partition("+-")[0])
     if match is None:
         raise UnitError(f"'{text}' is no amount", "for example 427 N")
     unit = parse_unit(match[2] or "1")

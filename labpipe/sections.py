@@ -65,7 +65,7 @@ class PipelineSection:
 
 SECTIONS = Registry(
     "section",
-    {name: f"labpipe.sections:{name.upper()}" for name in ("identify", "calibrate", "compare", "study", "unbalance", "run_ups")},
+    {name: f"labpipe.sections:{name.upper()}" for name in ("identify", "calibrate", "compare", "matrix", "study", "unbalance", "run_ups")},
 )
 
 IDENTIFY = PipelineSection(
@@ -98,6 +98,21 @@ COMPARE = PipelineSection(
     parameters="labpipe.campaign.listed:listed_amounts",
     report="labpipe.report.comparison:comparison_sections",
     terminal="labpipe.cli.terminal_sections:comparison_lines",
+)
+MATRIX = PipelineSection(
+    words="One entry per matrix of tests: the coefficients of a fit over two conditions or more, under a name of your choice.",
+    settings="labpipe.campaign.matrix_settings:MatrixSettings",
+    named=True,
+    read="labpipe.config.matrix:read_matrix",
+    run="labpipe.stages.matrix:run_matrices",
+    record="labpipe.records.condition_matrix:ConditionMatrices",
+    entry="matrices",
+    names="labpipe.records.comparison:names",
+    outcome="labpipe.stages.matrix:matrix_outcome",
+    findings="labpipe.records.condition_matrix:findings",
+    parameters="labpipe.campaign.listed:listed_points",
+    report="labpipe.report.condition_matrix:matrix_sections",
+    terminal="labpipe.cli.terminal_sections:matrix_lines",
 )
 STUDY = PipelineSection(
     words="The fits repeated on a virtual rig.",

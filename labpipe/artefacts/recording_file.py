@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 
@@ -45,10 +46,14 @@ class RecordingWriter:
         self._writer.add_key_value_metadata({HEADER_KEY: header.to_json().encode()})
 
 
-def recording_contents(channels: tuple[Channel, ...], sample_rate: float, name: str) -> dict[str, object]:
-    """The part of the header that describes the recording's columns."""
+def recording_contents(
+    channels: tuple[Channel, ...], sample_rate: float, name: str, levels: Mapping[str, tuple[float, float]] | None = None
+) -> dict[str, object]:
+    """The part of the header that describes the recording's columns; *levels*: mean and standard deviation of channels [SI]."""
     entries = [{**dataclasses.asdict(channel), "unit": channel.unit} for channel in channels]
-    return {"name": name, "sample_rate": sample_rate, "channels": entries}
+    # Of a channel that never is a number there is no level.
+    known = {name: pair for name, pair in (levels or {}).items() if math.isfinite(sum(pair))}
+    return {"name": name, "sample_rate": sample_rate, "channels": entries, "levels": known}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,6 +67,11 @@ class StoredRecording:
     name: str
     findings: tuple[Finding, ...]
     header: Header
+
+    @property
+    def levels(self) -> dict[str, tuple[float, float]]:
+        """Mean and standard deviation [SI] of the channels whose levels were noted when the recording was written."""
+        return {name: (float(mean), float(scatter)) for name, (mean, scatter) in self.header.contents.get("levels", {}).items()}
 
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]."""

@@ -10,7 +10,7 @@ import click
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.cli import options
 from labpipe.errors import DataError
-from labpipe.stages.report import write_campaign, write_report
+from labpipe.stages.report import write_campaign, write_report, write_test_report
 
 
 @click.command()
@@ -24,9 +24,10 @@ from labpipe.stages.report import write_campaign, write_report
     help="Report file; its suffix (.html, .pdf, .md) determines the format.",
 )
 @click.option("--figures", type=options.PATH, metavar="DIR", help="Also write every figure as SVG and PNG, and its numbers as CSV, to DIR.")
+@click.option("--test", default="", metavar="NAME", help="Only the pages of this test, of a result of many.")
 @options.quiet
 @options.verbose
-def report(results: tuple[Path, ...], output: Path, figures: Path | None, quiet: bool, verbose: bool) -> None:
+def report(results: tuple[Path, ...], output: Path, figures: Path | None, test: str, quiet: bool, verbose: bool) -> None:
     """Write the report of a result: verdict, parameters, figures, warnings, provenance.
 
     Several results, or a folder with results below it, give the report of a campaign: every coefficient over preload, speed,
@@ -35,11 +36,17 @@ def report(results: tuple[Path, ...], output: Path, figures: Path | None, quiet:
     \b
     labpipe report out/ -o report.pdf --figures out/figures
     labpipe report monday/ tuesday/ wednesday/ -o campaign.html
+    labpipe report out/ --test 1kN-3000rpm-2 -o one-test.html
     """
     paths = result_files(results)
     tell = options.teller(quiet, verbose)
     identifications = [read_identification(path) for path in paths]
-    if len(paths) == 1:
+    if test and len(paths) > 1:
+        raise click.UsageError("--test is of one result; several are named")
+    if test:
+        tell(f"report    {test}")
+        write_test_report(identifications[0], test, output, figures)
+    elif len(paths) == 1:
         tell(f"report    {identifications[0].title}")
         write_report(identifications[0], output, figures=figures)
     else:

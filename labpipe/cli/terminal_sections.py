@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 
 from labpipe.records.comparison import Comparisons
+from labpipe.records.condition_matrix import ConditionMatrices
 from labpipe.records.run_up_result import REJECTED, MeasuredRun, RunPrediction, RunUpResult
 from labpipe.records.study import Studies, Study
 from labpipe.report.wording import threshold_text
@@ -14,6 +15,11 @@ from labpipe.report.wording import threshold_text
 def comparison_lines(comparisons: Comparisons) -> Iterator[str]:
     """The statement of every comparison."""
     return (f"{comparison.name}: {comparison.statement}" for comparison in comparisons)
+
+
+def matrix_lines(matrices: ConditionMatrices) -> Iterator[str]:
+    """The statement of every matrix."""
+    return (f"{matrix.name}: {matrix.statement}" for matrix in matrices)
 
 
 def study_lines(studies: Studies) -> Iterator[str]:

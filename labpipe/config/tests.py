@@ -7,25 +7,31 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from labpipe.config.faults import Faults, join
-from labpipe.config.file_names import conditions_in
+from labpipe.config.file_names import conditions_in, listed
+from labpipe.config.reader import read_settings
 from labpipe.config.ready_frf import ReadyFrf, read_ready_frfs
 from labpipe.config.recordings import RecordingReader, SourceFile
 from labpipe.marked_yaml import Marked
+from labpipe.records.recorded_condition import RecordedCondition
 from labpipe.records.rig import Rig
 
 SINGLE = ("recordings", "frfs", "conditions")
 LISTED = ("name", *SINGLE)
-EACH = ("each", "pattern", "conditions")
+EACH = ("each", "pattern", "together", "conditions")
 
 
 @dataclass(frozen=True)
 class Test:
-    """One test: recordings that together give one FRF matrix, or ready FRFs; *conditions* as text of the file."""
+    """One test: recordings that together give one FRF matrix, or ready FRFs; *conditions* as text of the file.
+
+    recorded: further conditions, which the recordings themselves show.
+    """
 
     name: str
     recordings: tuple[SourceFile, ...] = ()
     frfs: tuple[ReadyFrf, ...] = ()
     conditions: dict[str, str] = field(default_factory=dict)
+    recorded: dict[str, RecordedCondition] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -67,14 +73,34 @@ class TestReader:
             yield self._test(name, node, key)
 
     def _tests_per_file(self, entries: dict[str, Marked], key: str) -> Iterator[Test]:
-        """One test per file, named after it; conditions from the name by the pattern."""
-        common = self._conditions(entries)
+        """One test per file, named after it; conditions from the name by the pattern.
+
+        Files whose names differ only in the parts named by `together` are recordings of one test.
+        """
+        common, recorded = self._conditions(entries, key)
+        together = self._together(entries, key)
+        tests: dict[tuple[tuple[str, str], ...], Test] = {}
         for source in self._recordings(entries["each"], join(key, "each")):
             name = source.path.name.split(".")[0]
-            conditions = conditions_in(name, entries["pattern"].text) if "pattern" in entries else {}
-            if conditions is None:
+            parts = conditions_in(name, entries["pattern"].text) if "pattern" in entries else {}
+            if parts is None:
                 self.faults.add(entries["pattern"], join(key, "pattern"), f"does not match '{name}'", "for example '{preload}-{direction}'")
-            yield Test(name, (source,), (), {**common, **(conditions or {})})
+            conditions = {part: text for part, text in (parts or {}).items() if part not in together}
+            place = tuple(conditions.items()) if together else (("file", str(source.path)),)
+            first = tests.get(place, Test("-".join(conditions.values()) if together else name))
+            tests[place] = Test(first.name, (*first.recordings, source), (), {**common, **conditions}, recorded)
+        yield from tests.values()
+
+    def _together(self, entries: dict[str, Marked], key: str) -> list[str]:
+        """The parts of the pattern that tell the recordings of one test apart."""
+        if "together" not in entries:
+            return []
+        pattern = entries["pattern"].text if "pattern" in entries else ""
+        parts = [node.text for node in listed(entries["together"])]
+        for part in parts:
+            if f"{{{part}}}" not in pattern:
+                self.faults.add(entries["together"], join(key, "together"), f"the pattern has no part '{{{part}}}'", f"pattern: {pattern}")
+        return parts
 
     def _test(self, name: str, node: Marked, key: str) -> Test:
         entries = node.content if isinstance(node.content, dict) else {}
@@ -82,12 +108,26 @@ class TestReader:
         frfs = read_ready_frfs(entries["frfs"], join(key, "frfs"), self.faults) if "frfs" in entries else []
         if not recordings and not frfs and not len(self.faults):
             self.faults.add(node if node.place else self.top["title"], key, "neither recordings nor frfs")
-        return Test(name, tuple(recordings), tuple(frfs), self._conditions(entries))
+        conditions, recorded = self._conditions(entries, key)
+        if frfs and recorded:
+            what = "a ready FRF has no channels to take conditions from"
+            self.faults.add(entries["conditions"], join(key, "conditions"), what, "write the amount, e.g. load: 1 kN")
+        return Test(name, tuple(recordings), tuple(frfs), conditions, recorded)
 
     def _recordings(self, node: Marked, key: str) -> list[SourceFile]:
         return RecordingReader(self.rig, self.top.get("rig"), self.folder, self.faults).sources(node, key)
 
-    def _conditions(self, entries: dict[str, Marked]) -> dict[str, str]:
+    def _conditions(self, entries: dict[str, Marked], key: str) -> tuple[dict[str, str], dict[str, RecordedCondition]]:
+        """Conditions as they are written, and those that are recorded: {channel: NAME} or {tacho: NAME}."""
+        written: dict[str, str] = {}
+        recorded: dict[str, RecordedCondition] = {}
         if "conditions" not in entries:
-            return {}
-        return {key: node.text for key, node in self.faults.mapping(entries["conditions"], "conditions").items()}
+            return written, recorded
+        for name, node in self.faults.mapping(entries["conditions"], "conditions").items():
+            if not isinstance(node.content, dict):
+                written[name] = node.text
+                continue
+            source = read_settings(RecordedCondition, node, join(join(key, "conditions"), name), self.faults)
+            if source is not None:
+                recorded[name] = source
+        return written, recorded

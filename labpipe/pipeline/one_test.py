@@ -20,6 +20,7 @@ from labpipe.stages.fits import fits_of
 from labpipe.stages.frf import frf_file_name, ready_refs
 from labpipe.stages.ingest import ingest, recording_refs
 from labpipe.stages.measured import MeasuredTest, load_measured, load_ready_measured, measure_test, measured_file_name
+from labpipe.stages.recorded_conditions import recorded_conditions
 
 Tell = Callable[[str], None]
 
@@ -101,7 +102,8 @@ def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[Source
         if job.frf is None:
             raise ConfigError("frf: is missing", where=str(job.pipeline_path), hint="say how the recordings become FRFs")
         tell(f"frf       {job.test.name or job.pipeline_path.stem}")
-        measure_test(stored, job.frf, output, job.test.name, job.test.conditions)
+        conditions = {**job.test.conditions, **recorded_conditions(stored, job.test.recorded)}
+        measure_test(stored, job.frf, output, job.test.name, conditions)
     recorded = [reference for recording in stored for reference in recording_refs(recording, job.folder)]
     return (*recorded, *(source_ref(path, job.folder) for ready in job.test.frfs for path in ready.paths))
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
+from labpipe.errors import ConfigError
 from labpipe.records.identification import Identification
+from labpipe.registry import nearest
 from labpipe.report.cover import cover_facts
 from labpipe.report.document import Document, Section
 from labpipe.report.fits import fit_sections
@@ -20,8 +23,9 @@ def section_parts(identification: Identification) -> tuple[Section, ...]:
     return tuple(part for name, record in identification.sections.items() for part in section(name).call("report", record, identification))
 
 
+Part = Callable[[Identification], tuple[Section, ...]]
 # The parts of a report in their order; each gives its sections, or none where the result has nothing of its kind.
-PARTS: tuple[Callable[[Identification], tuple[Section, ...]], ...] = (
+PARTS: tuple[Part, ...] = (
     verdict_sections,
     section_parts,
     fit_sections,
@@ -31,8 +35,36 @@ PARTS: tuple[Callable[[Identification], tuple[Section, ...]], ...] = (
 )
 
 
-def build(identification: Identification) -> Document:
-    """The report of an identification; a pure function of the result."""
-    sections = tuple(section for part in PARTS for section in part(identification))
+# The parts that hold pages of single tests.
+OF_TESTS = (fit_sections, measurement_sections)
+
+
+def build(identification: Identification, test: str = "") -> Document:
+    """The report of an identification; a pure function of the result. *test*: only the pages of that test.
+
+    Where a matrix of tests sums them up, their own pages are left out and drawn test by test on demand. ConfigError for an unknown test.
+    """
+    if test:
+        return _document(_of_test(identification, test), OF_TESTS, f"{identification.title}: {test}")
+    parts = tuple(part for part in PARTS if part not in OF_TESTS) if _in_matrix(identification) else PARTS
+    return _document(identification, parts, identification.title)
+
+
+def _document(identification: Identification, parts: tuple[Part, ...], title: str) -> Document:
+    sections = tuple(section for part in parts for section in part(identification))
     subtitle = f"Identification report, labpipe {identification.version}"
-    return Document(identification.title, subtitle, sections, cover_facts([identification]))
+    return Document(title, subtitle, sections, cover_facts([identification]))
+
+
+def _in_matrix(identification: Identification) -> bool:
+    """Whether a matrix of tests sums the fits up."""
+    return bool(identification.sections.get("matrix"))
+
+
+def _of_test(identification: Identification, test: str) -> Identification:
+    """The part of a result that belongs to one test."""
+    names = [*identification.test_conditions, *(fit.test for fit in identification.fits)]
+    if test not in names:
+        raise ConfigError(f"the result has no test '{test}'", hint=nearest(test, names))
+    fits = tuple(fit for fit in identification.fits if fit.test == test)
+    return replace(identification, fits=fits, responses=tuple(r for r in identification.responses if r.name == test))

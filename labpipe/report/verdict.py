@@ -94,7 +94,8 @@ def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
     if not serious:
         return ()
     listed = [f"{origin} ({', '.join(dict.fromkeys(codes))})" for origin, codes in serious.items()]
-    return (Paragraph(f"Read the warnings before using: {'; '.join(listed)}.", "warning"),)
+    more = [f"and {len(listed) - MOST_NOTES} more"] if len(listed) > MOST_NOTES else []
+    return (Paragraph(f"Read the warnings before using: {'; '.join([*listed[:MOST_NOTES], *more])}.", "warning"),)
 
 
 def _outcome_text(outcome: RuleOutcome) -> str:

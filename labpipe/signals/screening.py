@@ -81,6 +81,10 @@ class ChannelScreen:
         n = np.maximum(self.n_sample - self._n_missing, 1)
         return np.sqrt(np.maximum(self._squares / n - (self._sum / n) ** 2, 0.0))
 
+    def levels(self) -> dict[str, tuple[float, float]]:
+        """Mean and standard deviation [unit of the channel] of every channel by its name."""
+        return {name: (float(mean), float(rms)) for name, mean, rms in zip(self._names, self.mean, self.rms, strict=True)}
+
     def findings(self) -> tuple[Finding, ...]:
         """Warnings of gaps, constant channels and clipping, with the channel and the first sample."""
         faults: list[Finding] = []

@@ -47,7 +47,7 @@ def identify_stage(
     basis = Identification(
         fits=(),
         sources=tuple(dataclasses.asdict(source) for source in sources),
-        settings=settings_entry(pipeline),
+        settings=settings_entry(pipeline, tests),
         rig=_rig_entry(pipeline),
         version=__version__,
         failed=tuple(failed),
@@ -104,13 +104,14 @@ def _existing(output: OutputFolder) -> Identification | None:
         return None
 
 
-def settings_entry(pipeline: Pipeline) -> dict[str, Any]:
-    """All settings of a pipeline as JSON holds them, so that another lab can repeat the work."""
+def settings_entry(pipeline: Pipeline, tests: Sequence[MeasuredTest] = ()) -> dict[str, Any]:
+    """All settings of a pipeline as JSON holds them, so that another lab can repeat the work; conditions as the *tests* had them."""
+    measured = {test.name: test.conditions for test in tests}
     entry: dict[str, Any] = {
         "frf": pipeline.frf,
         **pipeline.sections,
         "rules": [[rule.section, rule.text] for rule in pipeline.rules],
-        "tests": [{"name": test.name, "conditions": test.conditions} for test in pipeline.tests],
+        "tests": [{"name": test.name, "conditions": {**test.conditions, **measured.get(test.name, {})}} for test in pipeline.tests],
         "title": pipeline.title,
         "pipeline": pipeline.path.name,
     }

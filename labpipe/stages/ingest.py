@@ -83,7 +83,7 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> N
                 screen.add(block)
                 writer.write(block)
             sample_rate = time.sample_rate() if time is not None else stated_rate(table, rig)
-            contents = recording_contents(channels, sample_rate, name)
+            contents = recording_contents(channels, sample_rate, name, screen.levels())
             findings = (*(table.findings() if isinstance(table, JoinedTable) else ()), *screen.findings())
             writer.finish(dataclasses.replace(header, findings=findings, contents=contents))
     except DataError as error:

@@ -31,6 +31,16 @@ def write_report(identification: Identification, path: Path, report_format: str 
     _write(content, path, {} if figures is None else _figures_of(identification), figures)
 
 
+def write_test_report(identification: Identification, test: str, path: Path, figures: Path | None = None) -> None:
+    """Write the pages of one test; ConfigError for a test that the result does not have."""
+    from labpipe.document.figure_files import figure_files
+    from labpipe.report.build import build
+
+    document = build(identification, test)
+    content: bytes = DOCUMENTS.load(format_of(path))(document)
+    _write(content, path, {} if figures is None else figure_files(document), figures)
+
+
 def outdate_reports(folder: OutputFolder, formats: Sequence[str]) -> None:
     """Reports of an earlier result go where a new one is about to take its place: should drawing fail, no report contradicts the result."""
     if (folder.staging / NAME).exists():

@@ -173,3 +173,50 @@ def test_a_name_of_another_form_has_no_conditions(name: str, pattern: str) -> No
 def test_signs_of_a_pattern_are_letters_and_no_expressions() -> None:
     assert conditions_in("a.b(1)+", "a.b({n})+") == {"n": "1"}
     assert conditions_in("axb(1)+", "a.b({n})+") is None
+
+
+EACH_SPEED = "rig: rig.yaml\n" + FRF + "tests:\n  - each: 'runs/speed*.csv'\n    pattern: '{speed}-{load}-{shaker}'\n"
+
+
+def speed_runs(folder: Path) -> None:
+    for name in ("speed50Hz-1kN-x", "speed50Hz-1kN-y", "speed80Hz-1kN-x", "speed80Hz-1kN-y"):
+        (folder / f"runs/{name}.csv").write_text("f,x\n1,2\n")
+
+
+def test_files_that_differ_only_in_a_named_part_are_one_test(folder: Path) -> None:
+    speed_runs(folder)
+    pipeline = load(folder, EACH_SPEED.replace("'{speed}", "'speed{speed}") + "    together: shaker\n")
+    assert [test.name for test in pipeline.tests] == ["50Hz-1kN", "80Hz-1kN"]
+    assert files(pipeline)[0] == ["runs/speed50Hz-1kN-x.csv", "runs/speed50Hz-1kN-y.csv"]
+    assert pipeline.tests[1].conditions == {"speed": "80Hz", "load": "1kN"}
+
+
+def test_a_part_that_the_pattern_lacks_is_named(folder: Path) -> None:
+    speed_runs(folder)
+    found = faults(folder, EACH_SPEED.replace("'{speed}", "'speed{speed}") + "    together: [shaker, direction]\n")
+    assert [fault for fault in found if "together: the pattern has no part '{direction}'" in fault] == found[:1]
+
+
+def test_a_condition_may_be_recorded(folder: Path) -> None:
+    entry = "conditions: {load: {channel: x}, speed: {tacho: f, pulses: 2}, oil: VG32}\n"
+    (test,) = load(folder, f"rig: rig.yaml\nrecordings: runs/a.csv\n{entry}{FRF}").tests
+    assert test.conditions == {"oil": "VG32"}
+    assert (test.recorded["load"].channel, test.recorded["speed"].tacho, test.recorded["speed"].pulses) == ("x", "f", 2)
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ("{load: {channel: x, puls: 2}}", "conditions.load.puls: unknown key; did you mean 'pulses'?"),
+        ("{load: {channel: x, tacho: f}}", "conditions.load: one of 'channel' and 'tacho' is needed"),
+        ("{load: {tacho: f, pulses: 0}}", "'pulses' must be at least 1"),
+    ],
+)
+def test_faults_of_recorded_conditions(folder: Path, entry: str, message: str) -> None:
+    (fault,) = faults(folder, f"rig: rig.yaml\nrecordings: runs/a.csv\nconditions: {entry}\n{FRF}")
+    assert message in fault
+
+
+def test_a_ready_frf_has_no_channel_to_take_a_condition_from(folder: Path) -> None:
+    (fault,) = faults(folder, "frfs: h.frf.csv\nconditions: {load: {channel: x}}\n")
+    assert "a ready FRF has no channels to take conditions from; write the amount" in fault
