@@ -88,7 +88,7 @@ class FloatingRig(Settings):
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     stator_mass: float = setting("value", "mass of the stator with its housing", unit="kg")
-    conditions: tuple[tuple[str, Condition], ...] = setting("sections", "conditions by name", section=Condition)
+    conditions: tuple[tuple[str, Condition], ...] = setting("sections", "conditions by name", section=Condition, default=(), needed=True)
     _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual floating stator")
     journal: JournalSettings | None = setting("section", "journal bearing between stator and shaft", section=JournalSettings, default=None)
