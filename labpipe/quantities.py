@@ -261,6 +261,19 @@ def si_amount(text: str | float) -> tuple[float, str]:
     return _finite(float(match[1]) * unit.factor + unit.offset, text), name
 
 
+def name_of_dimension(dimension: Dimension) -> str:
+    """The SI unit of a dimension: N for a force, kg/s for one without a name of its own."""
+    known = (*_SI_UNITS, *(quantity.si_unit for quantity in QUANTITIES.values()))
+    name = next((unit for unit in known if parse_unit(unit).dimension == dimension), None)
+    if name is not None:
+        return name
+    symbols = ("m", "kg", "s", "A", "K", "rad")
+    above = [f"{symbol}^{power:g}" if power != 1 else symbol for symbol, power in zip(symbols, dimension, strict=True) if power > 0]
+    below = [f"{symbol}^{-power:g}" if power != -1 else symbol for symbol, power in zip(symbols, dimension, strict=True) if power < 0]
+    bottom = f"({'.'.join(below)})" if len(below) > 1 else "".join(below)
+    return ".".join(above or ["1"]) + (f"/{bottom}" if below else "")
+
+
 def _finite(value: float, text: str | float) -> float:
     if not math.isfinite(value):
         raise UnitError(f"'{text}' is not a finite value")

@@ -9,18 +9,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from labpipe.config.derived import Factor, SumReader, expanded, read_constants
 from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
 from labpipe.config.sensor_response import read_sensor_response
 from labpipe.errors import ConfigError
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
+from labpipe.records.channel_sum import Term
 from labpipe.records.file_kind import FileKind
 from labpipe.records.recording import ROLES, Channel
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
 from labpipe.records.settings import Settings, setting
 from labpipe.registry import nearest
 
+# Beside the plain entries of a rig file.
+PARTS = ("channels", "constants")
+# Entries of a recorded channel that a sum of channels does not have.
+RECORDED_ONLY = ("unit", "column", "sensitivity", "invert", "delay", "response", "range")
 DEFAULT_ROLES = {"force": "input", "displacement": "output", "velocity": "output", "acceleration": "output"}
 
 
@@ -42,13 +48,14 @@ class ChannelSettings(Settings):
     quantity: str = setting("choice", "what is measured", choices=tuple(QUANTITIES))
     unit: str = setting("text", "unit of the recorded numbers; default: SI", default="")
     column: str = setting("text", "column of the file; default: the channel's key", default="")
-    role: str = setting("choice", "input (force), output (response) or reference", choices=ROLES, default="")
+    role: str = setting("choice", "input (force), output (response) or reference, as members of sums are", choices=ROLES, default="")
     dof: str = setting("text", "x, y, z, any name, or an angle from x such as '45 deg'", default="")
     sensitivity: str = setting("text", "of the sensor, for example '8 V/mm'", default="")
     invert: bool = setting("flag", "turn the sign around", default=False)
     delay: float = setting("value", "delay of the sensor chain, taken out of the FRF", unit="s", default=0.0)
     response: str = setting("text", "CSV table of the sensor's frequency response, taken out of the FRF", default="")
     range: tuple[float, float] | None = setting("text", "recorded values at which the logger clips, e.g. '-10 V .. 10 V'", default=None)
+    derived: str = setting("text", "sum of other channels in place of a column, for example 'f_x - m_s * a_x'", default="")
 
 
 def load_rig(path: Path, overrides: Iterable[str] = ()) -> Rig:
@@ -82,28 +89,27 @@ def moved(rig: Rig, dofs: Mapping[str, str]) -> Rig:
     """
     places: dict[str, str] = {}
     for name, dof in dofs.items():
-        of_role = [channel.channel.name for channel in rig.channels if channel.channel.role == name]
-        known = [channel.channel.name for channel in rig.channels]
+        of_role = [channel.name for channel in rig.all_channels if channel.role == name]
+        known = [channel.name for channel in rig.all_channels]
         if name not in known and len(of_role) != 1:
             what = f"'{name}' is no channel of the rig" if not of_role else f"the rig has {len(of_role)} channels of the role {name}"
             raise ConfigError(what, hint=nearest(name, known))
         places[name if name in known else of_role[0]] = dof
-    return replace(rig, channels=tuple(_at(channel, places.get(channel.channel.name)) for channel in rig.channels))
+    channels = tuple(replace(one, channel=_at(one.channel, places.get(one.channel.name))) for one in rig.channels)
+    return replace(rig, channels=channels, derived=tuple(_at(channel, places.get(channel.name)) for channel in rig.derived))
 
 
-def _at(channel: RigChannel, dof: str | None) -> RigChannel:
-    if dof is None:
-        return channel
-    return replace(channel, channel=replace(channel.channel, dof=dof, angle=AXIS_ANGLES.get(dof)))
+def _at(channel: Channel, dof: str | None) -> Channel:
+    return channel if dof is None else replace(channel, dof=dof, angle=AXIS_ANGLES.get(dof))
 
 
 def read_rig(tree: Marked, faults: Faults) -> Rig | None:
     """The rig of a marked tree; None and faults where it cannot be read."""
     before = len(faults)
     entries = faults.mapping(tree, "")
-    plain = Marked({k: v for k, v in entries.items() if k != "channels"}, tree.where)
+    plain = Marked({k: v for k, v in entries.items() if k not in PARTS}, tree.where)
     settings = read_settings(RigSettings, plain, "", faults)
-    channels = _read_channels(entries.get("channels"), tree, faults)
+    channels, derived = _read_channels(entries.get("channels"), entries.get("constants"), tree, faults)
     if settings is not None and settings.sample_rate is not None and settings.time is not None:
         faults.add(entries["time"], "sample_rate", "one of sample_rate and time is needed, not both", "leave one of them out")
     if settings is not None and settings.sample_rate is not None and settings.sample_rate <= 0:
@@ -118,6 +124,7 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
         time_scale=time_scale(settings.time),
         mass=settings.mass,
         description=settings.description,
+        derived=derived,
     )
 
 
@@ -132,13 +139,30 @@ def time_scale(column: str | None) -> float:
         return 1.0
 
 
-def _read_channels(node: Marked | None, tree: Marked, faults: Faults) -> list[RigChannel]:
+def _read_channels(
+    node: Marked | None, constants: Marked | None, tree: Marked, faults: Faults
+) -> tuple[list[RigChannel], tuple[Channel, ...]]:
+    """The recorded channels, and the sums of them."""
     if node is None:
         faults.add(tree, "channels", "is missing", "name each channel with its column, quantity and unit")
-        return []
+        return [], ()
+    entries = faults.mapping(node, "channels")
+    sums = {name: entry for name, entry in entries.items() if isinstance(entry.content, dict) and "derived" in entry.content}
+    channels = _read_recorded({name: entry for name, entry in entries.items() if name not in sums}, faults)
+    derived = _read_sums(sums, entries, read_constants(constants, faults), channels, faults)
+    members = {term.channel for channel in derived for term in channel.terms}
+    # A force in a sum is no force of its own unless the file says so.
+    free = [channel.channel.name for channel in channels if "role" not in entries[channel.channel.name].content]
+    channels = [
+        replace(one, channel=replace(one.channel, role="reference")) if one.channel.name in members & set(free) else one for one in channels
+    ]
+    return channels, derived
+
+
+def _read_recorded(entries: dict[str, Marked], faults: Faults) -> list[RigChannel]:
     channels: list[RigChannel] = []
     columns: dict[str, str] = {}
-    for name, entry in faults.mapping(node, "channels").items():
+    for name, entry in entries.items():
         channel = _read_channel(name, entry, join("channels", name), faults)
         if channel is None:
             continue
@@ -147,6 +171,60 @@ def _read_channels(node: Marked | None, tree: Marked, faults: Faults) -> list[Ri
         columns[channel.column] = name
         channels.append(channel)
     return channels
+
+
+def _read_sums(
+    sums: dict[str, Marked], entries: dict[str, Marked], constants: dict[str, Factor], recorded: list[RigChannel], faults: Faults
+) -> tuple[Channel, ...]:
+    """The channels that are sums of others, written out in recorded channels; a channel that could not be read is no second fault."""
+    quantities = {name: entry.content["quantity"].text for name, entry in entries.items() if _has_quantity(entry)}
+    reader = SumReader(quantities, constants)
+    settings = {name: read_settings(ChannelSettings, entry, join("channels", name), faults) for name, entry in sums.items()}
+    terms: dict[str, tuple[Term, ...]] = {}
+    for name, entry in sums.items():
+        for key in RECORDED_ONLY:
+            if key in entry.content:
+                faults.add(entry.content[key], join("channels", name, key), "belongs to a recorded channel, this is a sum", "leave it out")
+        own = settings[name]
+        if own is None:
+            continue
+        try:
+            terms[name] = reader.terms(own.derived, name)
+        except UnitError as error:
+            faults.add_unit(entry.content["derived"], join("channels", name, "derived"), error)
+    known = {*terms, *(channel.channel.name for channel in recorded)}
+    whole = {name: sum_ for name, sum_ in terms.items() if all(term.channel in known for term in sum_)}
+    channels = [_sum_channel(name, sums[name], settings[name], whole, recorded, faults) for name in whole]
+    return tuple(channel for channel in channels if channel is not None)
+
+
+def _has_quantity(entry: Marked) -> bool:
+    return isinstance(entry.content, dict) and "quantity" in entry.content and entry.content["quantity"].text in QUANTITIES
+
+
+def _sum_channel(
+    name: str,
+    entry: Marked,
+    settings: ChannelSettings | None,
+    sums: dict[str, tuple[Term, ...]],
+    recorded: list[RigChannel],
+    faults: Faults,
+) -> Channel | None:
+    """A sum with the delay and response that all its members have; none where they differ, which the FRF refuses."""
+    key = join("channels", name)
+    assert settings is not None
+    try:
+        terms = expanded({one: sums[one] for one in sums}, name)
+    except UnitError as error:
+        faults.add_unit(entry.content["derived"], join(key, "derived"), error)
+        return None
+    by_name = {channel.channel.name: channel.channel for channel in recorded}
+    chains = {(by_name[term.channel].delay, by_name[term.channel].response) for term in terms if term.channel in by_name}
+    delay, response = chains.pop() if len(chains) == 1 else (0.0, ())
+    dof, angle = _direction(settings.dof or name, entry, key, faults)
+    member = any(term.channel == name for other in sums.values() for term in other)
+    role = settings.role or ("reference" if member else DEFAULT_ROLES.get(settings.quantity, "reference"))
+    return Channel(name, settings.quantity, role, dof, angle, delay, response, terms)
 
 
 def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChannel | None:

@@ -22,6 +22,8 @@ def rig_schema() -> dict[str, Any]:
     """The schema of a rig file."""
     schema = _object(RigSettings)
     schema["properties"]["channels"] = {"type": "object", "additionalProperties": _object(ChannelSettings)}
+    constants = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
+    schema["properties"]["constants"] = {**constants, "description": "numbers in sums of channels, with their doubt: m_s: 30 kg +- 0.1 kg"}
     schema["required"] = ["channels"]
     return {"$schema": DRAFT, "title": "labpipe rig", **schema}
 

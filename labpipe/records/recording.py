@@ -12,6 +12,7 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.quantities import QUANTITIES
 from labpipe.records.arrays import frozen_array
+from labpipe.records.channel_sum import Term, as_terms
 from labpipe.records.finding import Finding
 from labpipe.records.text import recording_line
 from labpipe.records.views import VIEWS
@@ -26,6 +27,7 @@ class Channel:
     *dof* is a label (``x``, ``y``, ``bearing2.y``); *angle* [rad] from x towards y is set when the direction is known as an angle
     (``dof: 45 deg``; x is 0, y is 90 deg). *role*: input (force), output (response) or reference (tacho, temperature, ...).
     *delay* [s] of the sensor chain and its frequency *response*, rows (frequency [Hz], gain [1], phase [rad]), are taken out of the FRF.
+    *terms*: of a channel that is a sum of others in the recording; none for a measured one.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Channel:
     angle: float | None = None
     delay: float = 0.0
     response: tuple[tuple[float, float, float], ...] = ()
+    terms: tuple[Term, ...] = ()
 
     def __post_init__(self) -> None:
         if self.quantity not in QUANTITIES:
@@ -43,6 +46,7 @@ class Channel:
             raise DataError(f"channel '{self.name}' has the unknown role '{self.role}'")
         # A file gives lists.
         object.__setattr__(self, "response", tuple(tuple(row) for row in self.response))
+        object.__setattr__(self, "terms", as_terms(self.terms))
 
     @property
     def unit(self) -> str:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from labpipe.arrays import FloatArray
 from labpipe.records.recording import Channel
 
 AXIS_ANGLES = {"x": 0.0, "y": math.pi / 2}
@@ -28,7 +31,10 @@ class RigChannel:
 
 @dataclass(frozen=True)
 class Rig:
-    """The rig file: *sample_rate* [Hz] or the *time* column with its unit in seconds; *mass* [kg] or None."""
+    """The rig file: *sample_rate* [Hz] or the *time* column with its unit in seconds; *mass* [kg] or None.
+
+    derived: channels that are sums of recorded ones.
+    """
 
     name: str
     channels: tuple[RigChannel, ...]
@@ -37,3 +43,19 @@ class Rig:
     time_scale: float = 1.0
     mass: float | None = None
     description: str = ""
+    derived: tuple[Channel, ...] = ()
+
+    @property
+    def all_channels(self) -> tuple[Channel, ...]:
+        """The channels of a calibrated recording: the recorded ones, then sums of them."""
+        return (*(channel.channel for channel in self.channels), *self.derived)
+
+    @property
+    def sums(self) -> FloatArray:
+        """Factors (n_derived, n_channel) [SI unit of the sum per SI unit of the channel] of the recorded channels in every sum."""
+        names = [channel.channel.name for channel in self.channels]
+        factors = np.zeros((len(self.derived), len(names)))
+        for row, channel in enumerate(self.derived):
+            for term in channel.terms:
+                factors[row, names.index(term.channel)] = term.factor
+        return factors

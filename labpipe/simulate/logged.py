@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from labpipe.records.recording import Recording
 from labpipe.simulate.virtual_rigs import LoggedTable
 
-# Runs under a control loop are stored as whole numbers: quantity -> (recorded unit, recorded value per SI value).
-WHOLE = {"force": ("mN", 1e3), "displacement": ("nm", 1e9), "current": ("mA", 1e3), "tacho": ("V", 1.0)}
+# Long runs are stored as whole numbers: quantity -> (recorded unit, recorded value per SI value).
+WHOLE = {"force": ("mN", 1e3), "displacement": ("nm", 1e9), "acceleration": ("mm/s^2", 1e3), "current": ("mA", 1e3), "tacho": ("V", 1.0)}
 FINE_VOLTAGE, COARSE_VOLTAGE = ("uV", 1e6), ("mV", 1e3)
 
 

@@ -25,6 +25,7 @@ from labpipe.spectra.ports import Layout, check_rates, find_layout, source_findi
 from labpipe.spectra.realisations import realisations, robust_mean
 from labpipe.spectra.reciprocity import reciprocity_findings
 from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.sums import doubt_findings
 from labpipe.spectra.synchronous import cleaned
 
 # Multiple coherence below which an output is mostly noise.
@@ -91,7 +92,7 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
     sources = list(monitors)
     parts = EXCITATIONS[settings.excitation](sources, settings, layout)
     aliasing = aliasing_findings(monitors, settings.band, _coherent_outputs(parts, layout))
-    findings = (*source_findings(sources), *mask_findings(bands), *aliasing, *parts.findings)
+    findings = (*source_findings(sources), *doubt_findings(sources), *mask_findings(bands), *aliasing, *parts.findings)
     sensor_factor = layout.sensor_factor(parts.frequency)
     flat = sensor_factor.reshape(sensor_factor.shape[0], -1)
     covariance = None if parts.covariance is None else parts.covariance * (flat[:, :, None] * flat[:, None, :].conj())

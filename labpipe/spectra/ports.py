@@ -14,6 +14,7 @@ from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import Port
 from labpipe.spectra.bands import EDGE
+from labpipe.spectra.sums import check_in_time
 
 FORM_OF = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
 
@@ -114,6 +115,7 @@ def _of_role(source: SampleSource, role: str) -> list[tuple[int, Channel]]:
     if not channels:
         what = "force (role: input)" if role == "input" else "response (role: output)"
         raise DataError(f"recording '{source.name}' has no {what}", hint="see the channels of the rig file")
+    check_in_time(source, [channel for _, channel in channels])
     return channels
 
 

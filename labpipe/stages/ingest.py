@@ -67,13 +67,14 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> N
     check_columns(table, timed)
     for channel in rig.channels:
         _check_unit(table, channel)
-    channels = tuple(channel.channel for channel in rig.channels)
+    channels = rig.all_channels
     time = TimeAxisScreen(rig.time) if rig.time else None
     if time is None:
         stated_rate(table, rig)
-    screen = ChannelScreen([channel.name for channel in channels], [_si_limits(channel) for channel in rig.channels])
+    screen = ChannelScreen([channel.channel.name for channel in rig.channels], [_si_limits(channel) for channel in rig.channels])
     scale = np.array([channel.scale for channel in rig.channels])
     offset = np.array([channel.offset for channel in rig.channels])
+    sums = rig.sums.T
     try:
         with RecordingWriter(target, channels) as writer:
             for chunk in table.chunks(timed):
@@ -81,7 +82,7 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> N
                     time.add(chunk[:, 0] * rig.time_scale)
                 block = chunk[:, len(timed) - len(columns) :] * scale + offset
                 screen.add(block)
-                writer.write(block)
+                writer.write(np.concatenate([block, block @ sums], axis=1) if rig.derived else block)
             sample_rate = time.sample_rate() if time is not None else stated_rate(table, rig)
             contents = recording_contents(channels, sample_rate, name, screen.levels())
             findings = (*(table.findings() if isinstance(table, JoinedTable) else ()), *screen.findings())

@@ -48,8 +48,12 @@ STUDIED: dict[str, tuple[str, tuple[str, ...], FrfSettings | None, FitSettings]]
         FitSettings("rotor-2dof", mass="30 kg", band="10-60 Hz"),
     ),
 }
-RUN_UPS_ONLY, DECAYS_ONLY = "virtual-unbalance-rig", "virtual-decay-rig"
-OTHERS = {RUN_UPS_ONLY: "virtual-unbalance.yaml", DECAYS_ONLY: "virtual-decay.yaml"}
+RUN_UPS_ONLY = "virtual-unbalance-rig"
+OTHERS = {
+    RUN_UPS_ONLY: "virtual-unbalance.yaml",
+    "virtual-decay-rig": "virtual-decay.yaml",
+    "virtual-floating-rig": "virtual-floating.yaml",
+}
 FILES = {kind: file for kind, (file, *_) in STUDIED.items()} | OTHERS
 
 

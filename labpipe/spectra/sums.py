@@ -1,0 +1,47 @@
+"""Sums of channels in recordings: where a sum in time holds, and the doubt of the numbers in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from labpipe.errors import DataError
+from labpipe.records.channel_sum import Number
+from labpipe.records.finding import Finding
+from labpipe.records.recording import Channel, SampleSource
+
+
+def check_in_time(source: SampleSource, used: Iterable[Channel]) -> None:
+    """DataError for a sum in use whose members have different delays or frequency responses: made sample by sample it is not the sum."""
+    by_name = {channel.name: channel for channel in source.channels}
+    for channel in used:
+        members = [by_name[term.channel] for term in channel.terms if term.channel in by_name]
+        if len({(member.delay, member.response) for member in members}) > 1:
+            chains = ", ".join(f"{member.name}: {_chain(member)}" for member in members)
+            what = f"channel '{channel.name}' is a sum of channels with different delays or frequency responses ({chains})"
+            raise DataError(what, hint="frf: {result: spectra} sums them line by line after their corrections")
+
+
+def _chain(channel: Channel) -> str:
+    return f"{1e6 * channel.delay:g} us" + (" and a response table" if channel.response else "")
+
+
+def doubtful_numbers(channels: Iterable[Channel]) -> dict[Number, list[Channel]]:
+    """The numbers with a doubt in sums of channels, each with the sums that it stands in."""
+    used: dict[Number, list[Channel]] = {}
+    for channel in channels:
+        for number in dict.fromkeys(number for term in channel.terms for number in term.numbers):
+            used.setdefault(number, []).append(channel)
+    return used
+
+
+def doubt_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
+    """Of numbers in sums that are inputs or outputs: their doubt is not in the intervals of an FRF."""
+    channels = dict.fromkeys(channel for source in sources for channel in source.channels if channel.role != "reference")
+    return tuple(
+        Finding(
+            "number-doubt",
+            f"{number.name} = {number.value:g} {number.unit} +- {number.std_error:.3g} {number.unit} in "
+            f"{', '.join(one.name for one in sums)}: this doubt is not in the intervals of the FRF and of its fits",
+        )
+        for number, sums in doubtful_numbers(channels).items()
+    )
