@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -26,8 +26,8 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import Uncertain
 from labpipe.registry import nearest
 
-# The theory at a condition (value, SI unit) of one comparison.
-Theory = Callable[[float, str], TheoryAt]
+# The theory at the conditions (value, SI unit) of one comparison.
+Theory = Callable[[Sequence[tuple[float, str]]], TheoryAt]
 
 
 @dataclass(frozen=True)
@@ -88,8 +88,10 @@ def _newly_matched(campaign: Campaign, evidence: Evidence, theory: Theory, named
     matched, overlays = [], []
     last = len(campaign.observations) - 1
     for number, observation in enumerate(campaign.observations):
-        key = repr(observation.condition)
-        theories[key] = theories.get(key) or theory(observation.condition, campaign.condition_unit)
+        pairs = ((observation.condition, campaign.condition_unit), (observation.second, campaign.second_unit))
+        conditions = pairs[: len(campaign.settings.over)]
+        key = repr(conditions)
+        theories[key] = theories.get(key) or theory(conditions)
         inputs = (observation.fit, evidence.response(observation.fit.test), evidence.settings_of(observation.fit.name), theories[key], rig)
         matched.append(_named(observation.fit.test, *inputs))
         if number in (0, last):
@@ -156,7 +158,7 @@ def _views(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory
     views = []
     for test in dict.fromkeys(fit.test for fit in named):
         response = evidence.response(test)
-        at = condition_of(settings, test, response.conditions) if settings.over else (None, "")
+        at = condition_of(settings.condition, test, response.conditions) if settings.over else (None, "")
         fits = tuple(fit for fit in named if fit.test == test)
         views.append(View(test, response, evidence.settings_of(settings.fit), fits, theory(*at)))
     return views

@@ -6,19 +6,18 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.campaign.amounts import chance, relative_change
+from labpipe.campaign.levels import levels_of
 from labpipe.campaign.observations import Campaign
 from labpipe.campaign.trend import power_fit
 from labpipe.campaign.weighted import weighted_mean
 from labpipe.errors import ConfigError, FitError
 from labpipe.records.comparison import Comparison
 
-SAME = 1e-6
-
 
 def difference(campaign: Campaign) -> Comparison:
     """Weighted mean of ln(second / first) over the conditions common to both groups, and its p-value.
 
-    The error of each logarithm is the fit's relative error combined with n s_x / x, the error of setting the condition (n: exponent of
+    The error of each logarithm is the fit's relative error combined with n s_x / x, the error of setting each condition (n: exponent of
     the trend of all tests). ConfigError for groups without a common condition.
     """
     first, second = campaign.settings.groups
@@ -40,8 +39,10 @@ def difference(campaign: Campaign) -> Comparison:
         amounts=(change, chance("p_value", p_value), chance("scatter_p", mean.p_value)),
         verdict=verdict,
         statement=f"{result} from {pairs}: {verdict} (p = {p_value:.2g}).",
-        condition=campaign.settings.over,
+        condition=campaign.settings.condition,
         condition_unit=campaign.condition_unit,
+        second=campaign.settings.second,
+        second_unit=campaign.second_unit,
     )
 
 
@@ -59,7 +60,7 @@ def _paired(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, Fl
             means = [weighted_mean(logs[part], errors[part]) for part in (of_first, of_second)]
             pairs.append((means[1].values[0] - means[0].values[0], np.hypot(means[0].std_error(0), means[1].std_error(0))))
     if not pairs:
-        raise ConfigError(f"{first} and {second} were tested at no common '{campaign.settings.over}'", hint="leave `over` out")
+        raise ConfigError(f"{first} and {second} were tested at no common '{', '.join(campaign.settings.over)}'", hint="leave `over` out")
     return np.array([f[0] for f in pairs]), np.array([f[1] for f in pairs]), len(pairs)
 
 
@@ -67,8 +68,11 @@ def _strata(campaign: Campaign) -> list[BoolArray]:
     """Tests at the same condition; all tests where no condition is named."""
     if not campaign.settings.over:
         return [np.ones(len(campaign.observations), bool)]
-    x = campaign.condition
-    return [np.abs(x - value) <= SAME * np.abs(value) for value in np.unique(x)]
+    numbers = [levels_of(campaign.condition, campaign.settings.tolerance)[1]]
+    if campaign.settings.second:
+        numbers.append(levels_of(campaign.second, campaign.settings.tolerance)[1])
+    places = np.column_stack(numbers)
+    return [np.all(places == place, axis=1) for place in np.unique(places, axis=0)]
 
 
 def _errors(campaign: Campaign) -> FloatArray:
@@ -78,4 +82,5 @@ def _errors(campaign: Campaign) -> FloatArray:
         return relative
     if not campaign.settings.over:
         raise FitError("'setting_error' needs the condition that was set", hint="name it with `over`")
-    return np.hypot(relative, power_fit(campaign).values[1] * setting)
+    exponents = power_fit(campaign).values[1:]
+    return np.hypot(relative, float(np.linalg.norm(exponents)) * setting)

@@ -19,11 +19,12 @@ from labpipe.registry import nearest
 
 @dataclass(frozen=True)
 class Observation:
-    """A parameter of a test's fit; *condition* in SI (NaN where the settings name none), *group* as written."""
+    """A parameter of a test's fit; *condition* and *second* one in SI (NaN where the settings name none), *group* as written."""
 
     fit: Fit
     parameter: Parameter
     condition: float
+    second: float
     group: str
 
     @property
@@ -45,17 +46,18 @@ class Observation:
         return self.std_error / self.value
 
     def point(self) -> ComparedPoint:
-        condition = None if np.isnan(self.condition) else self.condition
-        return ComparedPoint(self.fit.test, self.value, ci95=self.parameter.ci95, condition=condition, group=self.group)
+        condition, second = (None if np.isnan(amount) else amount for amount in (self.condition, self.second))
+        return ComparedPoint(self.fit.test, self.value, ci95=self.parameter.ci95, condition=condition, second=second, group=self.group)
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """The observations of one comparison, in ascending order of the condition, with the units of value and condition."""
+    """The observations of one comparison, in ascending order of the conditions, with the units of value and conditions."""
 
     settings: CompareSettings
     observations: tuple[Observation, ...]
     condition_unit: str
+    second_unit: str = ""
 
     @property
     def unit(self) -> str:
@@ -65,6 +67,11 @@ class Campaign:
     def condition(self) -> FloatArray:
         """Condition of every test, (n_test,) [condition_unit]."""
         return np.array([observation.condition for observation in self.observations])
+
+    @property
+    def second(self) -> FloatArray:
+        """Second condition of every test, (n_test,) [second_unit]."""
+        return np.array([observation.second for observation in self.observations])
 
     @property
     def value(self) -> FloatArray:
@@ -96,19 +103,22 @@ def campaign_of(settings: CompareSettings, fits: Sequence[Fit], conditions: Mapp
 
     ConfigError for an unknown fit, term, parameter or condition; FitError for fewer than two tests.
     """
-    chosen = _chosen(settings, fits)
-    observations, units = [], set()
-    for fit in chosen:
-        test_conditions = conditions.get(fit.test, {})
-        value, unit = condition_of(settings, fit.test, test_conditions) if settings.over else (float("nan"), "")
-        units.add(unit)
-        observations.append(Observation(fit, _parameter(settings, fit), value, group_of(settings, fit.test, test_conditions)))
+    observations: list[Observation] = []
+    units: set[tuple[str, ...]] = set()
+    for fit in _chosen(settings, fits):
+        of_test = conditions.get(fit.test, {})
+        amounts = [condition_of(name, fit.test, of_test) for name in settings.over]
+        units.add(tuple(unit for _, unit in amounts))
+        first, second = (*(value for value, _ in amounts), float("nan"), float("nan"))[:2]
+        observations.append(Observation(fit, _parameter(settings, fit), first, second, group_of(settings, fit.test, of_test)))
     if len(units) > 1:
-        raise ConfigError(f"the condition '{settings.over}' has the units {', '.join(sorted(units))}", hint="write it in one dimension")
+        listed = ", ".join(sorted(" and ".join(pair) for pair in units))
+        raise ConfigError(f"the condition '{', '.join(settings.over)}' has the units {listed}", hint="write it in one dimension")
     if len(observations) < 2:
         raise FitError(f"comparison '{settings.name}' has {len(observations)} test(s)", hint="at least two are needed")
-    ordered = sorted(observations, key=lambda observation: (observation.condition, observation.group)) if settings.over else observations
-    return Campaign(settings, tuple(ordered), units.pop())
+    if settings.over:
+        observations.sort(key=lambda entry: (entry.condition, *([entry.second] if settings.second else []), entry.group))
+    return Campaign(settings, tuple(observations), *(*units.pop(), "", "")[:2])
 
 
 def _chosen(settings: CompareSettings, fits: Sequence[Fit]) -> list[Fit]:
@@ -144,9 +154,9 @@ def group_of(settings: CompareSettings, test: str, conditions: Mapping[str, Any]
     return _condition(settings.group, test, conditions) if settings.group else ""
 
 
-def condition_of(settings: CompareSettings, test: str, conditions: Mapping[str, Any]) -> tuple[float, str]:
+def condition_of(name: str, test: str, conditions: Mapping[str, Any]) -> tuple[float, str]:
     """A condition as a number in SI with its unit: "427 N" -> (427.0, "N"); ConfigError for what is no amount."""
     try:
-        return si_amount(_condition(settings.over, test, conditions))
+        return si_amount(_condition(name, test, conditions))
     except UnitError as error:
-        raise ConfigError(f"condition {settings.over} of test '{test}': {error.what}", hint=error.hint) from None
+        raise ConfigError(f"condition {name} of test '{test}': {error.what}", hint=error.hint) from None

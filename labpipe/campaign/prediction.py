@@ -50,7 +50,7 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
         amounts=(*_amounts(bands, after, names), *_stability(views), *goodness(fitted), *fitted.parameters),
         verdict=word,
         statement=_statement(bands, after, names, fitted, word, views),
-        condition=settings.over,
+        condition=settings.condition,
         bands=tuple(bands),
         curves=tuple(_curve(view, letter, None if changed is None else changed[n]) for n, view in enumerate(views) for letter in LETTERS),
         correlations=fitted.correlations,

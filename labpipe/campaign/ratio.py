@@ -40,8 +40,10 @@ def stiffness_ratio(campaign: Campaign, matched: Sequence[Matched], overlays: tu
         amounts=(ratio, chance("scatter_p", mean.p_value), from_log("beta", "s", float(np.log(beta)), 0.0, 0.0)),
         verdict=verdict,
         statement=_ratio_statement(campaign, ratio.value, ratio.ci95, mean, SERIES if any(m.to_bending.any() for m in matched) else ""),
-        condition=campaign.settings.over,
+        condition=campaign.settings.condition,
         condition_unit=campaign.condition_unit,
+        second=campaign.settings.second,
+        second_unit=campaign.second_unit,
         overlays=overlays,
     )
 
@@ -111,8 +113,10 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
         amounts=(beta, exponent, chance("p_value", mean.p_value)),
         verdict=verdict,
         statement=f"{result} (Rayleigh damping: 1): {verdict} (p = {mean.p_value:.2g}).",
-        condition=campaign.settings.over,
+        condition=campaign.settings.condition,
         condition_unit=campaign.condition_unit,
+        second=campaign.settings.second,
+        second_unit=campaign.second_unit,
     )
 
 

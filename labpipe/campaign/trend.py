@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from labpipe.arrays import FloatArray
@@ -18,59 +20,81 @@ DRAWN = 60
 def trend(campaign: Campaign) -> Comparison:
     """value = level + slope (x - x_0), or value = level (x / x_0)^exponent; x_0 is the mean (geometric mean) of the conditions.
 
-    FitError where conditions or values do not allow it.
+    Over two conditions: level + slope (x - x_0) + second_slope (y - y_0), or level (x / x_0)^exponent (y / y_0)^second_exponent; the
+    verdict is that of the first. FitError where conditions or values do not allow it.
     """
     return _power(campaign) if campaign.settings.law == "power" else _line(campaign)
 
 
 def power_fit(campaign: Campaign) -> WeightedFit:
-    """(ln level, exponent) over ln(x / x_0), with the propagated error of setting x: s^2 = s_fit^2 + (n s_x / x)^2."""
-    x = campaign.condition
-    if np.any(x <= 0):
-        raise FitError(f"a power law needs '{campaign.settings.over}' above zero", hint="law: line")
+    """(ln level, exponent) over ln(x / x_0), and over ln(y / y_0) of a second condition.
+
+    With the propagated error of setting the conditions: s^2 = s_fit^2 + (n s_x / x)^2 + (m s_y / y)^2.
+    """
+    for values, name in zip(_conditions(campaign), campaign.settings.over, strict=True):
+        if np.any(values <= 0):
+            raise FitError(f"a power law needs '{name}' above zero", hint="law: line")
     relative = campaign.relative
-    columns = np.column_stack([np.ones_like(x), np.log(x / _centre(campaign))])
+    columns = np.column_stack([np.ones_like(campaign.condition), *(np.log(x / _centre(campaign, x)) for x in _conditions(campaign))])
     first = weighted_fit(columns, np.log(campaign.value), relative)
-    errors = np.hypot(relative, first.values[1] * campaign.settings.setting_error)
+    errors = np.hypot(relative, np.linalg.norm(first.values[1:]) * campaign.settings.setting_error)
     return weighted_fit(columns, np.log(campaign.value), errors)
 
 
-def _centre(campaign: Campaign) -> float:
-    x = campaign.condition
+def _conditions(campaign: Campaign) -> list[FloatArray]:
+    """The conditions of all tests, (n_test,) each."""
+    return [campaign.condition, *([campaign.second] if campaign.settings.second else [])]
+
+
+def _centre(campaign: Campaign, x: FloatArray) -> float:
     return float(np.exp(np.mean(np.log(x))) if campaign.settings.law == "power" or np.all(x > 0) else np.mean(x))
 
 
 def _power(campaign: Campaign) -> Comparison:
-    fit, centre = power_fit(campaign), _centre(campaign)
+    fit, centre = power_fit(campaign), _centre(campaign, campaign.condition)
     x = _drawn(campaign.condition)
     values = np.exp(fit.values[0]) * (x / centre) ** fit.values[1]
     exponent = with_error("exponent", "1", float(fit.values[1]), fit.std_error(1), fit.quantile)
     level = from_log("level", campaign.unit, float(fit.values[0]), fit.std_error(0), fit.quantile)
-    law = f"{campaign.subject} = {level.value:.5g} {campaign.unit} ({campaign.settings.over} / {centre:.5g} {campaign.condition_unit})"
-    return _comparison(campaign, fit, (exponent, level), f"{law}^{exponent.value:.4f}", np.column_stack([x, values]))
+    settings = campaign.settings
+    law = f"{campaign.subject} = {level.value:.5g} {campaign.unit} ({settings.condition} / {centre:.5g} {campaign.condition_unit})"
+    law += f"^{exponent.value:.4f}"
+    amounts = [exponent, level]
+    if settings.second:
+        amounts.append(with_error("second_exponent", "1", float(fit.values[2]), fit.std_error(2), fit.quantile))
+        law += f" ({settings.second} / {_centre(campaign, campaign.second):.5g} {campaign.second_unit})^{fit.values[2]:.4f}"
+    return _comparison(campaign, fit, amounts, law, np.column_stack([x, values]))
 
 
 def _line(campaign: Campaign) -> Comparison:
     x, centre = campaign.condition, float(np.mean(campaign.condition))
-    columns = np.column_stack([np.ones_like(x), x - centre])
+    columns = np.column_stack([np.ones_like(x), *(values - np.mean(values) for values in _conditions(campaign))])
     fit = weighted_fit(columns, campaign.value, campaign.std_error)
-    setting = fit.values[1] * x * campaign.settings.setting_error
-    fit = weighted_fit(columns, campaign.value, np.hypot(campaign.std_error, setting))
-    slope_unit = f"{campaign.unit}/{campaign.condition_unit}"
-    slope = with_error("slope", slope_unit, float(fit.values[1]), fit.std_error(1), fit.quantile)
+    setting = np.linalg.norm([slope * values for slope, values in zip(fit.values[1:], _conditions(campaign), strict=True)], axis=0)
+    fit = weighted_fit(columns, campaign.value, np.hypot(campaign.std_error, setting * campaign.settings.setting_error))
+    slope = with_error("slope", f"{campaign.unit}/{campaign.condition_unit}", float(fit.values[1]), fit.std_error(1), fit.quantile)
     level = with_error("level", campaign.unit, float(fit.values[0]), fit.std_error(0), fit.quantile)
     drawn = _drawn(x)
-    where = f"{level.value:.5g} {campaign.unit} at {campaign.settings.over} {centre:.5g} {campaign.condition_unit}"
-    law = f"{campaign.subject} is {where} and changes by {slope.value:.4g} {slope_unit}"
-    return _comparison(campaign, fit, (slope, level), law, np.column_stack([drawn, level.value + slope.value * (drawn - centre)]))
+    settings = campaign.settings
+    where = f"{level.value:.5g} {campaign.unit} at {settings.condition} {centre:.5g} {campaign.condition_unit}"
+    change = f"{slope.value:.4g} {slope.unit}"
+    amounts = [slope, level]
+    if settings.second:
+        unit = f"{campaign.unit}/{campaign.second_unit}"
+        amounts.append(with_error("second_slope", unit, float(fit.values[2]), fit.std_error(2), fit.quantile))
+        where += f" and {settings.second} {float(np.mean(campaign.second)):.5g} {campaign.second_unit}"
+        change += f" and {fit.values[2]:.4g} {unit}"
+    law = f"{campaign.subject} is {where} and changes by {change}"
+    return _comparison(campaign, fit, amounts, law, np.column_stack([drawn, level.value + slope.value * (drawn - centre)]))
 
 
 def _drawn(x: FloatArray) -> FloatArray:
     return np.linspace(float(np.min(x)), float(np.max(x)), DRAWN)
 
 
-def _comparison(campaign: Campaign, fit: WeightedFit, amounts: tuple[Parameter, ...], law: str, line: FloatArray) -> Comparison:
+def _comparison(campaign: Campaign, fit: WeightedFit, amounts: Sequence[Parameter], law: str, line: FloatArray) -> Comparison:
     p_value = fit.p_of(1)
+    second = [chance("second_p_value", fit.p_of(2))] if campaign.settings.second else []
     sure = p_value < campaign.settings.level
     verdict = "no trend" if not sure else "rising" if fit.values[1] > 0 else "falling"
     fits = "" if fit.p_value is None else f"; the law fits the points with p = {fit.p_value:.2g}"
@@ -83,10 +107,12 @@ def _comparison(campaign: Campaign, fit: WeightedFit, amounts: tuple[Parameter, 
         subject=campaign.subject,
         unit=campaign.unit,
         points=campaign.points(),
-        amounts=(*amounts, chance("p_value", p_value), chance("scatter_p", fit.p_value)),
+        amounts=(*amounts, chance("p_value", p_value), *second, chance("scatter_p", fit.p_value)),
         verdict=verdict,
         statement=statement,
-        condition=campaign.settings.over,
+        condition=campaign.settings.condition,
         condition_unit=campaign.condition_unit,
+        second=campaign.settings.second,
+        second_unit=campaign.second_unit,
         line=tuple((float(a), float(b)) for a, b in line),
     )

@@ -14,7 +14,8 @@ from labpipe.records.parameter import Parameter
 class ComparedPoint:
     """One test's part in a comparison, in SI units.
 
-    *value* with its 95 % interval *ci95*; *condition* [condition_unit of the comparison] and *group* tell it from the others.
+    *value* with its 95 % interval *ci95*; *condition* [condition_unit of the comparison], the *second* condition [second_unit] if there is
+    one, and *group* tell it from the others.
     *theory*: the same fit on the theory's own curve; *ratio* measured / theory with *ratio_ci95*. *p_value* where the point is a test
     of its own (reciprocity of a pair of dofs).
     """
@@ -24,6 +25,7 @@ class ComparedPoint:
     _: KW_ONLY
     ci95: tuple[float, float] | None = None
     condition: float | None = None
+    second: float | None = None
     group: str = ""
     theory: float | None = None
     ratio: float | None = None
@@ -96,6 +98,7 @@ class Overlay:
 class Comparison:
     """Comparison of tests: its *kind*, quantity, *condition* and result.
 
+    *second*: another condition, where tests differ in two.
     *verdict* is one word or two for rules ("no difference"), *statement* the same as a sentence for people. *line*: condition and value
     of the fitted trend, for drawing; *overlays*: measured curves and the theory's, at the first and the last condition. *bands* and
     *curves*: where something is compared over frequency; *correlations* of estimated amounts, (name, name, value); *findings*: warnings.
@@ -111,6 +114,8 @@ class Comparison:
     statement: str
     condition: str = ""
     condition_unit: str = ""
+    second: str = ""
+    second_unit: str = ""
     line: tuple[tuple[float, float], ...] = ()
     overlays: tuple[Overlay, ...] = ()
     bands: tuple[ComparedBand, ...] = ()

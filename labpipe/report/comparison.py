@@ -82,6 +82,7 @@ def _point_table(comparison: Comparison) -> Table:
     titles = [
         "test",
         f"{comparison.condition or 'condition'} [{unit_text(comparison.condition_unit) or '-'}]",
+        f"{comparison.second} [{unit_text(comparison.second_unit) or '-'}]",
         "group",
         f"value{f' [{unit}]' if unit else ''}",
         "95 % interval",
@@ -104,7 +105,10 @@ def _point_row(comparison: Comparison, point: ComparedPoint) -> tuple[str, ...]:
 
     return (
         point.test,
-        "" if point.condition is None else f"{to_display(point.condition, display_unit(comparison.condition_unit)):g}",
+        *(
+            "" if amount is None else f"{to_display(amount, display_unit(of)):g}"
+            for amount, of in ((point.condition, comparison.condition_unit), (point.second, comparison.second_unit))
+        ),
         point.group,
         number(point.value),
         "" if point.ci95 is None else f"{number(point.ci95[0])} to {number(point.ci95[1])}",

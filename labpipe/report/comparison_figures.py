@@ -57,7 +57,8 @@ def _trend(comparison: Comparison) -> Figure:
     x, y = np.array(comparison.line).T
     law = curve("fitted law", scale_of(comparison.condition_unit) * x, scale_of(comparison.unit) * y, 1)
     panel = Panel(_condition(comparison), _subject(comparison), (_tests(comparison, comparison.points, "tests", 0), law))
-    return _figure(comparison, stacked([panel], 3.2), "tests with 95 % intervals and the fitted law")
+    mean = f" at the mean {comparison.second}" if comparison.second else ""
+    return _figure(comparison, stacked([panel], 3.2), f"tests with 95 % intervals and the fitted law{mean}")
 
 
 def _groups(comparison: Comparison) -> dict[str, list[ComparedPoint]]:
@@ -87,7 +88,8 @@ def _difference(comparison: Comparison) -> Figure:
 
 
 def _mean_at(comparison: Comparison, point: ComparedPoint) -> float:
-    return float(np.mean([other.value for other in comparison.points if other.condition == point.condition]))
+    here = (point.condition, point.second)
+    return float(np.mean([other.value for other in comparison.points if (other.condition, other.second) == here]))
 
 
 def _repeatability(comparison: Comparison) -> Figure:

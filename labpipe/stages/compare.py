@@ -58,8 +58,10 @@ def theory_of(folder: Path, settings: TheorySettings) -> Theory:
     """The bearing file as a function of the condition [SI]; ConfigError for a bearing without five dofs, or without a shaft on it."""
     file = open_bearing(folder / settings.bearing)
 
-    def at(condition: float, unit: str) -> TheoryAt:
-        low, high = (_settings_at(file, settings.entry, condition * factor, unit) for factor in (1.0, 1 + STEP))
+    def at(conditions: Sequence[tuple[float, str]]) -> TheoryAt:
+        # The error of setting is that of the first condition.
+        raised = [(conditions[0][0] * (1 + STEP), conditions[0][1]), *conditions[1:]]
+        low, high = (_settings_at(file, settings.entry, pairs) for pairs in (conditions, raised))
         here, near = file.coefficients([low, high])
         shaft = getattr(low, "shaft", None)
         if here.dofs != DOFS or shaft is None:
@@ -77,12 +79,13 @@ def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
         raise ConfigError(f"is of the kind {file.kind_name}", where=str(file.path), hint=f"a loop is predicted for the kind {MAGNETIC}")
 
     def at(condition: float | None, unit: str) -> MagneticFile:
-        bearing: MagneticFile = file.settings() if condition is None else _settings_at(file, settings.entry, condition, unit)
+        bearing: MagneticFile = file.settings() if condition is None else _settings_at(file, settings.entry, [(condition, unit)])
         return bearing
 
     return at
 
 
-def _settings_at(file: BearingFile, entry: str, condition: float, unit: str) -> Any:
-    set_entry(file.tree, f"{entry}={condition!r} {unit}")
+def _settings_at(file: BearingFile, entries: Sequence[str], conditions: Sequence[tuple[float, str]]) -> Any:
+    for entry, (value, unit) in zip(entries, conditions, strict=True):
+        set_entry(file.tree, f"{entry}={value!r} {unit}")
     return file.settings()

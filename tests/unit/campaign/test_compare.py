@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -47,8 +47,9 @@ def evidence(rng) -> Evidence:
     return Evidence(tuple(fits), tuple(responses), (PEAKS,))
 
 
-def theory(calls: list[float]) -> Callable[[float, str], TheoryAt]:
-    def at(condition: float, unit: str) -> TheoryAt:
+def theory(calls: list[float]) -> Callable[[Sequence[tuple[float, str]]], TheoryAt]:
+    def at(conditions: Sequence[tuple[float, str]]) -> TheoryAt:
+        ((condition, unit),) = conditions
         assert unit == "N"
         calls.append(condition)
         return TheoryAt(K * condition / 427, K * condition / 427 * 1.001, 1e-3, SHAFT)

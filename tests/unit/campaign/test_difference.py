@@ -91,3 +91,21 @@ def test_groups_that_are_not_there_are_named(campaign) -> None:
     lone = CompareSettings(kind="difference", fit="axial", group="way", groups=("up", "down"), setting_error=0.01)
     with pytest.raises(FitError, match="'setting_error' needs the condition"):
         difference(campaign(lone, both_ways(k, k)))
+
+
+TWICE = CompareSettings(
+    kind="difference", fit="axial", over=("speed", "load"), group="way", groups=("up", "down"), tolerance=0.01, name="two"
+)
+
+
+def test_tests_are_paired_by_both_conditions(campaign) -> None:
+    """k rises with speed and falls with load; down is 2 % above up at equal conditions, which were set to within 0.2 %."""
+    tests = [
+        (1e6 * speed / load * (1.02 if way == "down" else 1.0), 1e3, {"speed": f"{set_speed} Hz", "load": f"{load} N", "way": way})
+        for speed in (20.0, 40.0)
+        for load in (1.0, 2.0)
+        for way, set_speed in (("up", speed), ("down", speed * 1.002))
+    ]
+    found = difference(campaign(TWICE, tests))
+    assert found.amount("difference").value == pytest.approx(0.02, rel=1e-9)
+    assert "4 condition(s) tested both ways" in found.statement

@@ -73,3 +73,38 @@ def test_two_tests_have_a_trend_but_no_scatter(campaign) -> None:
     found = trend(campaign(POWER, a_series([1e7, 2e7], 1e4, (100.0, 200.0))))
     assert found.amount("exponent").value == pytest.approx(1.0, rel=1e-9)
     assert np.isnan(found.amount("scatter_p").value)
+
+
+TWO = CompareSettings(kind="trend", fit="axial", over=("speed", "load"), name="two")
+GRID = [(speed, load) for speed in (20.0, 40.0, 80.0) for load in (500.0, 1000.0)]
+
+
+def a_grid(value, error: float = 1e3, noise=lambda: 0.0):
+    """Tests at every speed and load, k by a function of both."""
+    return [(value(speed, load) + error * noise(), error, {"speed": f"{speed} Hz", "load": f"{load} N"}) for speed, load in GRID]
+
+
+def test_a_plane_over_two_conditions_is_found_exactly(campaign) -> None:
+    found = trend(campaign(TWO, a_grid(lambda speed, load: 1e6 + 300 * speed - 20 * load)))
+    assert found.amount("slope").value == pytest.approx(300.0, rel=1e-9)
+    assert found.amount("second_slope").value == pytest.approx(-20.0, rel=1e-9)
+    assert (found.amount("slope").unit, found.amount("second_slope").unit) == ("N/m/Hz", "N/m/N")
+    assert (found.condition, found.second, found.second_unit) == ("speed", "load", "N")
+    assert [(point.condition, point.second) for point in found.points] == GRID
+
+
+def test_a_product_of_powers_is_found_exactly(campaign) -> None:
+    settings = CompareSettings(kind="trend", fit="axial", over=("speed", "load"), law="power", name="two")
+    found = trend(campaign(settings, a_grid(lambda speed, load: 3e4 * speed**0.4 * load**-0.2)))
+    assert found.amount("exponent").value == pytest.approx(0.4, rel=1e-9)
+    assert found.amount("second_exponent").value == pytest.approx(-0.2, rel=1e-9)
+
+
+def test_slopes_over_two_conditions_scatter_as_stated(campaign, rng) -> None:
+    """400 grids: scatter over stated error of both slopes within 4 standard deviations of a scatter."""
+    found = [trend(campaign(TWO, a_grid(lambda speed, load: 1e6 + 300 * speed - 20 * load, noise=rng.standard_normal))) for _ in range(400)]
+    for name, truth in (("slope", 300.0), ("second_slope", -20.0)):
+        values = np.array([result.amount(name).value for result in found])
+        stated = np.median([result.amount(name).std_error for result in found])
+        assert np.std(values) == pytest.approx(stated, rel=4 / np.sqrt(800))
+        assert np.mean(values) == pytest.approx(truth, abs=4 * np.std(values) / 20)

@@ -68,7 +68,7 @@ def written_series(tmp_path: Path) -> Path:
     for way in ("up", "down"):
         for preload in PRELOADS:
             name = f"{preload:g}-{way}"
-            write_frf_csv(tmp_path / f"{name}.csv", axial_response(1.1 * theory(preload, "N").stiffness[2, 2], rng))
+            write_frf_csv(tmp_path / f"{name}.csv", axial_response(1.1 * theory([(preload, "N")]).stiffness[2, 2], rng))
             tests.append({"name": name, "frfs": f"{name}.csv", "conditions": {"preload": f"{preload:g} N", "way": way}})
     fit = {"model": "sdof", "input": "z", "output": "z", "band": "300-900 Hz"}
     series = {"fit": "axial", "over": "preload"}
@@ -228,11 +228,11 @@ def test_the_theory_is_the_bearing_file_at_the_condition() -> None:
     """NSK 6208 at 427 N and 1721 N, printed K_zz .1654e8 and .4616e8 (Knaapen 1997, appendix A), to half a printed digit."""
     theory = theory_of(BEARING.parent, TheorySettings(BEARING.name))
     for preload, printed in ((427.0, 0.1654e8), (1721.0, 0.4616e8)):
-        at = theory(preload, "N")
+        at = theory([(preload, "N")])
         assert at.stiffness[2, 2] == pytest.approx(printed, abs=5e3)
         slope = np.log(at.near[2, 2] / at.stiffness[2, 2]) / np.log1p(at.step)
         assert 0.5 < slope < 0.9
-    assert theory(427.0, "N").shaft.mass == 2.45
+    assert theory([(427.0, "N")]).shaft.mass == 2.45
 
 
 def test_a_bearing_file_without_a_shaft_is_no_theory(tmp_path: Path) -> None:
@@ -240,9 +240,9 @@ def test_a_bearing_file_without_a_shaft_is_no_theory(tmp_path: Path) -> None:
     (tmp_path / "bare.yaml").write_text(text)
     theory = theory_of(tmp_path, TheorySettings("bare.yaml"))
     with pytest.raises(ConfigError, match="has no shaft on a bearing of five dofs"):
-        theory(427.0, "N")
+        theory([(427.0, "N")])
     with pytest.raises(ConfigError, match="wrong dimension"):
-        theory(427.0, "m")
+        theory([(427.0, "m")])
 
 
 def test_the_schema_knows_comparisons() -> None:
@@ -276,3 +276,17 @@ def test_points_keep_their_parts_through_the_file(finished) -> None:
     assert isinstance(again.points[0].ci95, tuple)
     point = found.sections["compare"][0].points[0]
     assert point.ratio == pytest.approx(point.value / point.theory, rel=1e-6)
+
+
+def test_a_theory_at_two_conditions_sets_two_entries(tmp_path: Path) -> None:
+    """A load in x beside that in z: without it K is that of one condition, with it another; an entry that there is not is named."""
+    text = BEARING.read_text("utf-8")
+    (tmp_path / "b.yaml").write_text(text)
+    both = theory_of(tmp_path, TheorySettings("b.yaml", entry=("loads.z", "temperature_rise")))
+    with pytest.raises(ConfigError, match="unknown key"):
+        both([(427.0, "N"), (20.0, "K")])
+    moment = theory_of(tmp_path, TheorySettings("b.yaml", entry=("loads.z", "loads.x")))
+    plain = theory_of(tmp_path, TheorySettings("b.yaml"))
+    loaded = moment([(427.0, "N"), (20.0, "N")]).stiffness
+    assert not np.allclose(loaded, plain([(427.0, "N")]).stiffness)
+    np.testing.assert_allclose(moment([(427.0, "N"), (0.0, "N")]).stiffness, plain([(427.0, "N")]).stiffness, rtol=1e-9)
