@@ -66,7 +66,8 @@ def _parameter_line(parameter: Parameter) -> str:
     if parameter.full_error is None:
         return f"{parameter.name:<14}{value:>12.6g} {unit}"
     error = to_display(parameter.full_error, unit)
-    return f"{parameter.name:<14}{value:>12.6g} {unit:<7} +- {error:.2g} (standard error){mark}"
+    what = "standard error" if parameter.systematic is None else "combined uncertainty"
+    return f"{parameter.name:<14}{value:>12.6g} {unit:<7} +- {error:.2g} ({what}){mark}"
 
 
 def _echo_findings(carriers: list[tuple[Finding, ...]], what: str) -> None:

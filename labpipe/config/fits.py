@@ -31,7 +31,8 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
     fit = read_settings(FitSettings, plain, key, faults, **presets) if len(faults) == before else None
     if fit is None or "mass" in entries or reading.rig is None or reading.rig.mass is None:
         return fit
-    return replace(fit, mass=reading.rig.mass)
+    doubts = () if reading.rig.mass_doubt is None else (("mass", reading.rig.mass_doubt),)
+    return replace(fit, mass=reading.rig.mass, doubts=(*fit.doubts, *doubts))
 
 
 def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:

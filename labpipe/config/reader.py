@@ -13,7 +13,8 @@ from labpipe.config.values import read_value
 from labpipe.errors import ConfigError, ConfigErrors
 from labpipe.marked_yaml import Marked
 from labpipe.quantities import UnitError
-from labpipe.records.settings import Setting, settings_of
+from labpipe.records.setting_values import is_doubtful, parse_uncertain
+from labpipe.records.settings import Setting, settings_of, takes_doubt
 
 Owner = TypeVar("Owner")
 
@@ -36,7 +37,8 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
     for name, (setting, required) in settings.items():
         count = len(faults)
         if name in entries:
-            fields[name] = read_setting(entries[name], setting, join(key, name), faults)
+            read = _read_doubtful if takes_doubt(owner, setting) and is_doubtful(entries[name].text) else read_setting
+            fields[name] = read(entries[name], setting, join(key, name), faults)
             if setting.into:
                 fields[setting.into] = _content(entries[name], fields[name], setting, join(key, name), faults)
         elif required and name not in presets:
@@ -59,6 +61,16 @@ def _instance(owner: type[Owner], fields: dict[str, Any], node: Marked, key: str
             return None
         faults.add_of_field(error, node, key)
         return None
+
+
+def _read_doubtful(node: Marked, setting: Setting, key: str, faults: Faults) -> str | None:
+    """The text of a number with its doubt, which the settings take apart; None and a fault where it cannot be read."""
+    try:
+        parse_uncertain(node.text, setting.unit)
+    except UnitError as error:
+        faults.add_unit(node, key, error)
+        return None
+    return node.text
 
 
 def read_setting(node: Marked, setting: Setting, key: str, faults: Faults) -> Any:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
+from labpipe.config.channel_doubts import DoubtSettings, Written, calibrated_slope, channel_doubts
 from labpipe.config.derived import Factor, SumReader, expanded, read_constants
 from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
@@ -20,13 +19,14 @@ from labpipe.records.channel_sum import Term
 from labpipe.records.file_kind import FileKind
 from labpipe.records.recording import ROLES, Channel
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
-from labpipe.records.settings import Settings, setting
+from labpipe.records.setting_values import split_doubt
+from labpipe.records.settings import Doubts, Settings, setting
 from labpipe.registry import nearest
 
 # Beside the plain entries of a rig file.
 PARTS = ("channels", "constants")
 # Entries of a recorded channel that a sum of channels does not have.
-RECORDED_ONLY = ("unit", "column", "sensitivity", "invert", "delay", "response", "range")
+RECORDED_ONLY = ("unit", "column", "sensitivity", "invert", "delay", "response", "range", "doubt")
 DEFAULT_ROLES = {"force": "input", "displacement": "output", "velocity": "output", "acceleration": "output"}
 
 
@@ -39,6 +39,7 @@ class RigSettings(Settings):
     sample_rate: float | None = setting("value", "sampling rate, where no time column or file gives it", unit="Hz", default=None)
     time: str | None = setting("text", 'time column, for example "t [s]"', default=None)
     mass: float | None = setting("value", "mass that moves with the response", unit="kg", default=None)
+    doubts: Doubts = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,12 +51,14 @@ class ChannelSettings(Settings):
     column: str = setting("text", "column of the file; default: the channel's key", default="")
     role: str = setting("choice", "input (force), output (response) or reference, as members of sums are", choices=ROLES, default="")
     dof: str = setting("text", "x, y, z, any name, or an angle from x such as '45 deg'", default="")
-    sensitivity: str = setting("text", "of the sensor, for example '8 V/mm'", default="")
+    sensitivity: str = setting("text", "of the sensor, for example '8 V/mm' or '8 V/mm +- 1 %'", default="")
     invert: bool = setting("flag", "turn the sign around", default=False)
     delay: float = setting("value", "delay of the sensor chain, taken out of the FRF", unit="s", default=0.0)
     response: str = setting("text", "CSV table of the sensor's frequency response, taken out of the FRF", default="")
     range: tuple[float, float] | None = setting("text", "recorded values at which the logger clips, e.g. '-10 V .. 10 V'", default=None)
+    doubt: DoubtSettings | None = setting("section", "doubt of the whole chain", section=DoubtSettings, default=None)
     derived: str = setting("text", "sum of other channels in place of a column, for example 'f_x - m_s * a_x'", default="")
+    doubts: Doubts = ()
 
 
 def load_rig(path: Path, overrides: Iterable[str] = ()) -> Rig:
@@ -125,6 +128,7 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
         mass=settings.mass,
         description=settings.description,
         derived=derived,
+        mass_doubt=dict(settings.doubts).get("mass"),
     )
 
 
@@ -234,13 +238,15 @@ def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChann
     before = len(faults)
     scale, offset = _calibration(settings, node, key, faults)
     limits = _limits(settings, node, key, faults)
-    dof, angle = _direction(settings.dof or name, node, key, faults)
+    dof, angle = _direction(split_doubt(settings.dof)[0] or name, node, key, faults)
     response = _response(settings, node, key, faults)
+    written = Written(name, node.content, settings.sensitivity, settings.dof, settings.doubts, settings.doubt)
+    doubts = channel_doubts(written, node, key, faults)
     if len(faults) > before:
         return None
     sign = -1.0 if settings.invert else 1.0
     role = settings.role or DEFAULT_ROLES.get(settings.quantity, "reference")
-    channel = Channel(name, settings.quantity, role, dof, angle, settings.delay, response)
+    channel = Channel(name, settings.quantity, role, dof, angle, settings.delay, response, doubts=doubts)
     return RigChannel(channel, settings.column or name, settings.unit or channel.unit, sign * scale, sign * offset, limits)
 
 
@@ -280,7 +286,7 @@ def _calibration(settings: ChannelSettings, node: Marked, key: str, faults: Faul
         faults.add_unit(unit_node, join(key, "unit"), error)
         return 1.0, 0.0
     try:
-        return unit.factor / _sensitivity(settings.sensitivity, unit, si_unit, node), 0.0
+        return unit.factor / _sensitivity(split_doubt(settings.sensitivity)[0], unit, si_unit, node), 0.0
     except UnitError as error:
         faults.add_unit(node.content["sensitivity"], join(key, "sensitivity"), error)
         return 1.0, 0.0
@@ -289,7 +295,8 @@ def _calibration(settings: ChannelSettings, node: Marked, key: str, faults: Faul
 def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
     """Recorded SI unit per SI unit of the quantity; "8 V/mm", or the reciprocal "5.8 N/V", or FILE#FIT of a calibration."""
     if "#" in text:
-        text = _calibrated_slope(text, Path(node.where.rsplit(":", 2)[0]).parent)
+        slope = calibrated_slope(text, Path(node.where.rsplit(":", 2)[0]).parent)
+        text = f"{slope.value!r} {slope.unit}"
     match = re.match(r"^\s*(\S+)\s+(.+)$", text)
     if match is None:
         raise UnitError(f"'{text}' is not a sensitivity", "for example '8 V/mm'")
@@ -303,20 +310,6 @@ def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
         if reading.dimension == tuple(-w for w in wanted):
             return 1.0 / (number * reading.factor)
     raise UnitError(f"'{match[2]}' does not lead from the channel's unit to {si_unit}", "write recorded unit per quantity, e.g. 'V/mm'")
-
-
-def _calibrated_slope(reference: str, folder: Path) -> str:
-    """The slope of a calibration fit as "value unit"; the reference is FILE#FIT, relative to the rig file."""
-    file, _, fit_name = reference.partition("#")
-    try:
-        fits: list[Mapping[str, Any]] = json.loads((folder / file).read_text(encoding="utf-8"))["fits"]
-    except (OSError, ValueError, KeyError, TypeError):
-        raise UnitError(f"'{file}' is not a readable identification.json of a calibration") from None
-    for fit in fits:
-        for parameter in fit["parameters"]:
-            if fit["name"] == fit_name and parameter["name"] == "slope":
-                return f"{parameter['value']!r} {parameter['unit']}"
-    raise UnitError(f"'{file}' holds no calibration fit '{fit_name}'", nearest(fit_name, {fit["name"] for fit in fits}))
 
 
 def _limits(settings: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[float, float] | None:

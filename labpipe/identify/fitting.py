@@ -10,6 +10,7 @@ import numpy as np
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.identify.bootstrap import bootstrapped
+from labpipe.identify.budget import Case, budget_of
 from labpipe.identify.comparison import candidates, comparison_findings, comparison_notes
 from labpipe.identify.constraints import constrained
 from labpipe.identify.dense_curve import drawn_densely
@@ -32,7 +33,7 @@ from labpipe.identify.model import DynamicModel
 from labpipe.identify.model_kinds import DECAYS, RESPONSES
 from labpipe.identify.motions import motion_notes
 from labpipe.identify.physical import mode_findings
-from labpipe.identify.reported import reported_parameters, widened_parameters, without_intervals
+from labpipe.identify.reported import reported_parameters, widened_parameters, with_systematic, without_intervals
 from labpipe.identify.settings import ESTIMATE, ESTIMATORS, MODELS, FitSettings, check_kind
 from labpipe.identify.setup import Setup
 from labpipe.identify.short_blocks import leakage_findings
@@ -137,6 +138,15 @@ def _model(setup: Setup) -> BandModel:
     return constrained(MODELS[settings.model](setup), settings)
 
 
+def _same_model(setup: Setup, names: tuple[str, ...]) -> BandModel:
+    """The settings' model less the parameters that were eliminated, so that those of *names* are left."""
+    model = _model(setup)
+    for name in model.names:
+        if name not in names and isinstance(model, DynamicModel):
+            model = model.without(name)
+    return model
+
+
 def _estimated(measured: Measured, model: BandModel, settings: FitSettings) -> Estimate:
     """The estimate by the settings' estimator."""
     if isinstance(model, TransferMode):
@@ -161,6 +171,8 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
         parameters, note = bootstrapped(parameters, measured, fitted, refit, settings.bootstrap, settings.name)
         notes = (*notes, note)
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
+    budget = budget_of(Case(setup, measured, model, estimate, functools.partial(_same_model, names=model.names)), parameters)
+    parameters = parameters if budget is None else with_systematic(parameters, budget)
     notes = (*notes, *motion_notes(measured))
     # Candidates show whether proportional damping is justified.
     of_model = settings.estimator == "ml" and not settings.eliminate and not isinstance(model, TransferMode)
@@ -195,6 +207,7 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
         ),
         notes=notes,
         candidates=compared_models,
+        budget=budget,
     )
     return _BandFit(fit, fitted, model, estimate.values)
 

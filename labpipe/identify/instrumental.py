@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,6 +57,21 @@ def instrumental_variables(measured: Measured, model: DynamicModel, weight: str 
         notes=notes,
         amplification=amplification,
     )
+
+
+def instrument_step(
+    measured: Measured, model: DynamicModel, weight: str, values: FloatArray
+) -> Callable[[DynamicModel, Measured], FloatArray]:
+    """From a model and data to the estimate (n_parameter,) [parameter units] by the instruments of *values* (n_parameter,)."""
+    fitted_terms = model.equation_terms(model.receptance(values, measured.omega), measured.omega)
+    instruments = _weighted_columns(fitted_terms, regression(measured, model, weight))
+
+    def step(changed_model: DynamicModel, changed: Measured) -> FloatArray:
+        equation = regression(changed, changed_model, weight)
+        columns, side = stacked_terms(equation.terms), stacked(equation.right_side.reshape(-1))
+        return _solve(instruments, columns, side, np.sqrt(np.einsum("pe,pe->p", columns, columns)))
+
+    return step
 
 
 def _iterate(measured: Measured, model: DynamicModel, equation: Regression, values: FloatArray) -> tuple[FloatArray, bool, int]:

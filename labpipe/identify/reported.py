@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from labpipe.distributions import normal_quantile, student_quantile
 from labpipe.identify.corrections import Estimated, corrected
 from labpipe.identify.derived import BandModel, derived_parameters
 from labpipe.identify.setup import Setup
 from labpipe.identify.statistics import Estimate, estimated, inflation_factors, widened
+from labpipe.records.budget import Budget
 from labpipe.records.identification import Parameter
+
+# Sides of an interval that differ by less than this share are alike.
+EVEN = 1e-3
 
 
 def reported_parameters(estimate: Estimate, model: BandModel, setup: Setup) -> tuple[Parameter, ...]:
@@ -50,4 +56,37 @@ def widened_parameters(parameters: Sequence[Parameter], plain: Sequence[Paramete
     factors = [(after.std_error or 0.0) / (before.std_error or np.inf) for before, after in zip(plain, wide, strict=True)]
     return tuple(
         widened(parameter, max(factor, 1.0)) if factor > 0 else parameter for parameter, factor in zip(parameters, factors, strict=True)
+    )
+
+
+def with_systematic(parameters: Sequence[Parameter], budget: Budget) -> tuple[Parameter, ...]:
+    """The parameters with combined standard uncertainties and expanded intervals, by Student's t with the effective degrees of freedom.
+
+    An interval that is lopsided by itself is widened on each side by the square sum of that side and the systematic part's.
+    """
+    return tuple(
+        _expanded(parameter, float(systematic), float(dof))
+        for parameter, systematic, dof in zip(parameters, budget.systematic, budget.dof, strict=True)
+    )
+
+
+def _expanded(parameter: Parameter, systematic: float, dof: float) -> Parameter:
+    noise = parameter.full_error
+    if noise is None or systematic == 0:
+        return parameter
+    combined = math.hypot(noise, systematic)
+    reach = combined * (student_quantile(0.975, dof) if math.isfinite(dof) else normal_quantile(0.975))
+    value, interval = parameter.value, parameter.ci95
+    if interval is not None:
+        sides = value - interval[0], interval[1] - value
+        even = math.isclose(*sides, rel_tol=EVEN)
+        low, high = (reach, reach) if even else (math.hypot(side, reach * systematic / combined) for side in sides)
+        interval = value - low, value + high
+    return replace(
+        parameter,
+        std_error_inflated=combined,
+        systematic=systematic,
+        ci95=interval,
+        t_ratio=None if parameter.t_ratio is None else value / combined,
+        significant=None if parameter.significant is None or interval is None else not interval[0] <= 0 <= interval[1],
     )

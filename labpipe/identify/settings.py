@@ -9,7 +9,7 @@ from labpipe.errors import ConfigError
 from labpipe.identify.model_kinds import DECAYS, ModelKind
 from labpipe.records.setting_values import COEFFICIENT_UNITS as COEFFICIENT_UNITS
 from labpipe.records.setting_values import ESTIMATE as ESTIMATE
-from labpipe.records.settings import Settings, Uncertain, setting
+from labpipe.records.settings import Doubts, Settings, Uncertain, setting
 from labpipe.registry import Registry
 
 # From the setup of a fit (ports, mass) to a model linear in its parameters, or a ModelKind with its own fit function.
@@ -88,6 +88,7 @@ class FitSettings(Settings):
     test: tuple[str, ...] = setting("names", "tests that are fitted; default: all", default=())
     name: str = ""
     model_settings: Any = None
+    doubts: Doubts = ()
 
     def __post_init__(self) -> None:
         self._check_bands()

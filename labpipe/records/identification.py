@@ -8,6 +8,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.records.budget import Budget
 from labpipe.records.finding import Finding
 from labpipe.records.modes import Modes
 from labpipe.records.parameter import Parameter as Parameter
@@ -112,6 +113,7 @@ class Fit:
     region: Region | None = None
     modes: Modes | None = None
     ring_down: RingDown | None = None
+    budget: Budget | None = None
 
     def __repr__(self) -> str:
         return fit_line(self)

@@ -12,7 +12,7 @@ class Parameter:
     *std_error*, *t_ratio*, *ci95* are None where none can be given (at a bound, not determined). *significant*: |t| exceeds the
     two-sided 95 % Student quantile. *vif*: variance inflation factor. *derived*: computed from the others (f_n, zeta, ...).
     *std_error* is what noise alone leaves; *std_error_inflated*: with what else the residual shows, where it is not noise. *ci95*,
-    *t_ratio* and *significant* are by the latter then.
+    *t_ratio* and *significant* are by the latter then. *systematic*: the part of it that stems from numbers that were given with a doubt.
     """
 
     name: str
@@ -27,6 +27,7 @@ class Parameter:
     derived: bool = False
     at_bound: bool = False
     std_error_inflated: float | None = None
+    systematic: float | None = None
 
     @property
     def noise_ci95(self) -> tuple[float, float] | None:

@@ -13,6 +13,7 @@ from labpipe.errors import DataError
 from labpipe.quantities import QUANTITIES
 from labpipe.records.arrays import frozen_array
 from labpipe.records.channel_sum import Term, as_terms
+from labpipe.records.doubt import ChannelDoubt, as_doubts
 from labpipe.records.finding import Finding
 from labpipe.records.text import recording_line
 from labpipe.records.views import VIEWS
@@ -27,7 +28,7 @@ class Channel:
     *dof* is a label (``x``, ``y``, ``bearing2.y``); *angle* [rad] from x towards y is set when the direction is known as an angle
     (``dof: 45 deg``; x is 0, y is 90 deg). *role*: input (force), output (response) or reference (tacho, temperature, ...).
     *delay* [s] of the sensor chain and its frequency *response*, rows (frequency [Hz], gain [1], phase [rad]), are taken out of the FRF.
-    *terms*: of a channel that is a sum of others in the recording; none for a measured one.
+    *terms*: of a channel that is a sum of others in the recording; none for a measured one. *doubts* of its calibration.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Channel:
     delay: float = 0.0
     response: tuple[tuple[float, float, float], ...] = ()
     terms: tuple[Term, ...] = ()
+    doubts: tuple[ChannelDoubt, ...] = ()
 
     def __post_init__(self) -> None:
         if self.quantity not in QUANTITIES:
@@ -47,6 +49,7 @@ class Channel:
         # A file gives lists.
         object.__setattr__(self, "response", tuple(tuple(row) for row in self.response))
         object.__setattr__(self, "terms", as_terms(self.terms))
+        object.__setattr__(self, "doubts", as_doubts(self.doubts))
 
     @property
     def unit(self) -> str:

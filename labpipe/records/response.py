@@ -10,6 +10,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.arrays import frozen_array
+from labpipe.records.doubt import ChannelDoubt, as_doubts
 from labpipe.records.finding import Finding
 from labpipe.records.text import response_line
 from labpipe.records.views import VIEWS
@@ -21,13 +22,19 @@ FORMS = {"receptance": "m/N", "mobility": "m/(N.s)", "accelerance": "m/(N.s^2)",
 class Port:
     """Place and direction of a response or force: channel name, dof label and, if known, direction [rad] from x towards y.
 
-    *label* is unique within the outputs or the inputs of a matrix and names rows and columns everywhere.
+    *label* is unique within the outputs or the inputs of a matrix and names rows and columns everywhere. *doubts* of the channel's
+    calibration.
     """
 
     label: str
     channel: str
     dof: str
     angle: float | None = None
+    doubts: tuple[ChannelDoubt, ...] = ()
+
+    def __post_init__(self) -> None:
+        # A file gives mappings.
+        object.__setattr__(self, "doubts", as_doubts(self.doubts))
 
     def answers_to(self, name: str) -> bool:
         """Whether a user who writes *name* may mean this port (label, channel or dof)."""

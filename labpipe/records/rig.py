@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.records.recording import Channel
+from labpipe.records.setting_values import Uncertain
 
 AXIS_ANGLES = {"x": 0.0, "y": math.pi / 2}
 
@@ -33,7 +34,7 @@ class RigChannel:
 class Rig:
     """The rig file: *sample_rate* [Hz] or the *time* column with its unit in seconds; *mass* [kg] or None.
 
-    derived: channels that are sums of recorded ones.
+    derived: channels that are sums of recorded ones. mass_doubt: the mass with its standard uncertainty, if it has one.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Rig:
     mass: float | None = None
     description: str = ""
     derived: tuple[Channel, ...] = ()
+    mass_doubt: Uncertain | None = None
 
     @property
     def all_channels(self) -> tuple[Channel, ...]:

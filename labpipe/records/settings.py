@@ -9,9 +9,13 @@ from typing import Any
 
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError
-from labpipe.records.setting_values import CONVERTERS, Setting, Uncertain
+from labpipe.records.setting_values import CONVERTERS, Setting, Uncertain, is_doubtful, parse_uncertain
 
 __all__ = ["Setting", "Settings", "Uncertain", "setting", "settings_of"]
+
+
+# Numbers of settings that carry a doubt, by the names of their fields.
+Doubts = tuple[tuple[str, Uncertain], ...]
 
 
 class Settings:
@@ -48,9 +52,23 @@ def _convert(settings: Any) -> None:
             continue
         declared: Setting = field.metadata["setting"]
         try:
+            if takes_doubt(type(settings), declared) and is_doubtful(value):
+                value = _noted(settings, field.name, parse_uncertain(value, declared.unit))
             object.__setattr__(settings, field.name, CONVERTERS[declared.kind](value, declared))
         except UnitError as error:
             raise ConfigError(f"{field.name}: {error.what}", hint=error.hint, field=field.name) from None
+
+
+def _noted(settings: Any, name: str, number: Uncertain) -> float:
+    """The value of a number with a doubt, which is noted among the settings' doubts."""
+    others = tuple(pair for pair in settings.doubts if pair[0] != name)
+    object.__setattr__(settings, "doubts", (*others, (name, number)))
+    return number.value
+
+
+def takes_doubt(owner: type, declared: Setting) -> bool:
+    """Whether a number of these settings may carry its doubt: "0.92 kg +- 1 %"; those settings have a field *doubts*."""
+    return declared.kind in ("value", "mass") and any(field.name == "doubts" for field in dataclasses.fields(owner))
 
 
 def setting(

@@ -8,6 +8,7 @@ from labpipe.quantities import display_unit
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Fit, Identification
 from labpipe.report import figures
+from labpipe.report.budget import budget_blocks
 from labpipe.report.candidates import candidate_blocks
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figures
@@ -62,6 +63,7 @@ def _single(fit: Fit) -> tuple[Block, ...]:
         Paragraph(_described(fit)),
         Table(PARAMETER_HEADER, rows, f"Parameters of {fit_title(fit)}", NUMERIC),
         Paragraph(STARS_EXPLAINED),
+        *budget_blocks(fit),
         *(Paragraph(sentence, "note") for sentence in entangled_text(fit)),
         *(Paragraph(note, "note") for note in fit.notes),
         *candidate_blocks(fit),

@@ -17,6 +17,8 @@ STARS_EXPLAINED = (
 )
 # Variance inflation from which regression texts speak of collinearity (Marquardt 1970), and the correlation of two that gives it.
 LARGE_VIF, CLOSE = 10.0, 0.95
+# Standard errors that differ by less than this share are one.
+ALIKE = 1e-6
 LEGIBLE = {"1": "", "N.s/m": "N s/m"}
 
 
@@ -113,12 +115,18 @@ def entangled_text(fit: Fit) -> list[str]:
     return sentences
 
 
+def _beyond_noise(parameter: Parameter) -> float:
+    """The standard error by noise and what the residual shows beside it, without what numbers that were given add."""
+    return math.sqrt(max((parameter.std_error_inflated or 0.0) ** 2 - (parameter.systematic or 0.0) ** 2, 0.0))
+
+
 def inflated_text(fit: Fit) -> str:
     """Sentence on intervals that are wider than those of noise, or missing, because the residual is not noise; empty where it is."""
     mismatch = any(finding.code == "model-mismatch" for finding in fit.findings)
     if mismatch and fit.converged and all(p.ci95 is None for p in fit.parameters):
         return " The residual is not noise and nothing explains it: no standard errors and intervals are given (model-mismatch above)."
-    wider = [(p.name, p.std_error_inflated / p.std_error) for p in fit.parameters if p.std_error_inflated is not None and p.std_error]
+    wider = [(p.name, _beyond_noise(p) / p.std_error) for p in fit.parameters if p.std_error_inflated is not None and p.std_error]
+    wider = [(name, factor) for name, factor in wider if factor > 1 + ALIKE]
     if not wider:
         return ""
     listed = ", ".join(f"{name} {factor:.3g}" for name, factor in wider)

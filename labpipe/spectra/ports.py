@@ -63,8 +63,8 @@ def find_layout(sources: Sequence[SampleSource]) -> Layout:
     outputs = _distinct(responses)
     _check_complete(sources, responses, outputs)
     return Layout(
-        inputs=_ports(inputs),
-        outputs=_ports(outputs),
+        inputs=_ports(inputs, _sensors(forces, inputs)),
+        outputs=_ports(outputs, _sensors(responses, outputs)),
         input_columns=tuple(_columns(channels, inputs) for channels in forces),
         output_columns=tuple(_columns(channels, outputs) for channels in responses),
         form=_form(forces, responses),
@@ -79,7 +79,11 @@ def response_ports(sources: Sequence[SampleSource]) -> tuple[tuple[Port, ...], t
     responses = [_of_role(source, "output") for source in sources]
     outputs = _distinct(responses)
     _check_complete(sources, responses, outputs)
-    return _ports(outputs), tuple(_columns(channels, outputs) for channels in responses), _sensors(responses, outputs)
+    return (
+        _ports(outputs, _sensors(responses, outputs)),
+        tuple(_columns(channels, outputs) for channels in responses),
+        _sensors(responses, outputs),
+    )
 
 
 def sensor_response(sensor: Channel, frequency: FloatArray) -> ComplexArray:
@@ -128,14 +132,14 @@ def _columns(channels: list[tuple[int, Channel]], keys: list[Key]) -> tuple[int,
     return tuple(index.get(key, -1) for key in keys)
 
 
-def _ports(keys: list[Key]) -> tuple[Port, ...]:
+def _ports(keys: list[Key], sensors: tuple[Channel, ...]) -> tuple[Port, ...]:
     """Ports labelled by channel where that is unique, else by dof, else by both."""
     names = [key[0] for key in keys]
     dofs = [key[1] for key in keys]
     ports = []
-    for name, dof, angle, *_ in keys:
+    for (name, dof, angle, *_), sensor in zip(keys, sensors, strict=True):
         unique = name if names.count(name) == 1 else dof if dofs.count(dof) == 1 else f"{name}@{dof}"
-        ports.append(Port(unique, name, dof, angle))
+        ports.append(Port(unique, name, dof, angle, sensor.doubts))
     return tuple(ports)
 
 

@@ -10,7 +10,7 @@ from labpipe.config.rules import Rule
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.finding import WARNING, of_level
-from labpipe.records.identification import Fit, RuleOutcome
+from labpipe.records.identification import Fit, Parameter, RuleOutcome
 from labpipe.records.setting_values import parse_uncertain
 from labpipe.registry import nearest
 from labpipe.sections import names_of, section
@@ -125,8 +125,20 @@ def _compare_item(rule: Rule, fit: Fit) -> tuple[float | str | None, bool]:
         text = str(bool(parameter.significant)).lower()
         return text, text == rule.bound
     if attribute == "std_error":
-        return compare_number(rule, parameter.std_error, parameter.unit)
+        return compare_number(rule, parameter.full_error, parameter.unit)
+    if attribute == "expanded":
+        return _compare_expanded(rule, parameter)
     return compare_number(rule, parameter.value, parameter.unit)
+
+
+def _compare_expanded(rule: Rule, parameter: Parameter) -> tuple[float | None, bool]:
+    """The half width of the 95 % interval, relative to the value where the rule is in per cent."""
+    if parameter.ci95 is None:
+        return None, False
+    half = (parameter.ci95[1] - parameter.ci95[0]) / 2
+    if rule.bound.endswith("%"):
+        return compare_number(rule, half / abs(parameter.value) if parameter.value else None, "1")
+    return compare_number(rule, half, parameter.unit)
 
 
 def compare_number(rule: Rule, value: float | None, unit: str) -> tuple[float | None, bool]:

@@ -1,0 +1,185 @@
+"""The uncertainty budget of a fit of a linear model: what systematic errors of sensors, mass and directions do to its parameters.
+
+An estimate is the root of a score s(p, q) = 0 in its parameters p; q are numbers that were given. By implicit differentiation
+dp/dq = -(ds/dp)^-1 ds/dq, one more step of the estimator from its result on data changed by dq, with the weights as they were: no fit is
+repeated. (GUM, JCGM 100:2008, 5.1; Gauss-Newton's form of ds/dp.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.identify.derived import BandModel
+from labpipe.identify.instrumental import instrument_step
+from labpipe.identify.leakage import expected
+from labpipe.identify.measured import Measured
+from labpipe.identify.model import DynamicModel
+from labpipe.identify.output_error import OutputError
+from labpipe.identify.regression import equation_solution, regression, solve_scaled
+from labpipe.identify.reported import reported_parameters
+from labpipe.identify.settings import ESTIMATE, ESTIMATORS
+from labpipe.identify.setup import Setup
+from labpipe.identify.statistics import Estimate
+from labpipe.identify.transfer_mode import TransferMode
+from labpipe.identify.weights import equal_weights, has_noise, whitener
+from labpipe.records.budget import Budget
+from labpipe.records.doubt import Doubt, doubt_of
+from labpipe.records.parameter import Parameter
+from labpipe.records.response import Port
+
+# Errors of sources are tried at this share of their standard uncertainty, so that slopes are those at the estimate.
+SHARE = 1e-3
+# From a setup with changed numbers to its model.
+ModelOf = Callable[[Setup], BandModel]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A fit as it was made: ports and settings, measured data, model and estimate; *model_of* makes the model anew from other numbers."""
+
+    setup: Setup
+    measured: Measured
+    model: BandModel
+    estimate: Estimate
+    model_of: ModelOf
+
+
+def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
+    """The budget of reported *parameters*; None where no number has a doubt, or the fit did not converge."""
+    sources = _sources(case.setup)
+    if not sources or not case.estimate.converged:
+        return None
+    step = _step_of(case)
+    changes = []
+    for doubt, change in sources:
+        ends = [_values(case, step, *change(case, sign * SHARE * doubt.std_error)) for sign in (1.0, -1.0)]
+        changes.append((ends[0] - ends[1]) / (2 * SHARE))
+    kept = [number for number, row in enumerate(changes) if np.any(row != 0)]
+    if not kept:
+        return None
+    random = np.array([np.nan if parameter.full_error is None else parameter.full_error for parameter in parameters])
+    dof = float(np.min(case.estimate.student_dof))
+    return Budget(
+        tuple(parameter.name for parameter in parameters), random, dof, tuple(sources[n][0] for n in kept), np.array(changes)[kept]
+    )
+
+
+# From a case and an error of a source to the setup and the data with that error.
+Change = Callable[[Case, float], tuple[Setup, Measured]]
+
+
+def _sources(setup: Setup) -> list[tuple[Doubt, Change]]:
+    """Every source with what an error of it does; numbers of one source change together."""
+    changes: dict[str, list[tuple[Doubt, Change]]] = {}
+    for ports, sign in ((setup.outputs, 1.0), (setup.inputs, -1.0)):
+        for number, port in enumerate(ports):
+            for doubted in port.doubts:
+                entry = (doubted.doubt, _change_of(doubted.effect, number, sign))
+                changes.setdefault(doubted.doubt.source, []).append(entry)
+    mass = dict(setup.settings.doubts).get("mass")
+    if mass is not None and mass.std_error > 0 and setup.settings.mass != ESTIMATE:
+        doubt = doubt_of(mass, f"mass {mass.value:g} kg", "kg")
+        changes.setdefault(doubt.source, []).append((doubt, _heavier))
+    return [(entries[0][0], _together(entries)) for entries in changes.values()]
+
+
+def _together(entries: Sequence[tuple[Doubt, Change]]) -> Change:
+    """All changes of one source by the same number of standard uncertainties."""
+    first = entries[0][0].std_error
+
+    def change(case: Case, error: float) -> tuple[Setup, Measured]:
+        changed = case
+        for doubt, part in entries:
+            setup, measured = part(changed, error * doubt.std_error / first)
+            changed = replace(changed, setup=setup, measured=measured)
+        return changed.setup, changed.measured
+
+    return change
+
+
+def _change_of(effect: str, number: int, sign: float) -> Change:
+    """What the error of a channel does: X (1 - d), X e^{jwd}, X e^{jd}, or another direction; *sign* -1 for a force, which divides."""
+    if effect == "direction":
+        return lambda case, error: (_turned(case.setup, number, sign, error), case.measured)
+    courses: dict[str, Callable[[FloatArray, float], ComplexArray]] = {
+        "gain": lambda omega, error: np.full(omega.size, -error, np.complex128),
+        "delay": lambda omega, error: 1j * omega * error,
+        "phase": lambda omega, error: np.full(omega.size, 1j * error),
+    }
+    course = courses[effect]
+
+    def change(case: Case, error: float) -> tuple[Setup, Measured]:
+        factor = np.exp(sign * course(case.measured.omega, error))
+        matrix = case.measured.matrix.copy()
+        if sign > 0:
+            matrix[:, number, :] *= factor[:, None]
+        else:
+            matrix[:, :, number] *= factor[:, None]
+        return case.setup, replace(case.measured, matrix=matrix)
+
+    return change
+
+
+def _turned(setup: Setup, number: int, sign: float, error: float) -> Setup:
+    """The setup with an output (*sign* 1) or a force in another direction; a port without a direction stays."""
+
+    def turned(ports: tuple[Port, ...]) -> tuple[Port, ...]:
+        port = ports[number]
+        angle = None if port.angle is None else port.angle + error
+        return (*ports[:number], replace(port, angle=angle), *ports[number + 1 :])
+
+    if sign > 0:
+        return replace(setup, outputs=turned(setup.outputs))
+    return replace(setup, inputs=turned(setup.inputs))
+
+
+def _heavier(case: Case, error: float) -> tuple[Setup, Measured]:
+    settings = case.setup.settings
+    assert isinstance(settings.mass, (int, float))
+    return replace(case.setup, settings=replace(settings, mass=settings.mass + error)), case.measured
+
+
+def _values(case: Case, step: Callable[[BandModel, Measured], FloatArray], setup: Setup, measured: Measured) -> FloatArray:
+    """Reported values (n_parameter,) [parameter units] with the numbers of a changed setup on changed data."""
+    model = case.model if setup is case.setup else case.model_of(setup)
+    estimate = replace(case.estimate, values=step(model, measured))
+    return np.array([parameter.value for parameter in reported_parameters(estimate, model, setup)])
+
+
+def _step_of(case: Case) -> Callable[[BandModel, Measured], FloatArray]:
+    """One more step of the fit's estimator from its estimate, on changed data and with a changed model."""
+    estimator, values = case.setup.settings.estimator, case.estimate.values
+    if isinstance(case.model, TransferMode) or estimator == "ml":
+        return _likelihood_step(case)
+    if estimator == "iv":
+        by_instruments = instrument_step(case.measured, _linear(case.model), case.setup.settings.weight, values)
+        return lambda model, measured: by_instruments(_linear(model), measured)
+    if estimator == "ls":
+        weight = case.setup.settings.weight
+        return lambda model, measured: equation_solution(regression(measured, _linear(model), weight), _linear(model))[0]
+    # The amplitude fit has no phase and few equations: it is repeated.
+    return lambda model, measured: ESTIMATORS[estimator](measured, model, case.setup.settings.weight).values
+
+
+def _linear(model: BandModel) -> DynamicModel:
+    assert isinstance(model, DynamicModel)
+    return model
+
+
+def _likelihood_step(case: Case) -> Callable[[BandModel, Measured], FloatArray]:
+    """p - (J^T J)^-1 J^T (r(q + dq) - r(q)) with the weighted residual r and its Jacobian J at the estimate."""
+    measured, values = case.measured, case.estimate.values
+    weights = whitener(measured) if has_noise(measured) else equal_weights(measured)
+    problem = OutputError(measured, expected(measured, case.model), weights)
+    jacobian, residual = problem.jacobian(values), problem.residual(values)
+    _, inverse = solve_scaled(jacobian, residual)
+
+    def step(model: BandModel, changed: Measured) -> FloatArray:
+        moved = OutputError(changed, expected(changed, model), weights).residual(values)
+        return np.asarray(values - inverse @ (jacobian.T @ (moved - residual)))
+
+    return step

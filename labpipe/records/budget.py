@@ -1,0 +1,69 @@
+"""The uncertainty budget of a fit: what noise and every systematic source leave of its parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.records.arrays import frozen_array
+from labpipe.records.doubt import Doubt
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Doubts of the parameters *names* of a fit, in their units.
+
+    random (n_parameter,) [unit of the parameter]: standard uncertainties by noise, with what the residual shows beyond it; random_dof
+    behind them. sources: systematic ones; changes (n_source, n_parameter) [unit of the parameter]: change of every parameter by one
+    standard uncertainty of the source, with its sign: their outer products are the covariance by each source. NaN where a parameter has
+    no random uncertainty.
+    """
+
+    names: tuple[str, ...]
+    random: FloatArray
+    random_dof: float | None
+    sources: tuple[Doubt, ...]
+    changes: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        sources = tuple(source if isinstance(source, Doubt) else Doubt(**source) for source in self.sources)
+        object.__setattr__(self, "sources", sources)
+        object.__setattr__(self, "random", frozen_array(self.random, np.float64, "random part of a budget", (n,)))
+        changes = np.reshape(self.changes, (len(sources), n))
+        object.__setattr__(self, "changes", frozen_array(changes, np.float64, "changes of a budget", (len(sources), n)))
+
+    @property
+    def systematic(self) -> FloatArray:
+        """Standard uncertainty (n_parameter,) [unit of the parameter] of all sources together; they are independent of each other."""
+        return np.asarray(np.sqrt(np.sum(self.changes**2, axis=0)))
+
+    @property
+    def combined(self) -> FloatArray:
+        """Combined standard uncertainty (n_parameter,) [unit of the parameter]."""
+        return np.hypot(self.random, self.systematic)
+
+    @property
+    def dof(self) -> FloatArray:
+        """Effective degrees of freedom (n_parameter,) [1]: u_c^4 / sum u_i^4 / nu_i (Welch and Satterthwaite, GUM G.4.1); inf: known."""
+        known = [self.random**4 / self.random_dof if self.random_dof else np.zeros_like(self.random)]
+        known += [change**4 / source.dof for change, source in zip(self.changes, self.sources, strict=True) if source.dof]
+        total = np.sum(known, axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(total > 0, self.combined**4 / total, np.inf)
+
+    def shares(self, name: str) -> dict[str, float]:
+        """Share of every source in the variance of a parameter, noise among them, the largest first; they add up to 1."""
+        column = self.names.index(name)
+        parts = {"noise": float(self.random[column] ** 2)}
+        parts.update({source.source: float(change[column] ** 2) for source, change in zip(self.sources, self.changes, strict=True)})
+        whole = sum(parts.values())
+        return {part: value / whole for part, value in sorted(parts.items(), key=lambda pair: -pair[1])} if whole > 0 else parts
+
+    def change_by(self, source: str, name: str) -> float:
+        """Change of a parameter by one standard uncertainty of a source; zero for a source that the fit does not have."""
+        column = self.names.index(name)
+        numbers = [number for number, one in enumerate(self.sources) if one.source == source]
+        return float(sum(self.changes[number, column] for number in numbers))

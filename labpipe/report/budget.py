@@ -1,0 +1,154 @@
+"""The uncertainty budget of a fit in its report: parts of the doubt, shares by source, and what would improve it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from labpipe.distributions import normal_quantile, student_quantile
+from labpipe.quantities import display_unit, to_display
+from labpipe.records.budget import Budget
+from labpipe.records.identification import Fit
+from labpipe.records.parameter import Parameter
+from labpipe.report.chart import PALETTE_SIZE, Axis, Panel, Series, named_ticks, outline, stacked
+from labpipe.report.document import Block, Figure, Paragraph, Table
+from labpipe.report.wording import LEGIBLE, rounded
+
+HEADER = ("parameter", "value", "unit", "random", "systematic", "combined", "expanded, 95 %", "relative", "k", "ν eff")
+# Parameters with a smaller systematic share than this have no bar worth looking at.
+MOST_BARS, BAR = 12, 0.38
+# Degrees of freedom from which they count as known.
+MANY = 1000
+EXPLAINED = (
+    "Combined standard uncertainty by the GUM (JCGM 100:2008, 5.1), to first order: random, from the noise of this measurement, and "
+    "systematic, from the doubts of the numbers that were given. Expanded: times k, Student's quantile for 95 % with the effective degrees "
+    "of freedom after Welch and Satterthwaite. Intervals everywhere in this report are the expanded ones."
+)
+RECTANGULAR = 0.5
+
+
+def budget_blocks(fit: Fit) -> tuple[Block, ...]:
+    """Table of the parts, bars and table of the shares, and a sentence on what to improve; nothing without a budget."""
+    budget = fit.budget
+    if budget is None:
+        return ()
+    rows = tuple(_row(budget, parameter) for parameter in fit.parameters if parameter.systematic)
+    if not rows:
+        return ()
+    named = [parameter.name for parameter in fit.parameters if parameter.systematic]
+    return (
+        Paragraph(EXPLAINED),
+        Table(HEADER, rows, f"Uncertainty of {fit.name}", tuple(range(1, len(HEADER)))),
+        _bars(budget, named[:MOST_BARS]),
+        _shares_table(budget, named),
+        Paragraph(_improvement(fit, budget, named), "note"),
+        *([Paragraph(text, "warning")] if (text := _sharp_ends(budget, named)) else []),
+    )
+
+
+def coverage_factor(dof: float) -> float:
+    """Student's two-sided quantile of 95 % [1] for effective degrees of freedom, infinite ones included."""
+    return student_quantile(0.975, dof) if math.isfinite(dof) else normal_quantile(0.975)
+
+
+def _row(budget: Budget, parameter: Parameter) -> tuple[str, ...]:
+    column = budget.names.index(parameter.name)
+    unit = display_unit(parameter.unit, parameter.value)
+    zero = to_display(0.0, unit)
+    random, systematic, combined = (
+        abs(to_display(float(part[column]), unit) - zero) for part in (budget.random, budget.systematic, budget.combined)
+    )
+    dof = float(budget.dof[column])
+    factor = coverage_factor(dof)
+    relative = f"{100 * factor * budget.combined[column] / abs(parameter.value):.2g} %" if parameter.value else ""
+    return (
+        parameter.name,
+        rounded(to_display(parameter.value, unit), combined),
+        LEGIBLE.get(unit, unit),
+        *(f"{part:.2g}" for part in (random, systematic, combined, factor * combined)),
+        relative,
+        f"{factor:.2f}",
+        "known" if dof > MANY else f"{math.floor(dof)}",
+    )
+
+
+def _sources(budget: Budget, names: list[str]) -> list[str]:
+    """Sources and noise by their largest share in any of the parameters, the largest first."""
+    largest: dict[str, float] = {}
+    for name in names:
+        for source, share in budget.shares(name).items():
+            largest[source] = max(largest.get(source, 0.0), share)
+    return sorted(largest, key=lambda source: -largest[source])
+
+
+def _bars(budget: Budget, names: list[str]) -> Figure:
+    """One bar for each parameter, its parts in the colours of the sources."""
+    series: list[Series] = []
+    for number, source in enumerate(_sources(budget, names)):
+        for row, name in enumerate(names):
+            shares = budget.shares(name)
+            ordered = list(shares)
+            begin = 100 * sum(shares[other] for other in ordered[: ordered.index(source)])
+            end = begin + 100 * shares[source]
+            x, y = np.array([begin, end, end, begin]), row + BAR * np.array([-1, -1, 1, 1])
+            series.append(outline(source if row == 0 else "", x, y, number % PALETTE_SIZE, 0.75))
+    axis = Axis("", ticks=named_ticks(names), low=len(names) - 0.5, high=-0.5)
+    chart = stacked([Panel(Axis("share of the variance", "%", low=0.0, high=100.0), axis, tuple(series))], 1.3 + 0.32 * len(names), "above")
+    return Figure(chart, "Shares of the sources in the variance of each parameter, the largest first.", "Bars of the shares of all sources")
+
+
+def _shares_table(budget: Budget, names: list[str]) -> Table:
+    sources = _sources(budget, names)
+    doubts = {source.source: source for source in budget.sources}
+    rows = []
+    for source in sources:
+        doubt = doubts.get(source)
+        size = "this measurement" if doubt is None else _size(doubt.std_error, doubt.unit)
+        shares = (budget.shares(name).get(source, 0.0) for name in names)
+        rows.append((source, size, *(f"{100 * share:.1f} %" if share >= 5e-4 else "0" for share in shares)))
+    header = ("source", "standard uncertainty", *names)
+    return Table(header, tuple(rows), "Share of every source in the variance", tuple(range(1, len(header))))
+
+
+def _size(std_error: float, unit: str) -> str:
+    if unit == "1":
+        return f"{100 * std_error:.2g} %"
+    shown = {"rad": "deg", "s": "us"}.get(unit, unit)
+    return f"{to_display(std_error, shown):.2g} {shown}"
+
+
+def _improvement(fit: Fit, budget: Budget, names: list[str]) -> str:
+    """What to improve first: the source whose removal makes the largest relative uncertainty smallest."""
+    worst = max(names, key=lambda name: _relative(fit, budget, name))
+    source, share = next(iter(budget.shares(worst).items()))
+    gain = math.sqrt(max(1 - share, 0.0))
+    before = 100 * _relative(fit, budget, worst)
+    if source == "noise":
+        return (
+            f"{worst} is the least certain ({before:.2g} % expanded): {100 * share:.0f} % of its variance is noise; measure longer first."
+        )
+    after = f"{before * gain:.2g} %" if gain > 0.005 else "noise alone"
+    return (
+        f"{worst} is the least certain ({before:.2g} % expanded): {100 * share:.0f} % of its variance is {source}. "
+        f"Without that doubt it would be {after}; with half of it {before * math.sqrt(1 - 0.75 * share):.2g} %."
+    )
+
+
+def _relative(fit: Fit, budget: Budget, name: str) -> float:
+    column = budget.names.index(name)
+    value = abs(fit.parameter(name).value)
+    return coverage_factor(float(budget.dof[column])) * float(budget.combined[column]) / value if value else 0.0
+
+
+def _sharp_ends(budget: Budget, names: list[str]) -> str:
+    """Parameters of which one source with sharp limits holds most: Student's factor is too large there."""
+    shapes = {source.source: source.shape for source in budget.sources}
+    found = []
+    for name in names:
+        source, share = next(iter(budget.shares(name).items()))
+        if shapes.get(source, "normal") != "normal" and share > RECTANGULAR:
+            found.append(f"{name} ({source}, {shapes[source]})")
+    if not found:
+        return ""
+    return f"One source with sharp limits holds most of the variance of {', '.join(found)}: the expanded intervals are too wide there."

@@ -1,0 +1,145 @@
+"""Uncertainty budgets of fits: sensitivities against refits with the number changed, combination, shares, intervals."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from labpipe.identify.fitting import identify
+from labpipe.identify.settings import FitSettings
+from labpipe.records.budget import Budget
+from labpipe.records.doubt import ChannelDoubt, Doubt
+from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.setting_values import Uncertain
+
+K, C, M = 1.35e5, 3.7, 0.79
+BAND = np.arange(60.0, 72.0, 0.1)
+GAIN_F = ChannelDoubt("gain", Doubt("f.sensitivity", 0.005, "1", dof=20.0))
+GAIN_X = ChannelDoubt("gain", Doubt("x.sensitivity", 0.01, "1"))
+DELAY_X = ChannelDoubt("delay", Doubt("x.delay", 2e-6, "s"))
+
+
+def a_response(rng, noise: float = 1e-3, output=(GAIN_X, DELAY_X), force=(GAIN_F,)) -> FrequencyResponse:
+    """One mass on spring and damper, 0.1 % noise of the largest receptance on every line."""
+    w = 2 * np.pi * BAND
+    h = 1 / (K - M * w**2 + 1j * w * C)
+    std = noise * np.max(np.abs(h))
+    error = std * (rng.standard_normal(w.size) + 1j * rng.standard_normal(w.size)) / np.sqrt(2)
+    matrix = (h + error)[:, None, None]
+    ports = (Port("x", "x", "x", 0.0, tuple(output)),), (Port("f", "f", "x", 0.0, tuple(force)),)
+    return FrequencyResponse(BAND, matrix, *ports, covariance=uncorrelated(np.full(matrix.shape, std**2)))
+
+
+def changed(response: FrequencyResponse, effect: str, error: float) -> FrequencyResponse:
+    """The response as it were without the error: X (1 - d) or X e^{jwd}."""
+    factor = 1 - error if effect == "gain" else np.exp(2j * np.pi * response.frequency * error)[:, None, None]
+    return dataclasses.replace(response, matrix=response.matrix * factor)
+
+
+def settings(estimator: str, **more) -> FitSettings:
+    return FitSettings("sdof", estimator=estimator, name="peak", **more)
+
+
+@pytest.mark.parametrize("estimator", ["ml", "ls", "iv", "amplitude"])
+@pytest.mark.parametrize("mass", ["estimate", "0.79 kg +- 1 %"])
+def test_changes_are_those_of_refits(rng, estimator: str, mass: str) -> None:
+    """Each source against central differences of whole refits, to 1 % of the combined uncertainty (Gauss-Newton's form)."""
+    response = a_response(rng)
+    (fit,) = identify(response, settings(estimator, mass=mass))
+    assert fit.budget is not None
+    refits = {"x.sensitivity": ("gain", 0.01), "x.delay": ("delay", 2e-6)}
+    for source, (effect, error) in refits.items():
+        if source not in [one.source for one in fit.budget.sources]:
+            assert estimator == "amplitude" and source == "x.delay"
+            continue
+        ends = [identify(changed(response, effect, sign * error), settings(estimator, mass=mass))[0] for sign in (1, -1)]
+        for name, combined in zip(fit.budget.names, fit.budget.combined, strict=True):
+            expected = (ends[0].parameter(name).value - ends[1].parameter(name).value) / 2
+            assert fit.budget.change_by(source, name) == pytest.approx(expected, abs=0.01 * combined)
+    if mass != "estimate":
+        ends = [identify(response, settings(estimator, mass=0.79 * (1 + 0.01 * sign)))[0] for sign in (1, -1)]
+        for name, combined in zip(fit.budget.names, fit.budget.combined, strict=True):
+            expected = (ends[0].parameter(name).value - ends[1].parameter(name).value) / 2
+            assert fit.budget.change_by("mass 0.79 kg", name) == pytest.approx(expected, abs=0.01 * combined)
+
+
+def test_near_resonance_the_mass_is_the_stiffness_s_doubt(rng) -> None:
+    """Closed form: k = m w_n^2 with w_n from the peak, so k takes the mass's relative doubt and hardly any gain; c takes gains -1 and 1."""
+    (fit,) = identify(a_response(rng), settings("ml", mass="0.79 kg +- 0.5 %"))
+    budget = fit.budget
+    assert budget is not None
+    k, c = fit.parameter("k"), fit.parameter("c")
+    assert budget.change_by("mass 0.79 kg", "k") / k.value == pytest.approx(0.005, rel=1e-3)
+    assert abs(budget.change_by("x.sensitivity", "k")) / k.value < 0.01 * 2e-3
+    assert budget.change_by("x.sensitivity", "c") / c.value == pytest.approx(0.01, rel=0.02)
+    assert budget.change_by("f.sensitivity", "c") / c.value == pytest.approx(-0.005, rel=0.02)
+    assert next(iter(budget.shares("k"))) == "mass 0.79 kg"
+    assert sum(budget.shares("c").values()) == pytest.approx(1.0)
+
+
+def test_parameters_hold_the_combined_doubt(rng) -> None:
+    (fit,) = identify(a_response(rng), settings("ml"))
+    budget = fit.budget
+    assert budget is not None
+    k = fit.parameter("k")
+    place = budget.names.index("k")
+    assert k.systematic == pytest.approx(budget.systematic[place])
+    assert k.full_error == pytest.approx(np.hypot(k.std_error, k.systematic))
+    assert k.ci95[1] - k.value == pytest.approx(1.96 * k.full_error, rel=0.1)
+    # Without a known mass all coefficients go as force over displacement.
+    assert k.systematic / k.value == pytest.approx(np.hypot(0.01, 0.005), rel=1e-2)
+
+
+def test_common_sources_cancel_or_add(rng) -> None:
+    """One calibrator of both sensors: force over displacement does not change with it."""
+    both = ChannelDoubt("gain", Doubt("calibrator", 0.01, "1"))
+    (fit,) = identify(a_response(rng, output=(both,), force=(both,)), settings("ml"))
+    assert fit.budget is None or np.max(np.abs(fit.budget.changes / [p.value for p in fit.parameters])) < 1e-9
+
+
+def test_no_doubts_no_budget(rng) -> None:
+    (fit,) = identify(a_response(rng, output=(), force=()), settings("ml", mass="0.79 kg"))
+    assert fit.budget is None
+    assert fit.parameter("k").systematic is None
+
+
+def test_effective_degrees_of_freedom_are_welch_and_satterthwaite_s() -> None:
+    """GUM G.4.1 with u = 3 (nu 9), 4 (nu 16): u_c = 5, nu_eff = 625 / (81 / 9 + 256 / 16) = 25."""
+    budget = Budget(("k",), np.array([3.0]), 9.0, (Doubt("s", 0.1, "1", dof=16.0),), np.array([[4.0]]))
+    assert budget.combined == pytest.approx(5.0)
+    assert budget.dof == pytest.approx(25.0)
+    known = Budget(("k",), np.array([3.0]), None, (Doubt("s", 0.1, "1"),), np.array([[4.0]]))
+    assert np.isinf(known.dof[0])
+
+
+def test_directions_of_forces_make_cross_terms_doubtful(rng) -> None:
+    """Two forces along x and y, one turned by half a degree: c_xy against refits with the direction changed."""
+    w = 2 * np.pi * np.arange(20.0, 90.0, 0.5)
+    stiffness, damping = np.array([[1e5, 1e4], [-1e4, 1.4e5]]), np.array([[60.0, 5.0], [4.0, 80.0]])
+    z = stiffness - w[:, None, None] ** 2 * 0.9 * np.eye(2) + 1j * w[:, None, None] * damping
+    h = np.linalg.inv(z)
+    std = 1e-4 * np.max(np.abs(h))
+    noisy = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    turned = ChannelDoubt("direction", Doubt("fx.dof", np.radians(0.5), "rad"))
+
+    def fitted(angle: float):
+        outputs = (Port("x", "x", "x", 0.0), Port("y", "y", "y", np.pi / 2))
+        inputs = (Port("fx", "fx", "x", angle, (turned,)), Port("fy", "fy", "y", np.pi / 2))
+        response = FrequencyResponse(w / (2 * np.pi), noisy, outputs, inputs, covariance=uncorrelated(np.full(h.shape, std**2)))
+        return identify(response, FitSettings("rotor-2dof", mass=0.9, name="r"))[0]
+
+    fit, (up, down) = fitted(0.0), [fitted(sign * np.radians(0.5)) for sign in (1, -1)]
+    assert fit.budget is not None
+    for name, combined in zip(fit.budget.names, fit.budget.combined, strict=True):
+        expected = (up.parameter(name).value - down.parameter(name).value) / 2
+        assert fit.budget.change_by("fx.dof", name) == pytest.approx(expected, abs=0.02 * combined)
+    assert next(iter(fit.budget.shares("k_xy"))) == "fx.dof"
+
+
+def test_a_mass_in_the_settings_keeps_its_doubt() -> None:
+    given = settings("ml", mass="0.79 kg +- 1 % (k=2)")
+    assert given.mass == 0.79
+    assert dict(given.doubts)["mass"] == Uncertain(0.79, pytest.approx(0.00395))
+    assert dataclasses.replace(given, estimator="ls").doubts == given.doubts
