@@ -21,9 +21,9 @@ from labpipe.optimise.levenberg import Minimum, minimise
 
 # Equations of a line and run.
 N_EQUATION = 2
-# Distance to the minimum in standard errors at which a descent ends.
-NEAR = 1e-5
-MOST_STEPS = 60
+# Distance to the minimum in standard errors at which a descent ends: that which counts, and those from several starts before it.
+NEAR, ROUGH = 1e-4, 0.1
+MOST_STEPS, FEW_STEPS = 60, 12
 # Degrees of freedom of the covariance beyond which chi-square has its mean, variance and the estimates theirs.
 LEAST_DOF = 3.0
 # Relative noise below which a covariance is rounding.
@@ -127,8 +127,12 @@ def estimate(balance: Balance, model: StiffnessModel, noise: Noise) -> Estimate:
 
 
 def _lowest(problem: ErrorsInVariables) -> Minimum:
-    minima = [minimise(problem, start, NEAR, MOST_STEPS) for start in starts(problem.balance, problem.model)]
-    return min(minima, key=lambda minimum: problem.chi2(minimum.values))
+    """The lowest of the descents from all starts: each until it is clear where it ends, the best one to its end."""
+    begun = starts(problem.balance, problem.model)
+    if len(begun) > 1:
+        rough = [minimise(problem, start, ROUGH, FEW_STEPS).values for start in begun]
+        begun = [min(rough, key=problem.chi2)]
+    return minimise(problem, begun[0], NEAR, MOST_STEPS)
 
 
 def inverse_information(jacobian: FloatArray) -> FloatArray:
