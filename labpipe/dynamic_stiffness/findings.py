@@ -85,10 +85,11 @@ def motion_findings(stator: Stator, given: Given) -> tuple[Finding, ...]:
 
 
 def effective_forces(stator: Stator) -> bool:
-    """Whether a number with a doubt already brings accelerations into the forces."""
-    acceleration = stator.spectra.columns("acceleration")
+    """Whether the forces are sums that hold accelerations already."""
+    channels = stator.spectra.channels
+    accelerations = {channels[number].name for number in stator.spectra.columns("acceleration")}
     forces = np.flatnonzero(np.any(stator.to_axes[:2], axis=0))
-    return any(np.any(factor.derivative[forces][:, acceleration]) for factor in stator.spectra.factors)
+    return any(term.channel in accelerations for number in forces for term in channels[number].terms)
 
 
 def given_notes(given: Given, doubts: tuple[GivenDoubt, ...], found: Doubted) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.dynamic_stiffness.likelihood import Balance, whitened
+from labpipe.dynamic_stiffness.likelihood import Balance, times, whitened
 from labpipe.errors import FitError
 
 # Condition number of the motions of all runs beyond which they are one direction.
@@ -44,20 +44,25 @@ def line_stiffness(balance: Balance) -> LineStiffness:
 
 
 def shown_stiffness(balance: Balance, stiffness: ComplexArray) -> tuple[LineStiffness, FloatArray]:
-    """H line by line and its variance (n_line, 2, 2) [(N/m)^2]; of one run by pairs of lines, none where that does not tell H.
+    """H line by line and its variance (n_line, 2, 2) [(N/m)^2], lines left out that do not tell H; of one run by pairs of lines.
 
-    stiffness (n_line, 2, 2) [N/m] of a model, for the noise of the balance.
+    stiffness (n_line, 2, 2) [N/m] of a model gives the noise of the balance, and the course between the two lines of a pair: H is the
+    model in their middle and what both lines leave.
     """
     state = whitened(balance, stiffness)
     noise = np.stack([state.l_xx**2, np.abs(state.l_yx) ** 2 + state.l_yy**2], axis=-1)
-    paired = balance.motion.shape[1] < 2
-    omega, right, motion = balance.omega, balance.right, balance.motion
+    residual, motion, omega = balance.right - times(stiffness[:, None], balance.motion), balance.motion, balance.omega
+    paired = motion.shape[1] < 2
     if paired:
-        omega, right, motion, noise = _pairs(omega[:, None, None]).mean(axis=(1, 2)), _pairs(right), _pairs(motion), _pairs(noise)
+        omega, stiffness = (
+            _pairs(omega[:, None, None]).mean(axis=(1, 2)),
+            _pairs(stiffness.reshape(-1, 1, 4)).mean(axis=1).reshape(-1, 2, 2),
+        )
+        residual, motion, noise = _pairs(residual), _pairs(motion), _pairs(noise)
     vectors = motion.swapaxes(-1, -2)
     told = np.linalg.cond(vectors) < ONE_DIRECTION
     inverse = np.linalg.pinv(vectors[told])
-    h = right[told].swapaxes(-1, -2) @ inverse
+    h = stiffness[told] + residual[told].swapaxes(-1, -2) @ inverse
     variance = np.einsum("lri,lrj->lij", noise[told], np.abs(inverse) ** 2)
     return LineStiffness(omega[told], h, inverse, paired), variance
 

@@ -78,8 +78,12 @@ def stator_of(spectra: ChannelSpectra, band: tuple[float, float] | None, inputs:
 
 
 def _chosen(spectra: ChannelSpectra, quantity: str, names: Sequence[str]) -> list[int]:
+    """Columns of a quantity that are named, or all; a channel that stands in a chosen sum only acts through that, unless it is named."""
     columns = spectra.columns(quantity, ROLES[quantity])
-    return [n for n in columns if not names or {spectra.channels[n].name, spectra.channels[n].dof} & set(names)]
+    if names:
+        return [n for n in columns if {spectra.channels[n].name, spectra.channels[n].dof} & set(names)]
+    summed = {term.channel for n in columns for term in spectra.channels[n].terms}
+    return [n for n in columns if spectra.channels[n].name not in summed]
 
 
 def _check_names(spectra: ChannelSpectra, names: Sequence[str], quantities: Sequence[str], key: str) -> None:

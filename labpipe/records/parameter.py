@@ -11,7 +11,8 @@ class Parameter:
 
     *std_error*, *t_ratio*, *ci95* are None where none can be given (at a bound, not determined). *significant*: |t| exceeds the
     two-sided 95 % Student quantile. *vif*: variance inflation factor. *derived*: computed from the others (f_n, zeta, ...).
-    *std_error* is what noise alone leaves; *std_error_inflated*: with what else the residual shows, where it is not noise. *ci95*,
+    *std_error* is what noise alone leaves; *std_error_inflated*: with what else the residual shows, where it is not
+    noise, and with the doubt of given numbers. *ci95*,
     *t_ratio* and *significant* are by the latter then.
     """
 

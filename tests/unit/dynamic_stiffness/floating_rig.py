@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labpipe.records.channel_spectra import ChannelSpectra, UncertainFactor
+from labpipe.records.channel_sum import Term
 from labpipe.records.recording import Channel
 
 CHANNELS = tuple(
@@ -117,17 +118,18 @@ def complex_normal(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarr
 
 
 def less_inertia(spectra: ChannelSpectra, mass: float, doubt: float) -> ChannelSpectra:
-    """Forces less mass times acceleration, as derived channels make them: vectors, covariance, and the mass as a factor with its doubt."""
-    effect = np.eye(6)
-    effect[0, 4] = effect[1, 5] = -mass
-    slope = np.zeros((6, 6))
-    slope[0, 4] = slope[1, 5] = -1.0
-    # The derivative is over the channels as they are there: accelerations are unchanged.
+    """Forces less mass times acceleration, as derived channels make them: beside the measured ones, the mass a factor with its doubt."""
+    effect = np.vstack([np.eye(6), np.zeros((2, 6))])
+    slope = np.zeros((8, 8))
+    for n in (0, 1):
+        effect[6 + n, n], effect[6 + n, 4 + n], slope[6 + n, 4 + n] = 1.0, -mass, -1.0
+    sums = tuple(Channel(f"f{axis}_eff", "force", "input", axis, terms=(Term(f"f{axis}", 1.0), Term(f"a{axis}", -mass))) for axis in "xy")
     return replace(
         spectra,
+        channels=(*spectra.channels, *sums),
         vectors=spectra.vectors @ effect.T,
         covariance=effect @ spectra.covariance @ effect.T,
-        factors=(UncertainFactor("fx: ax", mass, doubt, "kg", slope),),
+        factors=(UncertainFactor("fx_eff: ax", mass, doubt, "kg", slope),),
     )
 
 

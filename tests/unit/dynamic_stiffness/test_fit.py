@@ -14,8 +14,10 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
 from labpipe.records.channel_spectra import ChannelSpectra
-from labpipe.records.identification import Fit
+from labpipe.records.identification import Fit, Identification
 from labpipe.records.recording import Channel
+from labpipe.report.build import build
+from labpipe.report.document import Figure, Paragraph, Table
 from tests.unit.dynamic_stiffness.floating_rig import JOURNAL, SEAL, FloatingRig, kcm, less_inertia, pads, truth
 
 RIG = FloatingRig(kcm(**SEAL), conditions={"speed": "3000 rpm"})
@@ -288,3 +290,35 @@ def test_a_fit_survives_its_file() -> None:
     fit = fitted(drawn(replace(EVEN, bearing=kcm(**JOURNAL))), compare=True, rotor_mass="80 kg +- 1 kg", **GIVEN)
     entry = json.loads(json.dumps(fit_entry(fit)))
     assert fit_entry(read_fit(entry)) == entry
+
+
+def test_the_report_shows_measured_model_and_baseline() -> None:
+    """Numbers of the figure: dots are G m^-1 of each line, the dashed line K_b + jw C_b; the table says where doubt comes from."""
+    fit = fitted(drawn(), compare=True, **{**GIVEN, "stator_mass": "60 kg +- 0.6 kg"})
+    blocks = [block for section in build(Identification((fit,))).sections for block in section.blocks]
+    figures = {block.alternative.split(" of fit")[0]: block.graphic for block in blocks if isinstance(block, Figure)}
+    panels = figures["Real and imaginary parts of the dynamic stiffness"].panels
+    measured, model, baseline = panels[4].series
+    assert [series.name for series in panels[4].series] == ["measured", "model", "baseline"] and len(panels) == 8
+    assert baseline.y == pytest.approx(1e-6 * 800 * 2 * np.pi * baseline.x)
+    exact = 1e-6 * 4.2e4 * 2 * np.pi * measured.x
+    assert np.mean((measured.low < exact) & (exact < measured.high)) == pytest.approx(0.95, abs=0.05)
+    assert model.y == pytest.approx(1e-6 * fit.parameter("c_xx").value * 2 * np.pi * model.x, rel=1e-6)
+    assert "Effective stiffness and damping" in figures
+    tables = {block.caption: block for block in blocks if isinstance(block, Table)}
+    by_source = tables["Standard errors of seal in % of the value, by where they come from"]
+    assert by_source.header == ("parameter", "noise", "mass of the stator", "in all")
+    row = next(row for row in by_source.rows if row[0] == "m_xx")
+    assert float(row[3]) == pytest.approx(np.hypot(float(row[1]), float(row[2])), rel=0.05)
+    choice = tables["Which form the data ask for"]
+    assert choice.rows[0][0] == "kcm" and choice.rows[0][-1] == "0.0"
+    text = " ".join(block.text for block in blocks if isinstance(block, Paragraph))
+    assert "Standard errors and intervals hold the doubt of given numbers: up to" in text
+
+
+def test_lines_of_one_vector_are_drawn_in_pairs() -> None:
+    shown = fitted(drawn(replace(EVEN, excitation="zipper")), **GIVEN).dynamic_stiffness
+    assert shown.paired and shown.frequency[0] == 21.0 and shown.frequency.size == 45
+    exact = kcm(**SEAL)(2 * np.pi * shown.frequency)
+    ratio = np.abs(shown.measured - exact) ** 2 / shown.variance
+    assert np.mean(ratio) == pytest.approx(1, abs=0.3)
