@@ -79,15 +79,21 @@ class Noise:
             return self.shared
         return self.shared * self.dof**2 / ((self.dof - N_EQUATION) ** 2 - 1)
 
-    def p_value(self, squares: float, dof: int) -> float:
-        """Chance of so large a chi-square (mean *dof*); by the F distribution with its variance where the covariance was estimated.
+    @property
+    def _excess_variance(self) -> float:
+        """Variance of the residual's squares over chi-square's: a line's e^H S^-1 e is F with 4 and 2 (nu - 1) degrees of freedom."""
+        return max(self.dof / (self.dof - LEAST_DOF), LEAST_SPREAD) if np.isfinite(self.dof) else 1.0
 
-        One line's e^H S^-1 e is F with 4 and 2 (nu - 1) degrees of freedom, whose relative variance is nu / (nu - 3) times chi-square's.
-        """
+    def spread(self, dof: int) -> float:
+        """Standard deviation of chi-square per degree of freedom."""
+        return float(np.sqrt(2 * self.shared_power * self._excess_variance / dof))
+
+    def p_value(self, squares: float, dof: int) -> float:
+        """Chance of so large a chi-square (mean *dof*); by the F distribution with its variance where the covariance was estimated."""
         effective = dof / self.shared_power
         if not np.isfinite(self.dof):
             return chi2_tail(squares / self.shared_power, effective)
-        spread = max(self.dof / (self.dof - LEAST_DOF), LEAST_SPREAD)
+        spread = self._excess_variance
         second = (effective - 2 + 4 * spread) / (spread - 1)
         return f_tail(squares / dof * second / (second - 2), effective, second)
 

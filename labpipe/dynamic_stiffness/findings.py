@@ -16,6 +16,8 @@ from labpipe.records.identification import Parameter
 
 # Standard errors of noise beyond which the shaft is said to move, and the share of the relative motion from which it matters.
 SEEN, MOVES = 3.0, 0.002
+# Standard deviations of chi-square below its mean beyond which the residual is too small.
+SURE = 5.0
 # Degrees of freedom of the covariance below which the estimates lose more than a tenth to it.
 FEW_DOF = 13
 
@@ -39,16 +41,24 @@ def mismatch_findings(found: Estimate) -> tuple[Finding, ...]:
     return (Finding("model-mismatch", message),)
 
 
-def noise_findings(noise: Noise) -> tuple[Finding, ...]:
-    """A note where few periods tell the noise: the intervals hold, but they are wider than the data would allow."""
+def noise_findings(found: Estimate, noise: Noise) -> tuple[Finding, ...]:
+    """Notes where the intervals hold but are wider than the data would allow: scatter that is not noise, few periods."""
+    findings = []
+    if found.reduced < 1 - SURE * noise.spread(found.dof):
+        message = (
+            f"the residual is only {np.sqrt(found.reduced):.2g} times what the scatter of the channels would leave: something that differs "
+            "from period to period and averages out, such as runout of a turning shaft under a probe, counts as noise, and the intervals "
+            "are too wide. Take it out with `frf: {remove: {speed: ...}}`"
+        )
+        findings.append(note("scatter-not-noise", message))
     if noise.dof >= FEW_DOF:
-        return ()
+        return tuple(findings)
     loss = np.sqrt(noise.dof / (noise.dof - 2 - 1 / (noise.dof - 2)))
     message = (
         f"the covariance of the channels has {noise.dof:.3g} degrees of freedom: standard errors are {loss:.3g} times those with a "
         "known one. Average more periods, or let neighbouring lines share their noise"
     )
-    return (note("few-averages", message),)
+    return (*findings, note("few-averages", message))
 
 
 def shaft_motion(stator: Stator) -> tuple[float, float] | None:

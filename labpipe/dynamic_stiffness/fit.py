@@ -104,7 +104,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *fit.findings,
         *(mismatch_findings(found) if settings.estimator == "ml" else ()),
         *choice_findings(solved.candidates, found.model.form.name, own.form is not None),
-        *(noise_findings(noise) if settings.estimator == "ml" else ()),
+        *(noise_findings(found, noise) if settings.estimator == "ml" else ()),
         *motion_findings(stator, given),
         *whirl_findings(turning, shaft.speed),
         *physical_findings(main),

@@ -322,3 +322,21 @@ def test_lines_of_one_vector_are_drawn_in_pairs() -> None:
     exact = kcm(**SEAL)(2 * np.pi * shown.frequency)
     ratio = np.abs(shown.measured - exact) ** 2 / shown.variance
     assert np.mean(ratio) == pytest.approx(1, abs=0.3)
+
+
+def test_motion_that_differs_from_period_to_period_is_no_noise_but_scatter_that_averages_out_is_noted() -> None:
+    """Forces and accelerations follow a motion in the covariance: the balance holds for it. A covariance five times too large does not."""
+    rng, still = np.random.default_rng(4), drawn()
+    motion = rng.normal(size=(200, 2)) + 1j * rng.normal(size=(200, 2))
+    w = 2 * np.pi * EVEN.frequency[:, None, None]
+    h = kcm(**SEAL)(2 * np.pi * EVEN.frequency)
+    inertia = (60.0 - (1.35e6 + 800j * w) / w**2) * np.eye(2)
+    # [F; D; A] = [H d - M w^2 x + Z x; d; -w^2 x] balances for any d, with x = d.
+    columns = np.concatenate([h - w**2 * inertia, np.broadcast_to(np.eye(2), h.shape), -(w**2) * np.eye(2)], axis=1)
+    scatter = 1e-6 * np.einsum("lij,kj->lki", columns, motion)
+    extra = np.einsum("lki,lkj->lij", scatter, scatter.conj()) / 200
+    moved = fitted(replace(still, covariance=still.covariance + extra[:, None]), **GIVEN)
+    assert moved.gof.chi2_reduced == pytest.approx(fitted(still, **GIVEN).gof.chi2_reduced, rel=1e-3)
+    loud = replace(still, covariance=5 * still.covariance)
+    (finding,) = [f for f in fitted(loud, **GIVEN).findings if f.code == "scatter-not-noise"]
+    assert finding.level == "note" and "0.44 times" in finding.message
