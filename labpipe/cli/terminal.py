@@ -56,7 +56,8 @@ def _echo_fit(fit: Fit) -> None:
     if fit.candidates:
         best = fit.candidates[0]
         quality = f"{best.parameters} parameters, chi2/dof {best.chi2 / best.dof:.2f}"
-        click.echo(f"  best of {len(fit.candidates)} models by AIC: {best.name} ({quality})")
+        criterion = "AIC" if best.bic is None else "BIC"
+        click.echo(f"  best of {len(fit.candidates)} models by {criterion}: {best.name} ({quality})")
 
 
 def _parameter_line(parameter: Parameter) -> str:

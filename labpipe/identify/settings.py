@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 from labpipe.errors import ConfigError
-from labpipe.identify.model_kinds import DECAYS, ModelKind
+from labpipe.identify.model_kinds import DECAYS, RESPONSES, SPECTRA, ModelKind
 from labpipe.records.setting_values import COEFFICIENT_UNITS as COEFFICIENT_UNITS
 from labpipe.records.setting_values import ESTIMATE as ESTIMATE
 from labpipe.records.settings import Doubts, Settings, Uncertain, setting
@@ -22,6 +22,7 @@ MODELS = Registry(
         "mdof": "labpipe.identify.mdof:mdof",
         "modal": "labpipe.modal.model_kind:MODAL",
         "decay": "labpipe.decay.model_kind:DECAY",
+        "dynamic-stiffness": "labpipe.dynamic_stiffness.model_kind:DYNAMIC_STIFFNESS",
         "worn-bearing": "labpipe.wear.model_kind:WORN_BEARING",
     },
 )
@@ -127,13 +128,25 @@ class FitSettings(Settings):
             raise ConfigError("'peaks' is for sdof only", hint="for other models name input, output and bands")
 
 
+# What a model needs, in words, and how a pipeline measures that; the model that is of it.
+_NEEDED = {
+    RESPONSES: ("an FRF", "frf: {excitation: periodic}"),
+    DECAYS: ("free decays", "frf: {excitation: decay}"),
+    SPECTRA: ("spectra of all channels", "frf: {result: spectra}"),
+}
+_MODEL_OF = {DECAYS: "decay", SPECTRA: "dynamic-stiffness"}
+
+
 def check_kind(settings: FitSettings, measured: str) -> None:
-    """ConfigError where a model is not of what was *measured*: responses or decays."""
-    if settings.kind.of == measured:
+    """ConfigError where a model is not of what was *measured*: responses, decays or spectra."""
+    of = settings.kind.of
+    if of == measured:
         return
-    if measured == DECAYS:
-        raise ConfigError(f"model {settings.model} needs an FRF, free decays have none", hint="model: decay", field="model")
-    raise ConfigError(f"model {settings.model} needs free decays, not an FRF", hint="frf: {excitation: decay}", field="model")
+    needed, remedy = _NEEDED[of]
+    if of == RESPONSES:
+        hint = f"model: {_MODEL_OF[measured]}"
+        raise ConfigError(f"model {settings.model} needs {needed}, {_NEEDED[measured][0]} have none", hint=hint, field="model")
+    raise ConfigError(f"model {settings.model} needs {needed}, not {_NEEDED[measured][0]}", hint=remedy, field="model")
 
 
 def model_kind(name: str) -> ModelKind:

@@ -9,6 +9,7 @@ from typing import Any
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.records.budget import Budget
+from labpipe.records.dynamic_stiffness import DynamicStiffness
 from labpipe.records.finding import Finding
 from labpipe.records.modes import Modes
 from labpipe.records.parameter import Parameter as Parameter
@@ -33,7 +34,8 @@ class Candidate:
     """A candidate model on the same lines: number of estimated *parameters*, chi-square of its residual, information criteria.
 
     aic = chi-square + 2 parameters, less is better; p_value: chance of so large an improvement by the richest model if this one,
-    which it contains, is right (None for the richest one, and where it does not contain this one).
+    which it contains, is right (None for the richest one, and where it does not contain this one). bic = chi-square + parameters * ln(real
+    equations) and chi2_p, the chance of so large a chi-square, where candidates are chosen by them.
     """
 
     name: str
@@ -42,6 +44,8 @@ class Candidate:
     dof: int
     aic: float
     p_value: float | None = None
+    bic: float | None = None
+    chi2_p: float | None = None
 
 
 @dataclass(frozen=True)
@@ -114,6 +118,7 @@ class Fit:
     modes: Modes | None = None
     ring_down: RingDown | None = None
     budget: Budget | None = None
+    dynamic_stiffness: DynamicStiffness | None = None
 
     def __repr__(self) -> str:
         return fit_line(self)

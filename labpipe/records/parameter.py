@@ -11,8 +11,9 @@ class Parameter:
 
     *std_error*, *t_ratio*, *ci95* are None where none can be given (at a bound, not determined). *significant*: |t| exceeds the
     two-sided 95 % Student quantile. *vif*: variance inflation factor. *derived*: computed from the others (f_n, zeta, ...).
-    *std_error* is what noise alone leaves; *std_error_inflated*: with what else the residual shows, where it is not noise. *ci95*,
-    *t_ratio* and *significant* are by the latter then. *systematic*: the part of it that stems from numbers that were given with a doubt.
+    *std_error* is what noise alone leaves; *std_error_inflated*: with what else the residual shows, where it is not noise, and with the
+    doubt of given numbers. *ci95*, *t_ratio* and *significant* are by the latter then. *systematic*: the part of it that stems from given
+    numbers, where that is known by itself.
     """
 
     name: str

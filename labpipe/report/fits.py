@@ -11,6 +11,7 @@ from labpipe.report import figures
 from labpipe.report.budget import budget_blocks
 from labpipe.report.candidates import candidate_blocks
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
+from labpipe.report.dynamic_stiffness_figures import dynamic_stiffness_blocks
 from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figures
 from labpipe.report.modal_figures import modal_blocks
 from labpipe.report.ring_down_figures import ring_down_figures
@@ -69,6 +70,7 @@ def _single(fit: Fit) -> tuple[Block, ...]:
         *candidate_blocks(fit),
         *modal_blocks(fit),
         *ring_down_figures(fit),
+        *dynamic_stiffness_blocks(fit),
         *fit_figures(fit),
     )
 

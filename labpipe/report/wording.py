@@ -121,7 +121,7 @@ def _beyond_noise(parameter: Parameter) -> float:
 
 
 def inflated_text(fit: Fit) -> str:
-    """Sentence on intervals that are wider than those of noise, or missing, because the residual is not noise; empty where it is."""
+    """Sentence on intervals that are wider than those of noise, or missing, and why; empty where noise is all."""
     mismatch = any(finding.code == "model-mismatch" for finding in fit.findings)
     if mismatch and fit.converged and all(p.ci95 is None for p in fit.parameters):
         return " The residual is not noise and nothing explains it: no standard errors and intervals are given (model-mismatch above)."
@@ -129,5 +129,10 @@ def inflated_text(fit: Fit) -> str:
     wider = [(name, factor) for name, factor in wider if factor > 1 + ALIKE]
     if not wider:
         return ""
+    if fit.dynamic_stiffness is not None:
+        causes = ["the doubt of given numbers"] if fit.dynamic_stiffness.doubts else []
+        causes += ["a residual beyond the noise (model-mismatch above)"] if mismatch else []
+        name, factor = max(wider, key=lambda pair: pair[1])
+        return f" Standard errors and intervals hold {' and '.join(causes)}: up to {factor:.3g} times those of noise alone ({name})."
     listed = ", ".join(f"{name} {factor:.3g}" for name, factor in wider)
     return f" The residual is not noise (model-mismatch above): standard errors and intervals are those of noise alone times: {listed}."

@@ -1,0 +1,222 @@
+"""Model dynamic-stiffness: coefficients of a bearing or seal in a floating stator, with the doubt of noise and of given numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.dynamic_stiffness.baseline import given_baseline
+from labpipe.dynamic_stiffness.choice import choice_findings, compared
+from labpipe.dynamic_stiffness.estimate import Estimate, Noise, estimate
+from labpipe.dynamic_stiffness.findings import (
+    effective_forces,
+    given_notes,
+    mismatch_factor,
+    mismatch_findings,
+    motion_findings,
+    noise_findings,
+    physical_findings,
+    whirl_findings,
+)
+from labpipe.dynamic_stiffness.forms import BANDS, FORMS, Form, StiffnessModel, banded
+from labpipe.dynamic_stiffness.given import Given, balance_of, given_doubts, given_errors, response_of, smoothed_channels
+from labpipe.dynamic_stiffness.least_squares import least_squares
+from labpipe.dynamic_stiffness.likelihood import Balance, ErrorsInVariables
+from labpipe.dynamic_stiffness.settings import DynamicStiffnessSettings
+from labpipe.dynamic_stiffness.shown import shown_course
+from labpipe.dynamic_stiffness.stator import Stator, stator_of
+from labpipe.dynamic_stiffness.values import Doubted, Shaft, coefficients, derived_values
+from labpipe.errors import ConfigError
+from labpipe.identify import statistics
+from labpipe.identify.diagnostics import estimate_findings, goodness_findings
+from labpipe.identify.reported import without_intervals
+from labpipe.identify.settings import ESTIMATE, FitSettings
+from labpipe.identify.statistics import condition_number, correlation, determination, inflation_factors
+from labpipe.quantities import UnitError, parse_value
+from labpipe.records.channel_spectra import ChannelSpectra
+from labpipe.records.dynamic_stiffness import GivenDoubt, systematic
+from labpipe.records.finding import Finding
+from labpipe.records.identification import Candidate, Fit, Goodness, Parameter
+from labpipe.records.setting_values import Uncertain
+
+SPEED = "speed"
+BANDS_BY_DEFAULT = 10
+LS_NOTE = (
+    "ls: as in the literature: H of every line from two runs, then Re H on (1, -w^2) and Im H on w with equal weights. The noise of the "
+    "motion is not regarded and that of the lines taken as equal: errors are up to several times those of ml, and intervals may be short."
+)
+
+
+@dataclass(frozen=True)
+class Solved:
+    """An estimate, what given numbers do to it, its amplification (n_parameter,) [parameter units] of errors, and compared forms."""
+
+    found: Estimate
+    doubts: tuple[GivenDoubt, ...]
+    amplification: FloatArray | None
+    candidates: tuple[Candidate, ...] = ()
+
+
+def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
+    """One fit, or one per band; none of the test that the baseline itself was fitted on.
+
+    ConfigError where settings and channels do not fit together, FitError where the lines cannot determine the coefficients.
+    """
+    _check(settings)
+    own: DynamicStiffnessSettings = settings.model_settings
+    if own.known is not None and own.known.test == spectra.name:
+        return ()
+    return tuple(_fit(spectra, settings, band) for band in settings.bands or (settings.band,))
+
+
+def _check(settings: FitSettings) -> None:
+    """ConfigError for keys of other models."""
+    if settings.sliding or settings.peaks:
+        raise ConfigError("the dynamic stiffness has no sliding bands", hint="form: bands, or `bands` for one fit each")
+    if settings.estimator not in ("ml", "ls"):
+        raise ConfigError(f"{settings.estimator} does not estimate a dynamic stiffness", hint="estimator: ml, or ls", field="estimator")
+    others = [key for key in ("subtract", "eliminate", "fixed", "tied", "bootstrap", "symmetric") if getattr(settings, key)]
+    if others:
+        raise ConfigError(f"'{others[0]}' is not for model dynamic-stiffness", hint="leave it out", field=others[0])
+    if not isinstance(settings.mass, float) and settings.mass != ESTIMATE:
+        raise ConfigError("the stator has one mass", hint="for example stator_mass: 60 kg +- 0.6 kg", field="mass")
+
+
+def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, float] | None) -> Fit:
+    own: DynamicStiffnessSettings = settings.model_settings
+    stator = stator_of(spectra, band, settings.input, settings.output)
+    given = _given(settings, stator)
+    balance = balance_of(stator, given)
+    noise = Noise(spectra.covariance_dof, stator.shared, stator.shared_power)
+    solved = _solved(stator, given, balance, settings, noise)
+    found, factor = solved.found, mismatch_factor(solved.found) if settings.estimator == "ml" else 1.0
+    of_given = systematic(solved.doubts, found.values.size)
+    doubted = Doubted(found.model, found.values, found.covariance, factor**2 * found.covariance + of_given, found.dof)
+    shaft = Shaft(_speed(own, spectra), own.rotor_mass, own.rotor_stiffness)
+    main = coefficients(doubted, inflation_factors(found.design))
+    # A baseline is no bearing of a shaft.
+    others, turning = ((), None) if given.absolute else derived_values(doubted, stator.omega, shaft)
+    whole_band = band or (float(stator.omega[0] / (2 * np.pi)), float(stator.omega[-1] / (2 * np.pi)))
+    fit = _reported(settings, balance, solved, whole_band, (*main, *others))
+    findings = (
+        *fit.findings,
+        *(mismatch_findings(found) if settings.estimator == "ml" else ()),
+        *choice_findings(solved.candidates, found.model.form.name, own.form is not None),
+        *(noise_findings(found, noise) if settings.estimator == "ml" else ()),
+        *motion_findings(stator, given),
+        *whirl_findings(turning, shaft.speed),
+        *physical_findings(main),
+    )
+    notes = (*given_notes(given, solved.doubts, doubted), *((LS_NOTE,) if settings.estimator == "ls" else ()))
+    shown = shown_course(balance, doubted, solved.doubts, given, shaft.sense)
+    return replace(fit, findings=(*findings, *spectra.findings), notes=notes, dynamic_stiffness=shown)
+
+
+def _given(settings: FitSettings, stator: Stator) -> Given:
+    """Mass and baseline of the settings; ConfigError where accelerations are missing, or the inertia is out already."""
+    own: DynamicStiffnessSettings = settings.model_settings
+    mass = own.stator_mass or (Uncertain(settings.mass) if isinstance(settings.mass, float) else None)
+    if mass is not None and mass.value == 0:
+        mass = None
+    given = Given(mass, given_baseline(own), own.motion == "absolute")
+    if mass is not None and effective_forces(stator):
+        raise ConfigError("the forces are without the stator's inertia already", hint="stator_mass: 0 kg", field="stator_mass")
+    if given.accelerated and not stator.accelerated and not given.absolute:
+        what = "mass of the stator" if mass is not None else "baseline"
+        raise ConfigError(
+            f"the {what} acts with the stator's absolute motion, and there are no accelerations: displacements against the shaft, which "
+            "moves too, are not that",
+            hint="measure accelerations in x and y; motion: absolute where the displacements are absolute",
+        )
+    return given
+
+
+def _speed(own: DynamicStiffnessSettings, spectra: ChannelSpectra) -> float | None:
+    """Speed of the shaft [Hz]: of the settings, else the test's condition."""
+    if own.speed is not None or SPEED not in spectra.conditions:
+        return own.speed
+    try:
+        return parse_value(spectra.conditions[SPEED], "Hz")
+    except UnitError as error:
+        raise ConfigError(f"conditions.{SPEED}: {error.what}", hint=error.hint or "for example speed: 3000 rpm") from None
+
+
+def _solved(stator: Stator, given: Given, balance: Balance, settings: FitSettings, noise: Noise) -> Solved:
+    """The estimate by the settings' estimator."""
+    own: DynamicStiffnessSettings = settings.model_settings
+    if settings.estimator == "ls":
+        if settings.compare:
+            raise ConfigError("'compare' needs estimator ml", hint="estimator: ml", field="compare")
+        found, respond = least_squares(balance, StiffnessModel(_form(own, balance.omega), own.symmetry))
+        errors = given_errors(stator, given, found.model.stiffness(found.values, stator.omega), stator.channels)
+        return Solved(found, given_doubts(errors, respond), None)
+    found, candidates = _most_likely(balance, settings, noise)
+    problem = ErrorsInVariables(balance, found.model)
+    stiffness, state, columns = found.model.stiffness(found.values, stator.omega), problem.at(found.values), problem.columns(found.values)
+    errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
+    doubts = given_doubts(errors, response_of(state, columns))
+    amplification = problem.size * np.sqrt(2 * np.diag(found.covariance) / noise.inflation)
+    return Solved(found, doubts, amplification, candidates)
+
+
+def _most_likely(balance: Balance, settings: FitSettings, noise: Noise) -> tuple[Estimate, tuple[Candidate, ...]]:
+    """The estimate of the form that is given, or with `compare` and without one that of the best form."""
+    own: DynamicStiffnessSettings = settings.model_settings
+    if not settings.compare:
+        return estimate(balance, StiffnessModel(_form(own, balance.omega), own.symmetry), noise), ()
+    known = None if own.form is None else estimate(balance, StiffnessModel(_form(own, balance.omega), own.symmetry), noise)
+    candidates, estimates = compared(balance, own.symmetry, noise, own.forms, known)
+    if not candidates:
+        raise ConfigError("no compared form can be determined by these lines", hint="widen the band", field="forms")
+    return (known or estimates[candidates[0].name]), candidates
+
+
+def _form(own: DynamicStiffnessSettings, omega: FloatArray) -> Form:
+    if own.form != BANDS:
+        return FORMS[own.form or "kcm"]
+    low, high = omega[0] / (2 * np.pi), omega[-1] / (2 * np.pi)
+    count = BANDS_BY_DEFAULT if own.band_width is None else max(round((high - low) / own.band_width), 1)
+    return banded(np.linspace(low, high, count + 1))
+
+
+def _reported(settings: FitSettings, balance: Balance, solved: Solved, band: tuple[float, float], parameters: tuple[Parameter, ...]) -> Fit:
+    """The fit with its goodness, and warnings on the estimate."""
+    found = solved.found
+    names = found.model.names
+    stiffness = found.model.stiffness(found.values, balance.omega)
+    residual = balance.right - np.einsum("lij,lrj->lri", stiffness, balance.motion)
+    r2, adjusted = determination(balance.right, residual, len(names))
+    likely = settings.estimator == "ml"
+    gof = Goodness(r2, adjusted, found.reduced if likely else None, found.p_value if likely else None)
+    as_estimate = statistics.Estimate(
+        values=found.values,
+        covariance=found.covariance,
+        scaled_design=found.design,
+        gof=gof,
+        dof=found.dof,
+        converged=found.converged,
+        iterations=found.steps,
+        amplification=solved.amplification,
+    )
+    warnings: list[Finding] = estimate_findings(as_estimate, names, balance.omega.size, found.model.units)
+    if not found.converged:
+        parameters = tuple(replace(parameter, std_error_inflated=None) for parameter in without_intervals(parameters))
+    return Fit(
+        name=settings.name,
+        model=settings.model,
+        estimator=settings.estimator,
+        band_hz=band,
+        lines=balance.omega.size,
+        equations=found.dof + len(names),
+        dof=found.dof,
+        gof=gof,
+        parameters=parameters,
+        condition_number=condition_number(found.design),
+        correlation=correlation(found.covariance),
+        converged=found.converged,
+        iterations=found.steps,
+        findings=(*warnings, *goodness_findings(gof)),
+        candidates=solved.candidates,
+    )

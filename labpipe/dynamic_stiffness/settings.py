@@ -1,0 +1,56 @@
+"""Settings of a floating-bearing fit: the section `dynamic_stiffness:` of a fit with model dynamic-stiffness."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+
+from labpipe.dynamic_stiffness.forms import BANDS, FORMS, NAMES
+from labpipe.dynamic_stiffness.given import Baseline
+from labpipe.errors import ConfigError
+from labpipe.records.settings import Settings, Uncertain, setting
+from labpipe.registry import nearest
+
+MOTIONS = ("relative", "absolute")
+SYMMETRIES = ("none", "seal", "direct")
+COMPARED = ("kc", "kcm", "relaxation", "pad")
+
+
+@dataclass(frozen=True)
+class DynamicStiffnessSettings(Settings):
+    """What is identified and what is given; *known*: the baseline of `baseline`, once its fit is made."""
+
+    form: str | None = setting("choice", "course over frequency; default: kcm, or with `compare` the best", choices=NAMES, default=None)
+    _: KW_ONLY
+    symmetry: str = setting("choice", "none; seal: k_xx = k_yy, k_xy = -k_yx; direct: no cross terms", choices=SYMMETRIES, default="none")
+    motion: str = setting("choice", "that it acts on: against the shaft, or absolute (baseline)", choices=MOTIONS, default="relative")
+    stator_mass: Uncertain | None = setting("uncertain", "mass of the stator with its doubt; default: `mass`", unit="kg", default=None)
+    baseline: str = setting("text", "an earlier fit of what holds the stator, or its test", default="")
+    baseline_stiffness: Uncertain | None = setting("uncertain", "of what holds the stator, in x and y", unit="N/m", default=None)
+    baseline_damping: Uncertain | None = setting("uncertain", "of what holds the stator, in x and y", unit="N.s/m", default=None)
+    band_width: float | None = setting("value", "form bands: width of one; default: a tenth of the band", unit="Hz", default=None)
+    forms: tuple[str, ...] = setting("names", "forms that `compare` holds against each other", default=COMPARED)
+    speed: float | None = setting(
+        "value", "speed of the shaft, from x to y; default: the test's condition `speed`", unit="Hz", default=None
+    )
+    rotor_mass: Uncertain | None = setting(
+        "uncertain", "mass on the bearing, for the onset speed of whirl of a rotor on it", unit="kg", default=None
+    )
+    rotor_stiffness: float | None = setting("value", "stiffness of that rotor; default: rigid", unit="N/m", default=None)
+    known: Baseline | None = None
+
+    def __post_init__(self) -> None:
+        if self.baseline and (self.baseline_stiffness or self.baseline_damping):
+            raise ConfigError("'baseline' is given twice", hint="a fit, or numbers", field="baseline")
+        for name in ("stator_mass", "rotor_mass"):
+            mass: Uncertain | None = getattr(self, name)
+            if mass is not None and mass.value < 0:
+                raise ConfigError(f"'{name}' is negative", field=name)
+        for name in ("band_width", "rotor_stiffness"):
+            value: float | None = getattr(self, name)
+            if value is not None and value <= 0:
+                raise ConfigError(f"'{name}' must be positive", field=name)
+        for form in self.forms:
+            if form not in FORMS:
+                raise ConfigError(f"'forms': '{form}' cannot be compared", hint=nearest(form, tuple(FORMS)), field="forms")
+        if self.band_width is not None and self.form != BANDS:
+            raise ConfigError("'band_width' goes with form: bands", hint="leave it out", field="band_width")

@@ -1,0 +1,98 @@
+"""The figures of a floating-bearing fit: H over frequency with the model and the baseline, and what a forward orbit feels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.records.dynamic_stiffness import DynamicStiffness
+from labpipe.records.identification import Fit
+from labpipe.report.chart import GREY, WIDTH, Axis, Chart, Panel, Series, curve, dots, level
+from labpipe.report.document import Block, Figure, Table
+from labpipe.report.figures import FREQUENCY
+from labpipe.report.wording import fit_title
+
+# Limits of 95 % of a standard normal value.
+TWO_SIGMA = 1.96
+MEGA = 1e-6
+AXES = "xy"
+PARTS = (("Re", np.real), ("Im", np.imag))
+
+
+def dynamic_stiffness_blocks(fit: Fit) -> list[Block]:
+    """Table of given numbers, H over frequency, effective stiffness and damping; nothing for other models."""
+    shown = fit.dynamic_stiffness
+    if shown is None:
+        return []
+    given = [given_table(fit, shown)] if shown.doubts else []
+    orbit = [] if shown.absolute else [effective_figure(fit, shown)]
+    return [*given, stiffness_figure(fit, shown), *orbit]
+
+
+def given_table(fit: Fit, shown: DynamicStiffness) -> Table:
+    """The doubt of every estimate: of noise, of each given number, and in all, relative to the value."""
+    parameters = [parameter for parameter in fit.parameters if not parameter.derived][: shown.values.size]
+    header = ("parameter", "noise", *(doubt.source.split(",")[0] for doubt in shown.doubts), "in all")
+    rows = []
+    for number, parameter in enumerate(parameters):
+        size = abs(shown.values[number]) or 1.0
+        noise = float(np.sqrt(shown.noise[number, number])) / size
+        parts = [float(np.sqrt(np.sum(doubt.changes[:, number] ** 2))) / size for doubt in shown.doubts]
+        whole = (parameter.full_error or float("nan")) / abs(parameter.value or 1.0)
+        rows.append((parameter.name, *(f"{100 * part:.2g}" for part in (noise, *parts, whole))))
+    caption = f"Standard errors of {fit_title(fit)} in % of the value, by where they come from"
+    return Table(header, tuple(rows), caption, tuple(range(1, len(header))))
+
+
+def stiffness_figure(fit: Fit, shown: DynamicStiffness) -> Figure:
+    """Real and imaginary part of the four elements: line by line with 95 % bars, the model, the baseline."""
+    panels = tuple(_part(shown, i, j, which) for which in range(2) for i in range(2) for j in range(2))
+    lines = (
+        "of every line from its runs"
+        if not shown.paired
+        else "of two neighbouring lines each (the model in their middle and what both leave), since a line has one vector"
+    )
+    if not shown.frequency.size:
+        lines = "not drawn, since the lines do not give it without a model"
+    baseline = " Dashed: the baseline, which the measured values are without." if shown.baseline is not None else ""
+    caption = (
+        f"{fit_title(fit)}: dynamic stiffness, force in the first direction per displacement in the second. Dots: measured, {lines}, with "
+        f"95 % intervals by noise; line: the model.{baseline} The fit itself uses the channels, not these values."
+    )
+    chart = Chart(panels, 4, 2, (WIDTH, 7.2), "x", "above")
+    return Figure(chart, caption, f"Real and imaginary parts of the dynamic stiffness of fit {fit_title(fit)} over frequency")
+
+
+def _part(shown: DynamicStiffness, i: int, j: int, which: int) -> Panel:
+    name, part = PARTS[which]
+
+    def values(h: ComplexArray) -> FloatArray:
+        return np.asarray(MEGA * part(h[:, i, j]))
+
+    series: list[Series] = []
+    if shown.frequency.size:
+        measured = values(shown.measured)
+        reach = MEGA * TWO_SIGMA * np.sqrt(shown.variance[:, i, j] / 2)
+        series.append(dots("measured", shown.frequency, measured, 0, marker="o", size=2.0, bars=(measured - reach, measured + reach)))
+    series.append(curve("model", shown.drawn_frequency, values(shown.fitted), 1, width=1.5))
+    if shown.baseline is not None:
+        series.append(curve("baseline", shown.drawn_frequency, values(shown.baseline), GREY, "--"))
+    return Panel(FREQUENCY, Axis(f"{name} H_{AXES[i]}{AXES[j]}", "MN/m"), tuple(series))
+
+
+def effective_figure(fit: Fit, shown: DynamicStiffness) -> Figure:
+    """Stiffness and damping that a forward circular orbit feels, with the zero of damping where it drives whirl below."""
+    panels = (
+        _effective("effective stiffness", "MN/m", shown.drawn_frequency, MEGA * shown.effective_stiffness),
+        _effective("effective damping", "kN s/m", shown.drawn_frequency, 1e-3 * shown.effective_damping),
+    )
+    caption = (
+        f"{fit_title(fit)}: what a forward circular orbit feels, with 95 % intervals. Where effective damping is negative, the bearing "
+        "drives whirl; the frequency at which it is zero is the crossover frequency."
+    )
+    return Figure(Chart(panels, 1, 2, (WIDTH, 2.8)), caption, f"Effective stiffness and damping of fit {fit_title(fit)} over frequency")
+
+
+def _effective(name: str, unit: str, frequency: FloatArray, values: FloatArray) -> Panel:
+    course = curve(name, frequency, values[:, 0], 0, band=(values[:, 1], values[:, 2]))
+    return Panel(FREQUENCY, Axis(name, unit), (course, level(0.0)))
