@@ -29,7 +29,7 @@ from labpipe.identify.likelihood import maximum_likelihood_from
 from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.mismatch import Judgement, judge
 from labpipe.identify.model import DynamicModel
-from labpipe.identify.model_kinds import DECAYS, RESPONSES
+from labpipe.identify.model_kinds import DECAYS, RESPONSES, SPECTRA
 from labpipe.identify.motions import motion_notes
 from labpipe.identify.physical import mode_findings
 from labpipe.identify.reported import reported_parameters, widened_parameters, without_intervals
@@ -38,6 +38,7 @@ from labpipe.identify.setup import Setup
 from labpipe.identify.short_blocks import leakage_findings
 from labpipe.identify.statistics import Estimate, condition_number, correlation, student_limit
 from labpipe.identify.transfer_mode import TransferMode, transfer_of, transfer_start
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.finding import Finding
 from labpipe.records.free_decay import FreeDecays
 from labpipe.records.identification import Fit, FittedCurve, Parameter
@@ -48,17 +49,23 @@ from labpipe.spectra.convert import receptance_factor
 Band = tuple[float, float]
 
 
-def identify(measured: FrequencyResponse | FreeDecays, settings: FitSettings, *, judging: bool = True) -> tuple[Fit, ...]:
-    """Fit the settings' model to a response or to free decays: one Fit, or one per band or chosen peak.
+def identify(measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings: FitSettings, *, judging: bool = True) -> tuple[Fit, ...]:
+    """Fit the settings' model to a response, free decays or spectra: one Fit, or one per band or chosen peak.
 
     *judging*: what a residual that is not noise shows widens the intervals; without it they are those of the estimator alone, which a
     study counts, at a fraction of the time.
     Raises ConfigError where settings and measurement do not fit together, FitError where the data cannot support the fit.
     """
-    check_kind(settings, DECAYS if isinstance(measured, FreeDecays) else RESPONSES)
+    check_kind(settings, _kind_of(measured))
     if settings.kind.fit is fit_linear:
         return fit_linear(measured, settings, judging=judging)  # type: ignore[arg-type]
     return settings.kind.fit(measured, settings)
+
+
+def _kind_of(measured: FrequencyResponse | FreeDecays | ChannelSpectra) -> str:
+    if isinstance(measured, FrequencyResponse):
+        return RESPONSES
+    return DECAYS if isinstance(measured, FreeDecays) else SPECTRA
 
 
 def fit_linear(response: FrequencyResponse, settings: FitSettings, *, judging: bool = True) -> tuple[Fit, ...]:

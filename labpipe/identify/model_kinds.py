@@ -20,9 +20,9 @@ RESPONSES, DECAYS, SPECTRA = "responses", "decays", "spectra"
 class ModelKind:
     """How fits of a model are made.
 
-    fit: the fits of what the model is *of*, a response or free decays; one per band or peak. section: key of the model's own settings in
-    a fit, their dataclass *settings*, and an *example* of the section, *optional* where all of them have defaults. earlier: name of the
-    fit whose result this one begins with, empty for none; begin: the settings with the result of that fit among *fits*.
+    fit: the fits of what the model is *of*, a response, free decays or spectra; one per band or peak. section: key of the model's own
+    settings in a fit, their dataclass *settings*, and an *example* of the section, *optional* where all of them have defaults. earlier:
+    name of the fit whose result this one begins with, empty for none; begin: the settings with the result of that fit among *fits*.
     """
 
     fit: Callable[[Any, FitSettings], tuple[Fit, ...]]
