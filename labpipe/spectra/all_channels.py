@@ -20,7 +20,7 @@ from labpipe.spectra.periodic_lines import periodic_lines
 from labpipe.spectra.ports import check_rates, source_findings
 from labpipe.spectra.random_lines import random_lines
 from labpipe.spectra.settings import FrfSettings
-from labpipe.spectra.synchronous import cleaned
+from labpipe.spectra.without_shaft import lines_of_shaft, without_shaft
 
 EXCITATIONS: dict[str, Callable[[Sequence[SampleSource], FrfSettings, ChannelLayout], MeasuredLines]] = {
     "periodic": periodic_lines,
@@ -45,11 +45,13 @@ def channel_spectra(
     layout = find_channel_layout(sources)
     bands = masked_bands(sources, settings)
     settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
-    monitors = [AliasingMonitor(source) for source in cleaned(sources, settings.remove)]
+    cleaned, settings, shaft = without_shaft(sources, settings)
+    monitors = [AliasingMonitor(source) for source in cleaned]
     lines = EXCITATIONS[settings.excitation](monitors, settings, layout)
     outputs = {channel.name for channel in layout.recorded if channel.role == "output"}
     aliasing = aliasing_findings(monitors, settings.band, outputs - lines.weak)
-    findings = (*source_findings(monitors), *mask_findings(bands), *aliasing, *lines.findings)
+    shaft = (*shaft, *lines_of_shaft(sources, settings, lines.frequency))
+    findings = (*source_findings(monitors), *mask_findings(bands), *shaft, *aliasing, *lines.findings)
     return ChannelSpectra(
         frequency=lines.frequency,
         vectors=lines.vectors,

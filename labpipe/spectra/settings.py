@@ -122,7 +122,10 @@ class FrfSettings(Settings):
     exclude: tuple[tuple[float, float], ...] = setting("bands", "bands left out", unit="Hz", default=())
     mask: MaskSettings | None = setting("section", "lines of the shaft speed left out", section=MaskSettings, default=None)
     remove: ShaftLines | None = setting(
-        "section", "synchronous part taken out of all channels by averaging over revolutions (random)", section=ShaftLines, default=None
+        "section",
+        "part synchronous with the shaft (runout, unbalance) taken out of all channels (periodic, random)",
+        section=ShaftLines,
+        default=None,
     )
     realisations: bool = setting("flag", "recordings of one force differ in phases, which shows distortion (periodic)", default=False)
     impact: ImpactSettings = setting("section", "hits of a hammer", section=ImpactSettings, default=ImpactSettings())
@@ -151,8 +154,8 @@ class FrfSettings(Settings):
         self._check_local()
         self._check_result()
         self._check_stepped()
-        if self.remove is not None and self.excitation != "random":
-            what = f"'remove' works on random excitation, not on {self.excitation}"
+        if self.remove is not None and self.excitation not in ("random", "periodic"):
+            what = f"'remove' works on periodic and random excitation, not on {self.excitation}"
             raise ConfigError(what, hint="leave the lines out with `mask`")
 
     def _check_result(self) -> None:
