@@ -30,6 +30,7 @@ _PUBLIC = {
     "virtual_rig": "labpipe.scripting.by_name:virtual_rig",
     # The stages as functions.
     "measure": "labpipe.spectra.measurement:measure",
+    "channel_spectra": "labpipe.spectra.all_channels:channel_spectra",
     "free_decays": "labpipe.spectra.free_decays:free_decays",
     "fit": "labpipe.identify.fitting:identify",
     "fit_line": "labpipe.identify.calibration:fit_line",
@@ -52,6 +53,7 @@ _PUBLIC = {
     "Recording": "labpipe.records.recording:Recording",
     "Port": "labpipe.records.response:Port",
     "FrequencyResponse": "labpipe.records.response:FrequencyResponse",
+    "ChannelSpectra": "labpipe.records.channel_spectra:ChannelSpectra",
     "FreeDecays": "labpipe.records.free_decay:FreeDecays",
     "Parameter": "labpipe.records.parameter:Parameter",
     "Fit": "labpipe.records.identification:Fit",

@@ -19,8 +19,10 @@ from labpipe.artefacts.fit_entry import finding_entries, findings_of, fit_entry,
 from labpipe.artefacts.json_file import write_json
 from labpipe.artefacts.typed_json import entry_of, record_of
 from labpipe.errors import DataError
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Failed, Identification, RuleOutcome
+from labpipe.records.recording import Channel
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.sections import section, sections
 
@@ -46,6 +48,7 @@ def write_identification(path: Path, identification: Identification) -> None:
         "accept": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "accept"],
         "expect": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "expect"],
         "responses": [_response_entry(response) for response in identification.responses],
+        **({"spectra": [_spectra_entry(spectra) for spectra in identification.spectra]} if identification.spectra else {}),
         **{section(name).entry: entry_of(record) for name, record in identification.sections.items()},
     }
     write_json(path, entries)
@@ -91,6 +94,7 @@ def _identification(entries: dict[str, Any]) -> Identification:
         settings=entries.get("settings", {}),
         rig=entries.get("rig", {}),
         responses=tuple(_response(entry) for entry in entries.get("responses", [])),
+        spectra=tuple(_spectra(entry) for entry in entries.get("spectra", [])),
         outcomes=tuple(outcomes),
         version=entries["labpipe"],
         failed=tuple(Failed(**entry) for entry in entries.get("failed", [])),
@@ -145,6 +149,37 @@ def _response(entry: dict[str, Any]) -> FrequencyResponse:
         **optional,
         snr_channels=tuple(entry["snr_channels"]),
         averages=entry["averages"],
+        covariance_dof=math.inf if dof is None else dof,
+        name=entry["test"],
+        findings=record_of(findings_of(entry), tuple[Finding, ...]),
+        conditions=entry["conditions"],
+    )
+
+
+def _spectra_entry(spectra: ChannelSpectra) -> dict[str, Any]:
+    """The spectra for reading and plotting: the variance of every channel, not the covariances (these stay in the spectra's file)."""
+    return {
+        "test": spectra.name,
+        "channels": [dataclasses.asdict(channel) for channel in spectra.channels],
+        "runs": list(spectra.runs),
+        "frequency_hz": spectra.frequency.tolist(),
+        "vectors": entry_of(spectra.vectors),
+        "variance": np.einsum("lrcc->lrc", spectra.covariance).real.tolist(),
+        "covariance_dof": spectra.covariance_dof,
+        "conditions": spectra.conditions,
+        **finding_entries(spectra.findings),
+    }
+
+
+def _spectra(entry: dict[str, Any]) -> ChannelSpectra:
+    variance = np.array(entry["variance"], np.float64)
+    dof = entry["covariance_dof"]
+    return ChannelSpectra(
+        frequency=np.array(entry["frequency_hz"], np.float64),
+        vectors=record_of(entry["vectors"], ComplexArray),
+        covariance=np.asarray(variance[..., None] * np.eye(variance.shape[-1]), np.complex128),
+        channels=tuple(Channel(**channel) for channel in entry["channels"]),
+        runs=tuple(entry["runs"]),
         covariance_dof=math.inf if dof is None else dof,
         name=entry["test"],
         findings=record_of(findings_of(entry), tuple[Finding, ...]),

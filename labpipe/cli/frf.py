@@ -15,6 +15,7 @@ from labpipe.config.recordings import SourceFile
 from labpipe.config.tests import Test
 from labpipe.errors import ConfigError
 from labpipe.pipeline.run import measure_tests
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.free_decay import FreeDecays
 from labpipe.records.response import FrequencyResponse
@@ -41,7 +42,8 @@ def frf(
     verbose: bool,
 ) -> int:
     """Turn recordings into frequency responses: DIR/<test>.frf.parquet; or cut out
-    free decays (excitation: decay): DIR/<test>.decay.parquet.
+    free decays (excitation: decay): DIR/<test>.decay.parquet; or take all channels
+    side by side (result: spectra): DIR/<test>.spectra.parquet.
 
     RECORDING... (raw or calibrated) replace those of the pipeline and together give one FRF matrix.
     """
@@ -66,11 +68,24 @@ def with_recordings(pipeline: Pipeline, recordings: tuple[Path, ...]) -> Pipelin
 
 
 def echo_measured(measured: MeasuredTest, quiet: bool) -> None:
-    """One line on a response or on free decays, and its findings."""
+    """One line on a response, on free decays or on spectra, and its findings."""
     if not quiet:
-        click.echo(_decays_line(measured) if isinstance(measured, FreeDecays) else _response_line(measured))
+        click.echo(_line(measured))
     for finding in of_level(WARNING, measured.findings) if quiet else measured.findings:
         click.echo(f"  {finding.level} {finding.code}: {finding.message}")
+
+
+def _line(measured: MeasuredTest) -> str:
+    if isinstance(measured, FreeDecays):
+        return _decays_line(measured)
+    return _spectra_line(measured) if isinstance(measured, ChannelSpectra) else _response_line(measured)
+
+
+def _spectra_line(spectra: ChannelSpectra) -> str:
+    names = ", ".join(channel.name for channel in spectra.channels)
+    band = f"{spectra.frequency[0]:g}-{spectra.frequency[-1]:g} Hz"
+    runs = f"{len(spectra.runs)} run{'s' if len(spectra.runs) > 1 else ''}"
+    return f"{spectra.name or 'spectra'}: spectra of {names}; {runs}, {spectra.frequency.size} lines, {band}"
 
 
 def _response_line(response: FrequencyResponse) -> str:

@@ -8,6 +8,7 @@ import click
 
 from labpipe.cli import options
 from labpipe.config.rig import load_rig
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.overview import Overview
 from labpipe.records.response import FORMS, FrequencyResponse, Port
 from labpipe.stages.inspect import inspect as content_of
@@ -20,7 +21,7 @@ from labpipe.stages.report import format_of
 @click.option("-r", "--rig", "rig_path", type=options.PATH, help="Rig file to compare names, units and rate with.")
 @click.option("-o", "--output", type=options.PATH, metavar="CARD", help="Also write a card with small plots (.html, .pdf, .md).")
 def inspect(file: Path, rig_path: Path | None, output: Path | None) -> None:
-    """Show the content of a recording or an FRF: channels, units, rate, length, gaps, clipping, levels.
+    """Show the content of a recording, an FRF or spectra: channels, units, rate, length, gaps, clipping, levels.
 
     \b
     labpipe inspect run.tdms -r rig.yaml -o card.html
@@ -32,6 +33,8 @@ def inspect(file: Path, rig_path: Path | None, output: Path | None) -> None:
         write_card(content, file.name, output)
     if isinstance(content, FrequencyResponse):
         _echo_response(content, file.name)
+    elif isinstance(content, ChannelSpectra):
+        _echo_spectra(content, file.name)
     else:
         _echo_recording(content)
     if output is not None:
@@ -46,6 +49,20 @@ def _echo_response(response: FrequencyResponse, file: str) -> None:
         click.echo(f"  {title:<9} " + ", ".join(_port(port) for port in ports))
     qualities = [name for name in ("covariance", "coherence") if getattr(response, name) is not None]
     click.echo(f"  with {' and '.join(qualities)}" if qualities else "  without covariance or coherence")
+
+
+def _echo_spectra(spectra: ChannelSpectra, file: str) -> None:
+    frequency = spectra.frequency
+    lines = f"{frequency.size} lines, {frequency[0]:g} to {frequency[-1]:g} Hz"
+    click.echo(f"{file}: spectra of all channels, {lines}, runs {', '.join(spectra.runs)}")
+    width = max(len(channel.name) for channel in spectra.channels)
+    click.echo(f"  {'channel':<{max(width, 7)}}  {'rms of a line':>14}{'noise':>12}  unit")
+    for number, channel in enumerate(spectra.channels):
+        size = (abs(spectra.vectors[:, :, number]) ** 2).mean() ** 0.5 / 2**0.5
+        noise = (spectra.covariance[:, :, number, number].real.mean() / 2) ** 0.5
+        click.echo(f"  {channel.name:<{max(width, 7)}}  {size:>14.4g}{noise:>12.3g}  {channel.unit}, {channel.role} {channel.dof}")
+    for finding in spectra.findings:
+        click.echo(f"  {finding.level} {finding.code}: {finding.message}")
 
 
 def _port(port: Port) -> str:

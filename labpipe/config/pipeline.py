@@ -15,7 +15,7 @@ from labpipe.config.recordings import read_rig
 from labpipe.config.rules import Rule, read_rules
 from labpipe.config.tests import Test, TestReader
 from labpipe.errors import ConfigError
-from labpipe.identify.model_kinds import DECAYS, RESPONSES
+from labpipe.identify.model_kinds import DECAYS, RESPONSES, SPECTRA
 from labpipe.identify.settings import FitSettings, check_kind
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.records.rig import Rig
@@ -154,7 +154,7 @@ def _check_whole(tree: Marked, entries: dict[str, Marked], tests: tuple[Test, ..
 def _check_kinds(
     entries: dict[str, Marked], fits: tuple[FitSettings, ...], tests: tuple[Test, ...], frf: FrfSettings | None, faults: Faults
 ) -> None:
-    """Faults of fits whose model is not of what the recordings give: free decays or responses."""
+    """Faults of fits whose model is not of what the recordings give: free decays, spectra or responses."""
     if frf is None or not any(test.recordings for test in tests):
         return
     recorded = [test.name for test in tests if test.recordings]
@@ -162,7 +162,7 @@ def _check_kinds(
         if fit.test and not set(fit.test) & set(recorded):
             continue
         try:
-            check_kind(fit, DECAYS if frf.excitation == "decay" else RESPONSES)
+            check_kind(fit, DECAYS if frf.excitation == "decay" else SPECTRA if frf.result == "spectra" else RESPONSES)
         except ConfigError as error:
             node = entries["identify"].content[fit.name].content["model"]
             faults.add(node, join(join("identify", fit.name), "model"), error.what, error.hint)

@@ -12,6 +12,8 @@ from labpipe.artefacts.parquet import open_parquet
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
 from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.response_file import read_response
+from labpipe.artefacts.spectra_file import SUFFIX as SPECTRA_SUFFIX
+from labpipe.artefacts.spectra_file import read_spectra
 from labpipe.errors import DataError
 from labpipe.formats.frf_csv import write_frf_csv
 from labpipe.formats.mat_frf import write_frf_mat, write_recording_mat
@@ -35,9 +37,11 @@ WRITERS = Registry(
 
 
 def write_csv(artefact: Path, target: Path) -> None:
-    """An FRF as the table labpipe reads again, a recording as one column per channel "name [unit]", a result as its parameters."""
+    """An FRF as the table labpipe reads again, a recording or spectra as columns per channel "name [unit]", a result as its parameters."""
     if artefact.suffix == ".json":
         parameter_table(artefact).to_csv(target, index=False)
+    elif artefact.name.endswith(SPECTRA_SUFFIX):
+        spectra_table(artefact).to_csv(target, index=False)
     elif artefact.name.endswith(RECORDING_SUFFIX):
         recording_table(artefact).to_csv(target, index=False)
     else:
@@ -48,6 +52,8 @@ def write_parquet(artefact: Path, target: Path) -> None:
     """The same tables as Parquet, without labpipe's header."""
     if artefact.suffix == ".json":
         parameter_table(artefact).to_parquet(target, index=False)
+    elif artefact.name.endswith(SPECTRA_SUFFIX):
+        spectra_table(artefact).to_parquet(target, index=False)
     elif artefact.name.endswith(RECORDING_SUFFIX):
         recording_table(artefact).to_parquet(target, index=False)
     else:
@@ -60,6 +66,7 @@ def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
     if artefact.suffix == ".json":
         write_shapes_uff(target, modal_fits(artefact))
         return
+    _refuse_spectra(artefact, "a universal file")
     if artefact.name.endswith(RECORDING_SUFFIX):
         write_recording_uff(target, open_recording(artefact).in_memory(), binary)
     else:
@@ -75,6 +82,7 @@ def write_mat(artefact: Path, target: Path) -> None:
     """A recording or an FRF as a MATLAB file."""
     if artefact.suffix == ".json":
         raise DataError("parameters cannot be written as a MATLAB file", where=str(artefact), hint="known: csv, parquet")
+    _refuse_spectra(artefact, "a MATLAB file")
     if artefact.name.endswith(RECORDING_SUFFIX):
         write_recording_mat(target, open_recording(artefact).in_memory())
     else:
@@ -121,6 +129,26 @@ def recording_table(artefact: Path) -> pd.DataFrame:
     table = pd.DataFrame(record.samples, columns=names)
     table.insert(0, "t [s]", [n / record.sample_rate for n in range(record.n_sample)])
     return table
+
+
+def _refuse_spectra(artefact: Path, what: str) -> None:
+    if artefact.name.endswith(SPECTRA_SUFFIX):
+        raise DataError(f"spectra of all channels cannot be written as {what}", where=str(artefact), hint="known: csv, parquet")
+
+
+def spectra_table(artefact: Path) -> pd.DataFrame:
+    """One row per run and line: real part, imaginary part and standard deviation of every channel "name [unit]"."""
+    spectra = read_spectra(artefact)
+    tables = []
+    for number, run in enumerate(spectra.runs):
+        table = pd.DataFrame({"run": run, "frequency_hz": spectra.frequency})
+        for column, channel in enumerate(spectra.channels):
+            values, variance = spectra.vectors[:, number, column], spectra.covariance[:, number, column, column].real
+            parts = (("re", values.real), ("im", values.imag), ("std", variance.clip(min=0) ** 0.5))
+            for part, amounts in parts:
+                table[f"{channel.name}:{part} [{channel.unit}]"] = amounts
+        tables.append(table)
+    return pd.concat(tables, ignore_index=True)
 
 
 def parameter_table(artefact: Path) -> pd.DataFrame:

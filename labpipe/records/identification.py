@@ -9,6 +9,7 @@ from typing import Any
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.records.budget import Budget
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.dynamic_stiffness import DynamicStiffness
 from labpipe.records.finding import Finding
 from labpipe.records.modes import Modes
@@ -165,7 +166,7 @@ class Failed:
 
 @dataclass(frozen=True, repr=False)
 class Identification:
-    """All fits of a pipeline with their measured responses, source files and settings.
+    """All fits of a pipeline with their measured responses and spectra, source files and settings.
 
     *inputs*: digests of the responses that the fits were made from, *code*: of the program that made them. *sections*: the records of the
     pipeline's other sections by their key (compare, study, run_ups, ...).
@@ -179,6 +180,7 @@ class Identification:
     settings: dict[str, Any] = field(default_factory=dict)
     rig: dict[str, Any] = field(default_factory=dict)
     responses: tuple[FrequencyResponse, ...] = ()
+    spectra: tuple[ChannelSpectra, ...] = ()
     outcomes: tuple[RuleOutcome, ...] = ()
     version: str = ""
     failed: tuple[Failed, ...] = ()
@@ -203,9 +205,9 @@ class Identification:
 
     @property
     def measured_tests(self) -> list[tuple[str, dict[str, Any]]]:
-        """Name and conditions of every test that was measured: as a response, or as free decays that were fitted."""
-        if self.responses:
-            return [(response.name, response.conditions) for response in self.responses]
+        """Name and conditions of every test that was measured: as a response, as spectra, or as free decays that were fitted."""
+        if self.responses or self.spectra:
+            return [*((one.name, one.conditions) for one in self.responses), *((one.name, one.conditions) for one in self.spectra)]
         decayed = {fit.test for fit in self.fits if fit.ring_down is not None}
         return [(name, dict(conditions)) for name, conditions in self.test_conditions.items() if name in decayed]
 
@@ -213,4 +215,5 @@ class Identification:
     def test_conditions(self) -> dict[str, dict[str, str]]:
         """The conditions of every test by its name, as people wrote them: as listed, and as its response had them."""
         listed = {test["name"]: dict(test["conditions"]) for test in self.settings.get("tests", [])}
-        return {**listed, **{response.name: dict(response.conditions) for response in self.responses}}
+        spectra = {one.name: dict(one.conditions) for one in self.spectra}
+        return {**listed, **{response.name: dict(response.conditions) for response in self.responses}, **spectra}

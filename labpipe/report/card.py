@@ -7,9 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from labpipe import __version__
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.finding import Finding
 from labpipe.records.overview import ChannelOverview, Overview
 from labpipe.records.response import FORMS, FrequencyResponse, Port
+from labpipe.report.channel_figures import channel_blocks
 from labpipe.report.chart import PALETTE_SIZE, WIDTH, Axis, Chart, Panel, curve, dots, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.figures import PHASE, element_names, over_frequency, phase_degrees, response_figure
@@ -43,6 +45,16 @@ def response_card(response: FrequencyResponse, file: str) -> Document:
         Section("Frequency response", (response_figure(response), phase_figure(response), *spectral_blocks(response))),
     )
     return Document(file, f"Frequency response, read by labpipe {__version__}", sections, to_sign=False)
+
+
+def spectra_card(spectra: ChannelSpectra, file: str) -> Document:
+    """The card of a file that holds spectra of all channels."""
+    sections = (
+        Section("The file", (Paragraph(f"File {file}, test {spectra.name or '(without a name)'}."),)),
+        Section("Findings", _carried(spectra.findings)),
+        Section("Spectra of all channels", channel_blocks(spectra)),
+    )
+    return Document(file, f"Spectra of all channels, read by labpipe {__version__}", sections, to_sign=False)
 
 
 def _facts(overview: Overview) -> tuple[Block, ...]:

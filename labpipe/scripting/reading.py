@@ -11,6 +11,8 @@ from labpipe.artefacts.decay_file import SUFFIX as DECAY_SUFFIX
 from labpipe.artefacts.decay_file import read_decays
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.recording_file import open_recording
+from labpipe.artefacts.spectra_file import SUFFIX as SPECTRA_SUFFIX
+from labpipe.artefacts.spectra_file import read_spectra
 from labpipe.artefacts.writing import output_folder
 from labpipe.config.reader import DECIDE
 from labpipe.config.rig import DEFAULT_ROLES, load_rig, time_scale
@@ -19,6 +21,7 @@ from labpipe.formats.packed import plain_suffix
 from labpipe.formats.run_up_csv import read_run_up_csv
 from labpipe.formats.table import TEXT_SUFFIXES, Table, open_table
 from labpipe.quantities import QUANTITIES, parse_unit
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.free_decay import FreeDecays
 from labpipe.records.identification import Identification
 from labpipe.records.recording import Channel, Recording
@@ -35,12 +38,14 @@ _RUN_UP = re.compile(r"^# *load *:", re.MULTILINE)
 HEAD = 4096
 
 
-def read(path: str | Path, rig: str | Path | Rig | None = None) -> Recording | FrequencyResponse | FreeDecays | RunUp | Identification:
-    """The content of a file, in SI units: a recording, a frequency response, a run-up table, or a result.
+def read(
+    path: str | Path, rig: str | Path | Rig | None = None
+) -> Recording | FrequencyResponse | FreeDecays | ChannelSpectra | RunUp | Identification:
+    """The content of a file, in SI units: a recording, a frequency response, spectra, a run-up table, or a result.
 
     Raw recordings (CSV, TDMS, UFF 58, MAT, HDF5, WAV, Parquet) are calibrated as a *rig* file says; without one by the units and names that
-    the file itself states. FRFs come from CSV, UFF 58, MAT, HDF5 and ``*.frf.parquet``, free decays from ``*.decay.parquet``, results from
-    identification.json or its folder.
+    the file itself states. FRFs come from CSV, UFF 58, MAT, HDF5 and ``*.frf.parquet``, free decays from ``*.decay.parquet``, spectra
+    of all channels from ``*.spectra.parquet``, results from identification.json or its folder.
     LabpipeError names the file, and the channels that only a rig file can describe.
     """
     path = Path(path)
@@ -53,6 +58,8 @@ def read(path: str | Path, rig: str | Path | Rig | None = None) -> Recording | F
         return read_identification(path)
     if path.name.endswith(DECAY_SUFFIX):
         return read_decays(path)
+    if path.name.endswith(SPECTRA_SUFFIX):
+        return read_spectra(path)
     if is_response(path):
         return load_response(path)
     if path.is_file() and is_recording(path):

@@ -31,9 +31,10 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     assert settings.period is not None
     averaged = [_period_average(source, settings) for source in sources]
     spectra = [spectrum for spectrum, _ in averaged]
-    lines = _lines_of_all_forces(spectra, layout)
+    acting = _acting(spectra, layout)
+    lines = np.all(acting, axis=1)
     if not np.any(lines):
-        raise DataError("no line of the force exceeds its noise", hint="check `period` and `band`, or raise the level")
+        _refuse_lines(acting)
     spectra = [spectrum.select(lines) for spectrum in spectra]
     n_input = len(layout.inputs)
     mean = np.stack([layout.padded(e, spectrum.mean, 1) for e, spectrum in enumerate(spectra)], axis=2)
@@ -74,14 +75,22 @@ def _change(
     return new - old
 
 
-def _lines_of_all_forces(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
-    """Lines at which every force acts in one of the recordings; hum in a single force channel does not count."""
+def _refuse_lines(acting: BoolArray) -> None:
+    """DataError: silent forces, or forces whose lines are interleaved (zipper)."""
+    if acting.shape[1] > 1 and np.all(np.any(acting, axis=0)):
+        what = "no line is excited by all forces independently: their lines are interleaved"
+        raise DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
+    raise DataError("no line of the force exceeds its noise", hint="check `period` and `band`, or raise the level")
+
+
+def _acting(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
+    """Whether every force acts in one of the recordings, (n_line, n_input); a line counts where all do, hum in a single one does not."""
     acting = np.zeros((spectra[0].frequency.size, len(layout.inputs)), bool)
     for spectrum, columns in zip(spectra, layout.input_columns, strict=True):
         for number, column in enumerate(columns):
             if column >= 0:
                 acting[:, number] |= excited_lines(spectrum, [column])
-    return np.all(acting, axis=1)
+    return acting
 
 
 def _period_average(source: SampleSource, settings: FrfSettings) -> tuple[LineSpectrum, LineSpectrum | None]:

@@ -26,7 +26,7 @@ from labpipe.spectra.realisations import realisations, robust_mean
 from labpipe.spectra.reciprocity import reciprocity_findings
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.sums import doubt_findings
-from labpipe.spectra.synchronous import cleaned
+from labpipe.spectra.without_shaft import without_shaft
 
 # Multiple coherence below which an output is mostly noise.
 EXPLAINED = 0.5
@@ -88,11 +88,12 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
     layout = find_layout(sources)
     bands = masked_bands(sources, settings)
     settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
-    monitors = [AliasingMonitor(source, settings.excitation == "impact") for source in cleaned(sources, settings.remove)]
+    sources, settings, shaft = without_shaft(sources, settings)
+    monitors = [AliasingMonitor(source, settings.excitation == "impact") for source in sources]
     sources = list(monitors)
     parts = EXCITATIONS[settings.excitation](sources, settings, layout)
     aliasing = aliasing_findings(monitors, settings.band, _coherent_outputs(parts, layout))
-    findings = (*source_findings(sources), *doubt_findings(sources), *mask_findings(bands), *aliasing, *parts.findings)
+    findings = (*source_findings(sources), *doubt_findings(sources), *mask_findings(bands), *shaft, *aliasing, *parts.findings)
     sensor_factor = layout.sensor_factor(parts.frequency)
     flat = sensor_factor.reshape(sensor_factor.shape[0], -1)
     covariance = None if parts.covariance is None else parts.covariance * (flat[:, :, None] * flat[:, None, :].conj())

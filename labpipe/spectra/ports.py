@@ -147,7 +147,8 @@ def _form(forces: list[list[tuple[int, Channel]]], responses: list[list[tuple[in
     causes = {channel.quantity for members in forces for _, channel in members}
     effects = {channel.quantity for members in responses for _, channel in members}
     if len(effects) > 1:
-        raise DataError(f"the responses are of several quantities ({', '.join(sorted(effects))})", hint="keep one per FRF matrix")
+        hint = "keep one per FRF matrix (role: reference for the others, or a sum of channels: derived), or use frf: {result: spectra}"
+        raise DataError(f"the responses are of several quantities ({', '.join(sorted(effects))})", hint=hint)
     return FORM_OF.get(effects.pop(), "other") if causes == {"force"} else "other"
 
 

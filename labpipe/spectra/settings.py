@@ -14,6 +14,8 @@ NEEDED = {"periodic": "period", "random": "block", "impact": "block"}
 # Keys that a free decay has no use for: there is no FRF.
 OF_RESPONSES = ("period", "block", "band", "exclude", "mask", "remove", "directional")
 ESTIMATORS = ("H1", "H2", "Hv")
+# What recordings become: one response matrix, or all channels side by side with the noise of each.
+RESULTS = ("response", "spectra")
 DETRENDS = ("constant", "linear", "none")
 LOCALS = ("none", "polynomial")
 
@@ -120,7 +122,10 @@ class FrfSettings(Settings):
     exclude: tuple[tuple[float, float], ...] = setting("bands", "bands left out", unit="Hz", default=())
     mask: MaskSettings | None = setting("section", "lines of the shaft speed left out", section=MaskSettings, default=None)
     remove: ShaftLines | None = setting(
-        "section", "synchronous part taken out of all channels by averaging over revolutions (random)", section=ShaftLines, default=None
+        "section",
+        "part synchronous with the shaft (runout, unbalance) taken out of all channels (periodic, random)",
+        section=ShaftLines,
+        default=None,
     )
     realisations: bool = setting("flag", "recordings of one force differ in phases, which shows distortion (periodic)", default=False)
     impact: ImpactSettings = setting("section", "hits of a hammer", section=ImpactSettings, default=ImpactSettings())
@@ -131,6 +136,12 @@ class FrfSettings(Settings):
         default=None,
     )
     decay: FreeDecaySettings = setting("section", "free decays: start and end", section=FreeDecaySettings, default=FreeDecaySettings())
+    result: str = setting(
+        "choice", "one response matrix, or the spectra of all channels side by side with their noise", choices=RESULTS, default="response"
+    )
+    reference: tuple[str, ...] = setting(
+        "names", "drives of the shakers (random, result: spectra); default: voltages and currents of role reference", default=()
+    )
     directional: bool = setting("flag", "the response in forward and backward terms (two responses, two forces)", default=False)
 
     def __post_init__(self) -> None:
@@ -141,10 +152,26 @@ class FrfSettings(Settings):
             raise ConfigError(f"'realisations' are of periodic excitation, not of {self.excitation}", hint="leave it out")
         self._check_windowed()
         self._check_local()
+        self._check_result()
         self._check_stepped()
-        if self.remove is not None and self.excitation != "random":
-            what = f"'remove' works on random excitation, not on {self.excitation}"
+        if self.remove is not None and self.excitation not in ("random", "periodic"):
+            what = f"'remove' works on periodic and random excitation, not on {self.excitation}"
             raise ConfigError(what, hint="leave the lines out with `mask`")
+
+    def _check_result(self) -> None:
+        """ConfigError for keys of a response matrix beside spectra, and for drives that nothing uses."""
+        if self.result == "response":
+            if self.reference:
+                raise ConfigError("'reference' belongs to result: spectra", hint="add result: spectra", field="reference")
+            return
+        if self.excitation not in ("periodic", "random"):
+            what = f"'result: spectra' is for periodic and random excitation, not for {self.excitation}"
+            raise ConfigError(what, hint="leave it out", field="result")
+        if self.reference and self.excitation != "random":
+            raise ConfigError("'reference' is for random excitation: periodic data need no drives", hint="leave it out", field="reference")
+        matrix_only = {"directional": self.directional, "realisations": self.realisations, "local": self.local != "none"}
+        for name in (name for name, is_set in matrix_only.items() if is_set):
+            raise ConfigError(f"'{name}' belongs to a response matrix, not to result: spectra", hint="leave it out", field=name)
 
     def _check_stepped(self) -> None:
         """ConfigError for a settling time without steps, and for a mask without width where no block or period sets one."""

@@ -49,7 +49,7 @@ class WithoutSynchronous:
         """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]: x - Re sum_h X_h exp(j h theta)."""
         start = 0
         for block in self.source.blocks(n_sample):
-            turns = _turns(self.motion, start, block.shape[0], self.sample_rate, self.amplitude.shape[0])
+            turns = shaft_turns(self.motion, start, block.shape[0], self.sample_rate, self.amplitude.shape[0])
             yield block - turns.real @ self.amplitude.real + turns.imag @ self.amplitude.imag
             start += block.shape[0]
 
@@ -73,8 +73,12 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
         # Without 1x in the responses the refinement follows noise; then the given speed fits better.
         if np.sum(_shares(source, better)) > np.sum(_shares(source, amplitude)):
             motion, amplitude = refined, better
-    # The tacho and other references are not changed.
-    return WithoutSynchronous(source, motion, amplitude * [channel.role != "reference" for channel in source.channels])
+    return WithoutSynchronous(source, motion, amplitude * [is_cleaned(channel) for channel in source.channels])
+
+
+def is_cleaned(channel: Channel) -> bool:
+    """Whether a channel's synchronous part is taken out: not that of the tacho and of other references that are no force or motion."""
+    return channel.role != "reference" or channel.quantity in ("force", "displacement", "velocity", "acceleration")
 
 
 def _shares(source: SampleSource, amplitude: ComplexArray) -> FloatArray:
@@ -84,8 +88,8 @@ def _shares(source: SampleSource, amplitude: ComplexArray) -> FloatArray:
     return np.sum(np.abs(amplitude[:, outputs]) ** 2, axis=0) / np.where(power > 0, power, 1.0)
 
 
-def _turns(motion: ShaftMotion, start: int, n_sample: int, sample_rate: float, n_harmonic: int) -> ComplexArray:
-    """exp(j h theta) of h = 1 ... n_harmonic, (n_sample, n_harmonic)."""
+def shaft_turns(motion: ShaftMotion, start: int, n_sample: int, sample_rate: float, n_harmonic: int) -> ComplexArray:
+    """exp(j h theta) of h = 1 ... n_harmonic, (n_sample, n_harmonic) [1], from sample *start* on at *sample_rate* [Hz]."""
     angle = motion.angle((start + np.arange(n_sample)) / sample_rate)
     return np.exp(1j * angle[:, None] * np.arange(1, n_harmonic + 1))
 
@@ -96,7 +100,7 @@ def _fitted(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> Compl
     normal, right = np.zeros((n, n)), np.zeros((n, len(source.channels)))
     start = 0
     for block in checked_blocks(source):
-        turns = _turns(motion, start, block.shape[0], source.sample_rate, n_harmonic)
+        turns = shaft_turns(motion, start, block.shape[0], source.sample_rate, n_harmonic)
         columns = np.column_stack([np.ones(block.shape[0]), turns.real, -turns.imag])
         normal += columns.T @ columns
         right += columns.T @ block
@@ -114,7 +118,7 @@ def _refined(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
     for block in source.blocks(READ_SAMPLES):
         samples = np.concatenate([rest, block[:, outputs]])
         n_whole = samples.shape[0] // stretch
-        turns = _turns(motion, start, n_whole * stretch, source.sample_rate, 1).conj().reshape(n_whole, stretch)
+        turns = shaft_turns(motion, start, n_whole * stretch, source.sample_rate, 1).conj().reshape(n_whole, stretch)
         pieces = samples[: n_whole * stretch].reshape(n_whole, stretch, len(outputs))
         amplitudes.append(np.einsum("s,ks,ksc->kc", window, turns, pieces - pieces.mean(axis=1, keepdims=True)))
         rest, start = samples[n_whole * stretch :], start + n_whole * stretch
@@ -137,10 +141,5 @@ def _removed(channels: Sequence[Channel], motion: ShaftMotion, amplitude: Comple
             + " 0-to-peak",
         )
         for channel, amplitudes in zip(channels, amplitude.T, strict=True)
-        if channel.role != "reference"
+        if is_cleaned(channel)
     )
-
-
-def cleaned(sources: Sequence[SampleSource], lines: ShaftLines | None) -> list[SampleSource]:
-    """The recordings, or each without its synchronous part where *lines* are given."""
-    return list(sources) if lines is None else [without_synchronous(source, lines) for source in sources]

@@ -65,6 +65,7 @@ def identify_stage(
         title=pipeline.title,
         pipeline=pipeline.path.name,
         responses=tuple(work.responses),
+        spectra=tuple(work.spectra),
         outcomes=judge(pipeline.rules, work.fits, records, incomplete=bool(work.failed)),
         failed=tuple(work.failed),
         sections=records,

@@ -9,10 +9,13 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.recording_file import StoredRecording, open_recording
+from labpipe.artefacts.spectra_file import SUFFIX as SPECTRA_SUFFIX
+from labpipe.artefacts.spectra_file import read_spectra
 from labpipe.artefacts.writing import output_file
 from labpipe.config.rig import time_scale
 from labpipe.errors import DataError
 from labpipe.formats.table import open_table
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.overview import ChannelOverview, Overview
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import Rig
@@ -26,29 +29,32 @@ BLOCK = 1 << 16
 TIME_NAMES = ("t", "time", "zeit", "x_value", "timestamp", "time stamp", "datetime", "date/time", "date time", "uhrzeit")
 
 
-def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse:
-    """The overview of a recording or a raw file, or the response that a file holds; DataError for one that cannot be read.
+def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse | ChannelSpectra:
+    """The overview of a recording or a raw file, or the response or spectra that a file holds; DataError for one that cannot be read.
 
     Recordings and tables are read once, block by block; what is kept does not grow with their length.
     """
     if is_response(file):
         return load_response(file)
+    if file.is_file() and file.name.endswith(SPECTRA_SUFFIX):
+        return read_spectra(file)
     if file.is_file() and is_recording(file):
         return _of_recording(open_recording(file))
     return _of_table(file, rig)
 
 
-def write_card(content_overview: Overview | FrequencyResponse, file: str, path: Path) -> None:
+def write_card(content: Overview | FrequencyResponse | ChannelSpectra, file: str, path: Path) -> None:
     """The card of a file as a document; the format follows from the ending of *path* (.html, .pdf, .md)."""
     from labpipe.document.render import DOCUMENTS
-    from labpipe.report.card import recording_card, response_card
+    from labpipe.report.card import recording_card, response_card, spectra_card
 
-    document = (
-        response_card(content_overview, file) if isinstance(content_overview, FrequencyResponse) else recording_card(content_overview)
-    )
-    content: bytes = DOCUMENTS.load(format_of(path))(document)
+    if isinstance(content, ChannelSpectra):
+        document = spectra_card(content, file)
+    else:
+        document = response_card(content, file) if isinstance(content, FrequencyResponse) else recording_card(content)
+    written: bytes = DOCUMENTS.load(format_of(path))(document)
     with output_file(path) as target:
-        target.write_bytes(content)
+        target.write_bytes(written)
 
 
 class _Look:

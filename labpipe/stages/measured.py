@@ -1,65 +1,98 @@
-"""What a test is measured as: its frequency response, or its free decays. One file of either for each test."""
+"""What a test is measured as: its frequency response, its free decays, or the spectra of its channels. One file for each test."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from labpipe.artefacts.decay_file import SUFFIX, read_decays, write_decays
 from labpipe.artefacts.header import Header, source_ref
 from labpipe.artefacts.parquet import read_header
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.response_file import SUFFIX as RESPONSE_SUFFIX
+from labpipe.artefacts.spectra_file import SUFFIX as SPECTRA_SUFFIX
+from labpipe.artefacts.spectra_file import read_spectra, write_spectra
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.config.ready_frf import ReadyFrf
 from labpipe.errors import LabpipeError
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.free_decay import FreeDecays
 from labpipe.records.response import FrequencyResponse
+from labpipe.spectra.all_channels import channel_spectra
 from labpipe.spectra.free_decays import free_decays
 from labpipe.spectra.settings import FrfSettings
 from labpipe.stages.frf import frf, frf_file_name, load_ready, load_response, where_recorded
 
-MeasuredTest = FrequencyResponse | FreeDecays
+MeasuredTest = FrequencyResponse | FreeDecays | ChannelSpectra
+
+
+@dataclasses.dataclass(frozen=True)
+class _Kind:
+    """What recordings give beside a frequency response: the *name* of the kind in headers, how it is made, written and read."""
+
+    name: str
+    suffix: str
+    make: Callable[..., Any]
+    write: Callable[[Path, Any, Header], None]
+    read: Callable[[Path], Any]
+
+
+DECAY = _Kind("decay", SUFFIX, free_decays, write_decays, read_decays)
+SPECTRA = _Kind("spectra", SPECTRA_SUFFIX, channel_spectra, write_spectra, read_spectra)
+
+
+def _kind(settings: FrfSettings | None) -> _Kind | None:
+    """The kind of what the settings measure; None for a response."""
+    if settings is None:
+        return None
+    return DECAY if settings.excitation == "decay" else SPECTRA if settings.result == "spectra" else None
+
+
+def _kind_of_file(path: Path) -> _Kind | None:
+    return next((kind for kind in (DECAY, SPECTRA) if path.name.endswith(kind.suffix)), None)
 
 
 def measured_file_name(test: str, settings: FrfSettings | None) -> str:
-    """The file name of a test's response or free decays."""
-    name = frf_file_name(test)
-    return name.removesuffix(RESPONSE_SUFFIX) + SUFFIX if settings is not None and settings.excitation == "decay" else name
+    """The file name of a test's response, free decays or spectra."""
+    name, kind = frf_file_name(test), _kind(settings)
+    return name if kind is None else name.removesuffix(RESPONSE_SUFFIX) + kind.suffix
 
 
 def measure_test(
     recordings: Sequence[StoredRecording], settings: FrfSettings, output: OutputFolder, test: str, conditions: dict[str, str]
 ) -> MeasuredTest:
     """What the recordings of a test give, made unless what is on disk is fresh; LabpipeError names the recording."""
-    if settings.excitation != "decay":
+    kind = _kind(settings)
+    if kind is None:
         return frf(recordings, settings, output, test, conditions)
     inputs = tuple(source_ref(recording.path, recording.path.parent) for recording in recordings)
-    header = Header("decay", {"frf": dataclasses.asdict(settings), "test": test, "conditions": conditions}, inputs=inputs)
+    header = Header(kind.name, {"frf": dataclasses.asdict(settings), "test": test, "conditions": conditions}, inputs=inputs)
     name = measured_file_name(test, settings)
     existing = output.read_path(name)
-    if existing.exists() and read_header(existing, "decay").same_work(header):
-        return read_decays(existing)
+    if existing.exists() and read_header(existing, kind.name).same_work(header):
+        return kind.read(existing)
     try:
-        decays = free_decays(recordings, settings, name=test, conditions=conditions)
+        measured = kind.make(recordings, settings, name=test, conditions=conditions)
     except LabpipeError as error:
         error.where = error.where or where_recorded(recordings)
         raise
-    write_decays(output.write_path(name), decays, header)
-    return decays
+    kind.write(output.write_path(name), measured, header)
+    return measured
 
 
 def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> MeasuredTest:
-    """Ready free decays of labpipe's own, or a ready response; name and conditions of its test take the place of its own."""
-    if not path.name.endswith(SUFFIX):
+    """Ready decays or spectra of labpipe's own, or a ready response; name and conditions of its test take the place of its own."""
+    kind = _kind_of_file(path)
+    if kind is None:
         return load_response(path, name, conditions)
-    decays = read_decays(path)
-    return dataclasses.replace(decays, name=name or decays.name, conditions=conditions or decays.conditions)
+    measured = kind.read(path)
+    return dataclasses.replace(measured, name=name or measured.name, conditions=conditions or measured.conditions)
 
 
 def load_ready_measured(ready: ReadyFrf, test: str = "", conditions: dict[str, str] | None = None) -> MeasuredTest:
-    """What stands under frfs: of a test: labpipe's own free decays, or a response of any layout."""
-    if ready.layout is None and ready.paths[0].name.endswith(SUFFIX):
+    """What stands under frfs: of a test: labpipe's own free decays or spectra, or a response of any layout."""
+    if ready.layout is None and _kind_of_file(ready.paths[0]) is not None:
         return load_measured(ready.paths[0], test or ready.name, conditions)
     return load_ready(ready, test, conditions)

@@ -7,6 +7,7 @@ from dataclasses import KW_ONLY, dataclass, field
 
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.config.pipeline import Pipeline
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.identification import Failed, Fit
 from labpipe.records.response import FrequencyResponse
 from labpipe.stages.measured import MeasuredTest
@@ -18,7 +19,8 @@ Tell = Callable[[str], None]
 class Work:
     """A pipeline whose recordings have been measured.
 
-    tests: the response or the free decays of every test. test_fits: fits already made test by test, by their name in the pipeline.
+    tests: the response, the free decays or the spectra of every test. test_fits: fits already made test by test, by their name in the
+    pipeline.
     fits: those of the sections so far. failed: tests that are missing, and comparisons that cannot do without them; *go_on* then.
     *jobs*: processes of a study, 0 for one per processor.
     """
@@ -37,6 +39,11 @@ class Work:
     def responses(self) -> list[FrequencyResponse]:
         """The frequency responses among what was measured."""
         return [test for test in self.tests if isinstance(test, FrequencyResponse)]
+
+    @property
+    def spectra(self) -> list[ChannelSpectra]:
+        """The spectra of all channels among what was measured."""
+        return [test for test in self.tests if isinstance(test, ChannelSpectra)]
 
     @property
     def go_on(self) -> bool:

@@ -48,7 +48,7 @@ def test_hits(tmp_path: Path) -> None:
         ("excitation: random\nblock: 5 s\nmask: {speed: 9 Hz, harmonic: 3}\n", "mask.harmonic: unknown key; did you mean 'harmonics'?"),
         ("excitation: random\nblock: 5 s\nmask: {speed: 50 N}\n", "frf.mask.speed"),
         ("excitation: random\nblock: 5 s\nremove: {speed: 50 Hz, tacho: key}\n", "one of 'speed' and 'tacho'"),
-        ("excitation: periodic\nperiod: 1 s\nremove: {speed: 50 Hz}\n", "'remove' works on random excitation, not on periodic"),
+        ("excitation: impact\nblock: 1 s\nremove: {speed: 50 Hz}\n", "'remove' works on periodic and random excitation, not on impact"),
         ("excitation: random\nblock: 5 s\ndetrend: square\n", "unknown choice 'square'"),
         ("excitation: impact\nblock: 1 s\nimpact: {pretrigger: 100 %}\n", "'pretrigger' must be at least 0 and below 100 %"),
         ("excitation: impact\nblock: 1 s\nimpact: {reject: [two]}\n", "'two' is not the number of a hit"),

@@ -1,0 +1,134 @@
+"""All channels under random excitation: the part of every channel that is due to each recorded drive, and what is left as noise.
+
+With S the cross-spectra of channels z and drives r, L L^H = S_rr: W = S_zr L^-H, a column per drive. Since the drives hold none of the
+sensors' noise, neither do the columns on average; their noise, S_zz - W W^H over the number of averages, is independent from column to
+column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray
+from labpipe.errors import ConfigError, DataError
+from labpipe.records.finding import Finding
+from labpipe.records.recording import SampleSource
+from labpipe.registry import nearest
+from labpipe.spectra.bands import line_range
+from labpipe.spectra.channel_layout import ChannelLayout
+from labpipe.spectra.matrices import hermitian
+from labpipe.spectra.measured_lines import MeasuredLines, snr_findings
+from labpipe.spectra.parts import LOW_COHERENCE, lines_left
+from labpipe.spectra.reading import checked_blocks
+from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.welch import CrossSpectra, WelchAverage
+from labpipe.spectra.windows import window_values
+
+# Share of a drive's power that the others must leave it.
+INDEPENDENT = 1e-3
+DRIVES = ("voltage", "current")
+
+
+def random_lines(sources: Sequence[SampleSource], settings: FrfSettings, layout: ChannelLayout) -> MeasuredLines:
+    """The part of all channels that is due to each drive, one run per drive, as amplitudes of a line as wide as a block's.
+
+    DataError without recorded drives, for drives that are not independent, and for too few blocks.
+    """
+    drives = _drives(sources, settings)
+    spectra = [_welch(source, settings, layout, number, drives) for number, source in enumerate(sources)]
+    chosen = lines_left(spectra[0].frequency, settings)
+    weights = np.array([spectrum.n_block for spectrum in spectra], float)
+    matrix = np.tensordot(weights / weights.sum(), np.stack([spectrum.matrix[chosen] for spectrum in spectra]), axes=1)
+    averages = sum(spectrum.averages for spectrum in spectra)
+    frequency = spectra[0].frequency[chosen]
+    n, n_drive = len(layout.recorded), len(drives)
+    if averages <= n_drive + 2:
+        raise DataError(
+            f"{averages:.2g} effective averages are too few for the noise of the channels", hint="record longer, or shorten `block`"
+        )
+    lower = _lower(matrix[:, n:, n:], drives)
+    transform = layout.transform(frequency)
+    s_zr = transform @ matrix[:, :n, n:]
+    s_zz = transform @ matrix[:, :n, :n] @ hermitian(transform)
+    columns = hermitian(np.linalg.solve(lower, hermitian(s_zr)))
+    # The amplitude, 0 to peak, of the lines of one block.
+    assert settings.block is not None
+    width = 2 / settings.block
+    dof = averages - n_drive
+    residual = (s_zz - columns @ hermitian(columns)) * (averages / dof)
+    covariance = np.repeat((residual * (width / averages))[:, None], n_drive, axis=1)
+    vectors = np.sqrt(width) * columns.swapaxes(1, 2)
+    excited = np.zeros(vectors.shape, bool)
+    excited[:, :, layout.inputs] = np.abs(vectors[:, :, layout.inputs]) > 0.1 * np.max(np.abs(vectors), axis=1)[:, None, layout.inputs]
+    findings, weak = snr_findings(vectors, covariance, layout.channels, excited)
+    return MeasuredLines(
+        frequency=frequency,
+        vectors=vectors,
+        covariance=covariance,
+        runs=drives,
+        dof=dof,
+        line_correlation=tuple(complex(value) for value in spectra[0].line_correlation),
+        findings=(*findings, *_unexplained(s_zz, residual, layout)),
+        weak=weak,
+    )
+
+
+def _drives(sources: Sequence[SampleSource], settings: FrfSettings) -> tuple[str, ...]:
+    """The names of the drives: those of `reference`, else all voltages and currents of role reference; DataError where there are none."""
+    known = [channel for source in sources for channel in source.channels if channel.role == "reference"]
+    names = tuple(dict.fromkeys(channel.name for channel in known if channel.quantity in DRIVES))
+    if settings.reference:
+        every = [channel.name for source in sources for channel in source.channels]
+        for name in settings.reference:
+            if name not in every:
+                raise ConfigError(f"'{name}' is no channel of the recordings", hint=nearest(name, dict.fromkeys(every)), field="reference")
+        names = settings.reference
+    if not names:
+        hint = "record the drives of the shakers as channels of quantity: voltage, role: reference, or use a periodic excitation"
+        raise DataError("random excitation needs a recorded drive of every shaker: each measured channel has noise", hint=hint)
+    for source in sources:
+        missing = set(names) - {channel.name for channel in source.channels}
+        if missing:
+            raise DataError(f"recording '{source.name}' lacks the drive {', '.join(sorted(missing))} of another recording")
+    return names
+
+
+def _welch(source: SampleSource, settings: FrfSettings, layout: ChannelLayout, number: int, drives: Sequence[str]) -> CrossSpectra:
+    """Cross-spectra of the recorded channels, then the drives, of one recording."""
+    assert settings.block is not None
+    n_sample = round(settings.block * source.sample_rate)
+    if n_sample < 4:
+        raise DataError(f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'", hint="lengthen `block`")
+    names = [channel.name for channel in source.channels]
+    columns = np.array([*layout.columns[number], *(names.index(name) for name in drives)])
+    step = max(1, round(n_sample * (1 - settings.overlap)))
+    lines = line_range(n_sample, source.sample_rate, settings.band)
+    average = WelchAverage(window_values(settings.window, n_sample), step, columns.size, lines, settings.detrend)
+    for block in checked_blocks(source):
+        average.add(block[:, np.maximum(columns, 0)] * (columns >= 0))
+    return average.spectra(source.sample_rate)
+
+
+def _lower(s_rr: ComplexArray, drives: Sequence[str]) -> ComplexArray:
+    """L of S_rr = L L^H (n_line, n_drive, n_drive); DataError where a drive is silent or follows from the others."""
+    power = np.einsum("lrr->lr", s_rr).real
+    if np.any(power <= 0):
+        silent = drives[int(np.flatnonzero(np.any(power <= 0, axis=0))[0])]
+        raise DataError(f"the drive {silent} is silent in the band", hint="is it the drive of this shaker?")
+    scale = np.sqrt(power)
+    smallest = np.linalg.eigvalsh(s_rr / (scale[:, :, None] * scale[:, None, :]))[:, 0]
+    if np.any(smallest < INDEPENDENT):
+        raise DataError(f"the drives {', '.join(drives)} are not independent", hint="drive the shakers by independent random signals")
+    return np.linalg.cholesky(s_rr)
+
+
+def _unexplained(s_zz: ComplexArray, residual: ComplexArray, layout: ChannelLayout) -> tuple[Finding, ...]:
+    """Warnings for channels of whose power in the band the drives leave much unexplained."""
+    power, rest = (np.sum(np.einsum("lcc->lc", matrix).real, axis=0) for matrix in (s_zz, residual))
+    return tuple(
+        Finding("low-coherence", f"channel {one.name}: {100 * part / whole:.0f} % of its power in the band is not due to the drives")
+        for one, whole, part in zip(layout.channels, power, rest, strict=True)
+        if one.role != "reference" and whole > 0 and part > (1 - LOW_COHERENCE) * whole
+    )
