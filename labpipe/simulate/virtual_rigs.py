@@ -27,6 +27,7 @@ VIRTUAL_RIGS = Registry(
         "virtual-unbalance-rig": "labpipe.simulate.unbalance_rig:UNBALANCE_RIG",
         "virtual-white-noise-rig": "labpipe.simulate.white_noise_rig:WHITE_NOISE_RIG",
         "virtual-decay-rig": "labpipe.simulate.decay_rig:DECAY_RIG",
+        "virtual-sweep-rig": "labpipe.simulate.sweep_rig:SWEEP_RIG",
     },
 )
 
