@@ -28,6 +28,7 @@ VIRTUAL_RIGS = Registry(
         "virtual-white-noise-rig": "labpipe.simulate.white_noise_rig:WHITE_NOISE_RIG",
         "virtual-decay-rig": "labpipe.simulate.decay_rig:DECAY_RIG",
         "virtual-floating-rig": "labpipe.simulate.floating_rig:FLOATING_RIG",
+        "virtual-sweep-rig": "labpipe.simulate.sweep_rig:SWEEP_RIG",
     },
 )
 

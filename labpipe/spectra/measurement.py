@@ -18,6 +18,7 @@ from labpipe.spectra.from_impact import impact_parts
 from labpipe.spectra.from_periodic import LOW_SNR, periodic_parts
 from labpipe.spectra.from_random import random_parts
 from labpipe.spectra.from_stepped import stepped_parts
+from labpipe.spectra.from_sweep import sweep_parts
 from labpipe.spectra.joining import joined
 from labpipe.spectra.masks import mask_findings, masked_bands
 from labpipe.spectra.parts import Parts
@@ -36,6 +37,7 @@ EXCITATIONS: dict[str, Callable[[Sequence[SampleSource], FrfSettings, Layout], P
     "random": random_parts,
     "impact": impact_parts,
     "stepped-sine": stepped_parts,
+    "sweep": sweep_parts,
 }
 
 

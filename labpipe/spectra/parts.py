@@ -1,4 +1,4 @@
-"""The result of one excitation's evaluation, common to periodic, random, impact and stepped-sine excitation."""
+"""The result of one excitation's evaluation, common to periodic, random, impact, stepped-sine and sweep excitation."""
 
 from __future__ import annotations
 

@@ -8,9 +8,11 @@ from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, setting
 from labpipe.records.windowed import WindowedSettings
 
-EXCITATIONS = ("periodic", "random", "impact", "stepped-sine", "decay")
+EXCITATIONS = ("periodic", "random", "impact", "stepped-sine", "sweep", "decay")
 # What each excitation must be given, if anything.
 NEEDED = {"periodic": "period", "random": "block", "impact": "block"}
+# Excitations whose pieces are found in the recording, and what these are called.
+FOUND = {"stepped-sine": "dwells", "sweep": "sweeps"}
 # Keys that a free decay has no use for: there is no FRF.
 OF_RESPONSES = ("period", "block", "band", "exclude", "mask", "remove", "directional")
 ESTIMATORS = ("H1", "H2", "Hv")
@@ -116,7 +118,7 @@ class FrfSettings(Settings):
     local: str = setting(
         "choice", "FRF and leakage as polynomials over neighbouring lines, in place of a window (random)", choices=LOCALS, default="none"
     )
-    degree: int = setting("integer", "degree of the local polynomials", default=2)
+    degree: int = setting("integer", "degree of the local polynomials (local, sweep)", default=2)
     half_width: int | None = setting("integer", "lines to either side that they span; default: as many as the noise needs", default=None)
     band: tuple[float, float] | None = setting("band", "frequencies kept", unit="Hz", default=None)
     exclude: tuple[tuple[float, float], ...] = setting("bands", "bands left out", unit="Hz", default=())
@@ -153,7 +155,7 @@ class FrfSettings(Settings):
         self._check_windowed()
         self._check_local()
         self._check_result()
-        self._check_stepped()
+        self._check_found()
         if self.remove is not None and self.excitation not in ("random", "periodic"):
             what = f"'remove' works on periodic and random excitation, not on {self.excitation}"
             raise ConfigError(what, hint="leave the lines out with `mask`")
@@ -173,16 +175,15 @@ class FrfSettings(Settings):
         for name in (name for name, is_set in matrix_only.items() if is_set):
             raise ConfigError(f"'{name}' belongs to a response matrix, not to result: spectra", hint="leave it out", field=name)
 
-    def _check_stepped(self) -> None:
+    def _check_found(self) -> None:
         """ConfigError for a settling time without steps, and for a mask without width where no block or period sets one."""
-        if self.excitation != "stepped-sine":
-            if self.settle is not None:
-                raise ConfigError(f"'settle' is for stepped-sine, not for {self.excitation}", hint="leave it out", field="settle")
-            return
+        if self.settle is not None and self.excitation != "stepped-sine":
+            raise ConfigError(f"'settle' is for stepped-sine, not for {self.excitation}", hint="leave it out", field="settle")
         if self.settle is not None and self.settle < 0:
             raise ConfigError("'settle' must not be negative", field="settle")
-        if self.mask is not None and self.mask.width is None:
-            raise ConfigError("'mask' needs its 'width' with stepped-sine", hint="mask: {speed: 50 Hz, width: 0.5 Hz}", field="mask")
+        if self.excitation in FOUND and self.mask is not None and self.mask.width is None:
+            hint = "mask: {speed: 50 Hz, width: 0.5 Hz}"
+            raise ConfigError(f"'mask' needs its 'width' with {self.excitation}", hint=hint, field="mask")
 
     def _check_windowed(self) -> None:
         if self.windowed is None:
@@ -199,13 +200,19 @@ class FrfSettings(Settings):
         return self.impact.decay if self.windowed is None else self.windowed.exponential
 
     def _check_local(self) -> None:
-        """ConfigError for a local method without random data, and for polynomials without room."""
+        """ConfigError for a local method without random data, or beside another estimator."""
+        if self.local == "none" and self.excitation != "sweep":
+            return
+        self._check_polynomials()
         if self.local == "none":
             return
         if self.excitation != "random":
             raise ConfigError(f"'local' is for random excitation, not for {self.excitation}", hint="leave it out", field="local")
         if self.estimator != "H1":
             raise ConfigError(f"'local' takes the forces as exact, {self.estimator} does not", hint="estimator: H1", field="estimator")
+
+    def _check_polynomials(self) -> None:
+        """ConfigError for local polynomials without room."""
         if self.degree < 1:
             raise ConfigError(f"'degree' is {self.degree}", hint="2 follows a resonance, 4 follows it better", field="degree")
         if self.half_width is not None and self.half_width <= self.degree:
@@ -214,10 +221,11 @@ class FrfSettings(Settings):
     def _check_length(self) -> None:
         """ConfigError where the length of a period or block is missing, or where a free decay is given keys of responses."""
         needed = NEEDED.get(self.excitation)
-        if self.excitation == "stepped-sine":
+        if self.excitation in FOUND:
             idle = [name for name in ("period", "block") if getattr(self, name) is not None]
             if idle:
-                raise ConfigError(f"'{idle[0]}' is not for stepped-sine: its dwells are found", hint="leave it out", field=idle[0])
+                what = f"'{idle[0]}' is not for {self.excitation}: its {FOUND[self.excitation]} are found"
+                raise ConfigError(what, hint="leave it out", field=idle[0])
             return
         if needed is None:
             idle = [name for name in OF_RESPONSES if getattr(self, name)]

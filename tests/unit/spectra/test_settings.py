@@ -70,5 +70,5 @@ def test_the_schema_knows_the_sections() -> None:
         "minimum": 0,
         "description": "multiples of the speed that count, from 1x",
     }
-    assert set(frf["excitation"]["enum"]) == {"periodic", "random", "impact", "decay", "stepped-sine"}
+    assert set(frf["excitation"]["enum"]) == {"periodic", "random", "impact", "decay", "stepped-sine", "sweep"}
     assert json.dumps(frf)
