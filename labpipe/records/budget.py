@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.records.arrays import frozen_array
 from labpipe.records.doubt import Doubt
 
 
@@ -26,14 +25,6 @@ class Budget:
     random_dof: float | None
     sources: tuple[Doubt, ...]
     changes: FloatArray
-
-    def __post_init__(self) -> None:
-        n = len(self.names)
-        sources = tuple(source if isinstance(source, Doubt) else Doubt(**source) for source in self.sources)
-        object.__setattr__(self, "sources", sources)
-        object.__setattr__(self, "random", frozen_array(self.random, np.float64, "random part of a budget", (n,)))
-        changes = np.reshape(self.changes, (len(sources), n))
-        object.__setattr__(self, "changes", frozen_array(changes, np.float64, "changes of a budget", (len(sources), n)))
 
     @property
     def systematic(self) -> FloatArray:
