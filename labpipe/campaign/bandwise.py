@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.campaign.amounts import chance
+from labpipe.campaign.common_sources import parameter_changes, random_error
 from labpipe.campaign.settings import CompareSettings
 from labpipe.distributions import student_quantile, student_tail
 from labpipe.errors import ConfigError, FitError
@@ -90,9 +91,10 @@ def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:
     return [settings.parameter]
 
 
-def _random_error(parameter: Parameter, settings: FitSettings) -> float:
+def _random_error(fit: Fit, name: str, settings: FitSettings) -> float:
     """Standard error without the support's share; enlarged where the residual exceeds the noise, since then the lines' weights matter."""
-    error = parameter.full_error
+    parameter = fit.parameter(name)
+    error = random_error(fit, parameter)
     assert error is not None and parameter.std_error is not None
     support = settings.subtract
     if support is None:
@@ -105,8 +107,9 @@ def _random_error(parameter: Parameter, settings: FitSettings) -> float:
 
 def _tested(a: Fit, b: Fit, name: str, settings: FitSettings) -> tuple[float, float]:
     """Two-sided p-value of a difference, and half the width of its 95 % interval."""
-    errors = np.array([_random_error(fit.parameter(name), settings) for fit in (a, b)])
-    total = float(np.hypot(*errors))
+    errors = np.array([_random_error(fit, name, settings) for fit in (a, b)])
+    first, second = parameter_changes((a, b), name).T
+    total = float(np.sqrt(np.sum(errors**2) + np.sum((second - first) ** 2)))
     dof = total**4 / float(np.sum(errors**4 / np.array([a.dof, b.dof])))
     t = (b.parameter(name).value - a.parameter(name).value) / total
     return 2 * student_tail(abs(t), dof), student_quantile(0.975, dof) * total

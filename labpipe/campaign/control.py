@@ -51,7 +51,7 @@ def control_limits(values: FloatArray) -> ControlLimits:
 def straight_trend(condition: FloatArray, values: FloatArray, errors: FloatArray) -> WeightedFit:
     """value = level + slope (x - mean x), weighted by the standard errors (n,) [unit of the values]; parameters (level, slope).
 
-    FitError for fewer than three values.
+    *errors* may be the covariance (n, n) of values with errors in common. FitError for fewer than three values.
     """
     if values.size < 3:
         raise FitError(f"{values.size} value(s) show no trend", hint="at least three are needed")
@@ -62,14 +62,27 @@ def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, F
     """Difference (n,) [unit of the values] of every value from the weighted mean of all others, and p-values (n,) by the standard errors.
 
     z_i = (y_i - m_i) / sqrt(s_i^2 + s_m^2); where the others scatter more than their errors, these are enlarged (Birge). Two values give
-    one test with one result for both. FitError for fewer than two.
+    one test with one result for both. *errors* (n,), or the covariance (n, n) of values with errors in common, which cancel here as far
+    as they are alike. FitError for fewer than two.
     """
     if values.size < 2:
         raise FitError(f"{values.size} value(s) cannot be compared", hint="at least two are needed")
     differences, chances = np.empty(values.size), np.empty(values.size)
     for n in range(values.size):
         others = np.arange(values.size) != n
-        rest = weighted_mean(values[others], errors[others])
+        if errors.ndim == 1:
+            rest = weighted_mean(values[others], errors[others])
+            variance = errors[n] ** 2 + rest.std_error(0) ** 2
+        else:
+            rest = weighted_mean(values[others], errors[np.ix_(others, others)])
+            weights = _mean_weights(errors[np.ix_(others, others)])
+            variance = errors[n, n] + rest.std_error(0) ** 2 - 2 * float(weights @ errors[others, n])
         differences[n] = values[n] - rest.values[0]
-        chances[n] = 2 * normal_tail(abs(differences[n]) / np.hypot(errors[n], rest.std_error(0)))
+        chances[n] = 2 * normal_tail(abs(differences[n]) / np.sqrt(variance))
     return differences, chances
+
+
+def _mean_weights(covariance: FloatArray) -> FloatArray:
+    """Weights (n,) [1] of values in their generalised least-squares mean."""
+    inverse = np.linalg.solve(covariance, np.ones(covariance.shape[0]))
+    return np.asarray(inverse / inverse.sum())

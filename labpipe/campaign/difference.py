@@ -6,6 +6,7 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.campaign.amounts import chance, relative_change
+from labpipe.campaign.common_sources import joint_errors
 from labpipe.campaign.levels import levels_of
 from labpipe.campaign.observations import Campaign
 from labpipe.campaign.trend import power_fit
@@ -21,15 +22,15 @@ def difference(campaign: Campaign) -> Comparison:
     the trend of all tests). ConfigError for groups without a common condition.
     """
     first, second = campaign.settings.groups
-    logs, errors, shared = _paired(campaign, first, second)
-    mean = weighted_mean(logs, errors)
+    logs, errors, common = _paired(campaign, first, second)
+    mean = weighted_mean(logs, joint_errors(errors, common))
     change = relative_change("difference", float(mean.values[0]), mean.std_error(0), mean.quantile)
     p_value = mean.p_of(0)
     verdict = "different" if p_value < campaign.settings.level else "no difference"
     assert change.ci95 is not None
     low, high = (100 * end for end in change.ci95)
     result = f"{campaign.subject}: {second} against {first} {100 * change.value:+.2f} % (95 %: {low:+.2f} to {high:+.2f} %)"
-    pairs = f"{shared} condition(s) tested both ways" if campaign.settings.over else "all tests"
+    pairs = f"{logs.size} condition(s) tested both ways" if campaign.settings.over else "all tests"
     return Comparison(
         name=campaign.settings.name,
         kind="difference",
@@ -46,9 +47,13 @@ def difference(campaign: Campaign) -> Comparison:
     )
 
 
-def _paired(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, FloatArray, int]:
-    """ln(second / first) and its error at every common condition."""
+def _paired(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """ln(second / first) at every common condition (n,), its error, and its changes by common sources (n_source, n) [1].
+
+    What both groups have in common, such as the sensitivity of one sensor, cancels in the difference as far as it changes both alike.
+    """
     logs, errors = np.log(campaign.value), _errors(campaign)
+    relative = campaign.common / campaign.value
     groups = np.array([observation.group for observation in campaign.observations])
     for name in (first, second):
         if name not in groups:
@@ -58,10 +63,12 @@ def _paired(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, Fl
         of_first, of_second = members & (groups == first), members & (groups == second)
         if np.any(of_first) and np.any(of_second):
             means = [weighted_mean(logs[part], errors[part]) for part in (of_first, of_second)]
-            pairs.append((means[1].values[0] - means[0].values[0], np.hypot(means[0].std_error(0), means[1].std_error(0))))
+            changes = [np.average(relative[:, part], axis=1, weights=errors[part] ** -2.0) for part in (of_first, of_second)]
+            error = float(np.hypot(means[0].std_error(0), means[1].std_error(0)))
+            pairs.append((means[1].values[0] - means[0].values[0], error, changes[1] - changes[0]))
     if not pairs:
         raise ConfigError(f"{first} and {second} were tested at no common '{', '.join(campaign.settings.over)}'", hint="leave `over` out")
-    return np.array([f[0] for f in pairs]), np.array([f[1] for f in pairs]), len(pairs)
+    return np.array([f[0] for f in pairs]), np.array([f[1] for f in pairs]), np.array([f[2] for f in pairs]).T
 
 
 def _strata(campaign: Campaign) -> list[BoolArray]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.campaign.common_sources import parameter_changes, random_error
 from labpipe.campaign.settings import CompareSettings
 from labpipe.errors import ConfigError, FitError
 from labpipe.quantities import UnitError, si_amount
@@ -33,10 +34,11 @@ class Observation:
 
     @property
     def std_error(self) -> float:
-        """The standard error; FitError for a parameter without one."""
-        if self.parameter.full_error is None:
+        """The standard error of this test alone, without errors that tests have in common; FitError for a parameter without one."""
+        error = random_error(self.fit, self.parameter)
+        if error is None:
             raise FitError(f"'{self.parameter.name}' of test {self.fit.test} has no standard error", hint="a comparison needs one")
-        return self.parameter.full_error
+        return error
 
     @property
     def relative(self) -> float:
@@ -80,13 +82,18 @@ class Campaign:
 
     @property
     def std_error(self) -> FloatArray:
-        """Standard error of every test, (n_test,) [unit]; FitError for a parameter without one."""
+        """Standard error of every test alone, (n_test,) [unit]; FitError for a parameter without one."""
         return np.array([observation.std_error for observation in self.observations])
 
     @property
     def relative(self) -> FloatArray:
-        """Relative standard error of every test, (n_test,) [1]; FitError for a value that is not above zero."""
+        """Relative standard error of every test alone, (n_test,) [1]; FitError for a value that is not above zero."""
         return np.array([observation.relative for observation in self.observations])
+
+    @property
+    def common(self) -> FloatArray:
+        """Change of the value of every test by one standard uncertainty of every common source, (n_source, n_test) [unit]."""
+        return parameter_changes([observation.fit for observation in self.observations], self.observations[0].parameter.name)
 
     @property
     def subject(self) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.campaign.amounts import chance, from_log, with_error
+from labpipe.campaign.common_sources import change_in, common_changes
 from labpipe.campaign.observations import Campaign
 from labpipe.campaign.theory import Matched, log_covariance
 from labpipe.campaign.weighted import WeightedFit, weighted_fit, weighted_mean
@@ -51,13 +52,16 @@ def stiffness_ratio(campaign: Campaign, matched: Sequence[Matched], overlays: tu
 def joint_covariance(matched: Sequence[Matched], number: int, setting_error: float, bending_error: float) -> FloatArray:
     """Covariance (n, n) [1] of the tests' ln ratio (*number* 0) or ln beta (1).
 
-    V = diag(s_fit^2 + (d ln / d ln x  s_x)^2) + b b^T, b = d ln / d ln k_s  s_ks: noise and the setting of the condition are independent
-    between tests, the error of the shaft's stiffness is common to all.
+    V = diag(s_fit^2 + (d ln / d ln x  s_x)^2) + b b^T + sum c c^T, b = d ln / d ln k_s  s_ks: noise and the setting of the condition are
+    independent between tests, the errors of the shaft's stiffness and of sensors (c) are common to all that have them.
     """
     fits = np.array([test.covariance[number, number] for test in matched])
     setting = np.array([test.to_condition[number] for test in matched]) * setting_error
     shared = np.array([test.to_bending[number] for test in matched]) * bending_error
-    return np.diag(fits + setting**2) + np.outer(shared, shared)
+    sources = dict.fromkeys(source for test in matched for source in test.to_sources)
+    common = np.array([[test.to_sources.get(source, np.zeros(2))[number] for test in matched] for source in sources])
+    common = common.reshape(len(sources), len(matched))
+    return np.diag(fits + setting**2) + np.outer(shared, shared) + common.T @ common
 
 
 def _ratio_verdict(interval: tuple[float, float] | None) -> str:
@@ -121,10 +125,17 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
 
 
 def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
-    """ln(c / k) and its covariance (n, n), from that of c and k in each fit."""
+    """ln(c / k) and its covariance (n, n), from that of c and k in each fit and from what the fits have in common."""
     covariances = [log_covariance(fit) for fit in fits]
     logs = np.array([np.log(fit.parameter("c").value / fit.parameter("k").value) for fit in fits])
-    return logs, np.diag([c[0, 0] + c[1, 1] - 2 * c[0, 1] for c in covariances])
+    own = np.diag([c[0, 0] + c[1, 1] - 2 * c[0, 1] for c in covariances])
+    common = common_changes(fits, _log_beta_change)
+    return logs, own + common.T @ common
+
+
+def _log_beta_change(fit: Fit, source: str) -> float:
+    """Change of ln(c / k) by one standard uncertainty of a source."""
+    return change_in(fit, source, "c") / fit.parameter("c").value - change_in(fit, source, "k") / fit.parameter("k").value
 
 
 def _beta_point(point: ComparedPoint, log: float, error: float, beta: float) -> ComparedPoint:

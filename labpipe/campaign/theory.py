@@ -7,8 +7,8 @@ measured weights, and factor and damping are changed until that fit gives the me
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.bending_curve import bent_transfer_matrix
 from labpipe.bearings.rolling import DOFS
 from labpipe.bearings.rolling_shaft import RigidShaft
+from labpipe.campaign.common_sources import change_in
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
@@ -57,6 +58,7 @@ class Rig:
 class Matched:
     """The factor on the theory's K at which its curve gives the measured fit: ln ratio and ln beta (2,) [1] with covariance (2, 2).
 
+    *to_sources*: change (2,) [1] of both by one standard uncertainty of each source of the fit's budget.
     *to_bending*, *to_condition* (2,) [1]: change of both per relative change of the shaft's stiffness and of the condition. *theory*:
     (k, c) of the fit of the theory's curve, with the measured damping.
     """
@@ -66,6 +68,7 @@ class Matched:
     to_bending: FloatArray
     to_condition: FloatArray
     theory: FloatArray
+    to_sources: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,8 @@ def match(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: 
     to_condition = (fitted(log, theory.near, bending) - solution) / theory.step
     theoretical = np.exp(fitted(np.array([0.0, log[1]]), theory.stiffness, bending))
     covariance = inverse @ log_covariance(fit) @ inverse.T
-    return Matched(log, covariance, -inverse @ to_bending, -inverse @ to_condition, theoretical)
+    to_sources = {source: inverse @ change for source, change in _log_changes(fit).items()}
+    return Matched(log, covariance, -inverse @ to_bending, -inverse @ to_condition, theoretical, to_sources)
 
 
 def _solved(function: Callable[[FloatArray], FloatArray], target: FloatArray, start: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -123,6 +127,17 @@ def _positive(fit: Fit, name: str) -> float:
     if not value > 0:
         raise FitError(f"{name} of test {fit.test} is {value:g}, impossible for the bearing of the theory")
     return value
+
+
+def _log_changes(fit: Fit) -> dict[str, FloatArray]:
+    """Change of ln k and ln c, (2,) [1], by one standard uncertainty of every source of a fit's budget."""
+    if fit.budget is None:
+        return {}
+    names = ("k", "c")
+    return {
+        source.source: np.array([change_in(fit, source.source, name) / fit.parameter(name).value for name in names])
+        for source in fit.budget.sources
+    }
 
 
 def log_covariance(fit: Fit) -> FloatArray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.campaign.amounts import chance, from_log, with_error
+from labpipe.campaign.common_sources import joint_errors
 from labpipe.campaign.observations import Campaign
 from labpipe.campaign.weighted import WeightedFit, weighted_fit
 from labpipe.errors import FitError
@@ -38,7 +39,7 @@ def power_fit(campaign: Campaign) -> WeightedFit:
     columns = np.column_stack([np.ones_like(campaign.condition), *(np.log(x / _centre(campaign, x)) for x in _conditions(campaign))])
     first = weighted_fit(columns, np.log(campaign.value), relative)
     errors = np.hypot(relative, np.linalg.norm(first.values[1:]) * campaign.settings.setting_error)
-    return weighted_fit(columns, np.log(campaign.value), errors)
+    return weighted_fit(columns, np.log(campaign.value), joint_errors(errors, campaign.common / campaign.value))
 
 
 def _conditions(campaign: Campaign) -> list[FloatArray]:
@@ -71,7 +72,8 @@ def _line(campaign: Campaign) -> Comparison:
     columns = np.column_stack([np.ones_like(x), *(values - np.mean(values) for values in _conditions(campaign))])
     fit = weighted_fit(columns, campaign.value, campaign.std_error)
     setting = np.linalg.norm([slope * values for slope, values in zip(fit.values[1:], _conditions(campaign), strict=True)], axis=0)
-    fit = weighted_fit(columns, campaign.value, np.hypot(campaign.std_error, setting * campaign.settings.setting_error))
+    errors = np.hypot(campaign.std_error, setting * campaign.settings.setting_error)
+    fit = weighted_fit(columns, campaign.value, joint_errors(errors, campaign.common))
     slope = with_error("slope", f"{campaign.unit}/{campaign.condition_unit}", float(fit.values[1]), fit.std_error(1), fit.quantile)
     level = with_error("level", campaign.unit, float(fit.values[0]), fit.std_error(0), fit.quantile)
     drawn = _drawn(x)

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import special
 
 from labpipe.campaign.bandwise import holm
+from labpipe.campaign.common_sources import parameter_changes, random_error
 from labpipe.errors import DataError
 from labpipe.records.identification import Fit, Identification, Parameter
 
@@ -39,14 +40,15 @@ class Difference:
 def differences(first: Identification, second: Identification) -> list[Difference]:
     """The parameters common to both results, in the order of the first one; DataError when there is none.
 
-    z = (b - a) / sqrt(s_a^2 + s_b^2), two-sided against the normal distribution, Holm's correction over all of them. Fits are matched by
-    name, term, band and test; the test's name is ignored where each result has one test only.
+    z = (b - a) / sqrt(s_a^2 + s_b^2 + sum (c_b - c_a)^2), c the changes by sources that both may have in common, two-sided against the
+    normal distribution, Holm's correction over all of them. Fits are matched by name, term, band and test; the test's name is ignored
+    where each result has one test only.
     """
     one_test = all(len({fit.test for fit in side.fits}) == 1 for side in (first, second))
     theirs = {_key(fit, one_test): fit for fit in second.fits}
     pairs = [(fit, theirs[_key(fit, one_test)]) for fit in first.fits if _key(fit, one_test) in theirs]
     pairs_of_parameters = [
-        _difference(fit, mine, other)
+        _difference(fit, partner, mine, other)
         for fit, partner in pairs
         for mine in fit.parameters
         for other in partner.parameters
@@ -66,10 +68,11 @@ def _key(fit: Fit, one_test: bool) -> tuple[str, str, str, str]:
     return fit.name, fit.term, f"{fit.band_hz[0]:g}-{fit.band_hz[1]:g}", "" if one_test else fit.test
 
 
-def _difference(fit: Fit, mine: Parameter, other: Parameter) -> Difference:
+def _difference(fit: Fit, partner: Fit, mine: Parameter, other: Parameter) -> Difference:
     """The difference with its p-value before the correction."""
-    mine_error, other_error = (parameter.std_error_inflated or parameter.std_error for parameter in (mine, other))
-    error = float(np.hypot(mine_error, other_error)) if mine_error and other_error else None
+    mine_error, other_error = random_error(fit, mine), random_error(partner, other)
+    first, second = parameter_changes((fit, partner), mine.name).T
+    error = float(np.sqrt(mine_error**2 + other_error**2 + np.sum((second - first) ** 2))) if mine_error and other_error else None
     p_value = None if error is None else 2 * float(special.ndtr(-abs(other.value - mine.value) / error))
     term = f" of {fit.term}" if fit.term else ""
     return Difference(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 import time
+import zlib
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -30,7 +32,8 @@ CREATE TABLE result (
 CREATE TABLE value (
     id INTEGER PRIMARY KEY, result INTEGER REFERENCES result ON DELETE CASCADE,
     fit TEXT, term TEXT, test TEXT, model TEXT, estimator TEXT, low_hz REAL, high_hz REAL,
-    parameter TEXT, value REAL, unit TEXT, std_error REAL, ci_low REAL, ci_high REAL, significant INTEGER, warnings TEXT, date TEXT
+    parameter TEXT, value REAL, unit TEXT, std_error REAL, random_error REAL, changes TEXT,
+    ci_low REAL, ci_high REAL, significant INTEGER, warnings TEXT, date TEXT
 );
 CREATE TABLE condition (
     result INTEGER REFERENCES result ON DELETE CASCADE, test TEXT, name TEXT, text TEXT, amount REAL, unit TEXT
@@ -38,6 +41,8 @@ CREATE TABLE condition (
 CREATE INDEX value_parameter ON value (parameter, fit);
 CREATE INDEX condition_name ON condition (result, test, name);
 """
+# An index of another version, or of other tables, is made anew.
+MADE_BY = f"{__version__} {zlib.crc32(_TABLES.encode()):08x}"
 
 
 @contextmanager
@@ -60,7 +65,7 @@ def _connected(folder: Path) -> sqlite3.Connection:
     path = folder / INDEX
     try:
         connection = sqlite3.connect(path)
-        if _version(connection) == __version__:
+        if _version(connection) == MADE_BY:
             return connection
         connection.close()
         path.unlink()
@@ -85,7 +90,7 @@ def _create(connection: sqlite3.Connection) -> None:
     with connection:
         connection.executescript(_TABLES)
         connection.execute("CREATE TABLE made_by (version TEXT)")
-        connection.execute("INSERT INTO made_by VALUES (?)", (__version__,))
+        connection.execute("INSERT INTO made_by VALUES (?)", (MADE_BY,))
 
 
 def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> None:
@@ -141,7 +146,8 @@ def _add_value(connection: sqlite3.Connection, number: int, listed: ListedParame
         **{name: getattr(listed, name) for name in ("fit", "term", "test", "model", "estimator")},
         **{"result": number, "low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1]},
         **{"parameter": parameter.name, "value": parameter.value, "unit": parameter.unit},
-        **{"std_error": parameter.full_error, "ci_low": low, "ci_high": high},
+        **{"std_error": parameter.full_error, "random_error": listed.random_error, "changes": json.dumps(dict(listed.changes))},
+        **{"ci_low": low, "ci_high": high},
         **{"significant": parameter.significant, "warnings": ", ".join(listed.warnings), "date": date},
     }
     _insert(connection, "value", row)

@@ -48,7 +48,10 @@ class ResultRow:
 
 @dataclass(frozen=True, kw_only=True)
 class ValueRow:
-    """One parameter of one fit, in SI units; *conditions* of its test as written, *amounts* of the numeric ones."""
+    """One parameter of one fit, in SI units; *conditions* of its test as written, *amounts* of the numeric ones.
+
+    random_error: standard error without what given numbers add; changes: by each of these, as JSON.
+    """
 
     path: str
     date: str
@@ -63,6 +66,8 @@ class ValueRow:
     value: float
     unit: str
     std_error: float | None
+    random_error: float | None
+    changes: str
     ci_low: float | None
     ci_high: float | None
     warnings: str

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import datetime
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.campaign.common_sources import joint_errors, matrix_of
 from labpipe.campaign.control import ControlLimits, control_limits, straight_trend
 from labpipe.campaign.weighted import WeightedFit
 from labpipe.catalogue.index import DATE
@@ -41,8 +43,9 @@ class Series:
 
     @property
     def errors(self) -> FloatArray:
-        """Standard errors, (n,) [unit]; NaN where missing."""
-        return np.array([np.nan if row.std_error is None else row.std_error for row in self.rows])
+        """Standard errors (n,) [unit] of each test alone, NaN where missing; or, where tests have sources in common, covariance (n, n)."""
+        errors = np.array([np.nan if row.random_error is None else row.random_error for row in self.rows])
+        return joint_errors(errors, matrix_of([json.loads(row.changes) for row in self.rows]))
 
     @property
     def line(self) -> WeightedFit | None:

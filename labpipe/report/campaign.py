@@ -77,7 +77,7 @@ class _Differences:
     def of(cls, coefficient: CoefficientSeries) -> _Differences:
         """The differences of a series; NaN where its values have no errors."""
         try:
-            difference, p_value = from_the_rest(coefficient.shown(), coefficient.errors())
+            difference, p_value = from_the_rest(coefficient.shown(), coefficient.joint_errors())
         except FitError:
             difference = p_value = np.full(len(coefficient.values), np.nan)
         return cls(difference, p_value, p_value.copy())
@@ -99,7 +99,7 @@ def _trends(coefficient: CoefficientSeries) -> list[Trend]:
     trends = []
     for name, (_, condition) in coefficient.over().items():
         try:
-            line = straight_trend(condition, coefficient.shown(), coefficient.errors())
+            line = straight_trend(condition, coefficient.shown(), coefficient.joint_errors())
         except FitError:
             continue
         slope, error = float(line.values[1]), line.std_error(1)

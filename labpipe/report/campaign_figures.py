@@ -35,7 +35,7 @@ def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
 def _line(series: CoefficientSeries, x: FloatArray) -> tuple[Series, ...]:
     """The weighted line over x (n,) with its 95 % interval; nothing where the tests do not carry one."""
     try:
-        line = straight_trend(x, series.shown(), series.errors())
+        line = straight_trend(x, series.shown(), series.joint_errors())
     except FitError:
         return ()
     drawn = np.linspace(x.min(), x.max(), N_TREND)

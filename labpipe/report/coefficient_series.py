@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import date
 
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.campaign.common_sources import joint_errors, matrix_of
 from labpipe.quantities import UnitError, display_unit, si_amount, to_display
 from labpipe.records.identification import Identification
 from labpipe.records.listed import ListedParameter, listed_parameters
@@ -21,12 +22,17 @@ from labpipe.report.wording import unit_text
 
 @dataclass(frozen=True)
 class Value:
-    """A parameter of a fit in one result; *label*: distinct label of the test, *day* is None where no condition gives it."""
+    """A parameter of a fit in one result; *label*: distinct label of the test, *day* is None where no condition gives it.
+
+    random_error: standard error of this test alone; changes: by sources that tests may have in common.
+    """
 
     label: str
     parameter: Parameter
     conditions: dict[str, tuple[float, str]]
     day: date | None
+    random_error: float | None = None
+    changes: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -66,6 +72,12 @@ class CoefficientSeries:
         zero = to_display(0.0, self.unit)
         errors = [value.parameter.full_error for value in self.values]
         return np.array([np.nan if error is None else abs(to_display(error, self.unit) - zero) for error in errors])
+
+    def joint_errors(self) -> FloatArray:
+        """Standard errors (n,) [display unit] of each test alone, or the covariance (n, n) where tests have sources in common."""
+        scale = abs(to_display(1.0, self.unit) - to_display(0.0, self.unit))
+        alone = np.array([np.nan if value.random_error is None else scale * value.random_error for value in self.values])
+        return joint_errors(alone, scale * matrix_of([value.changes for value in self.values]))
 
     def intervals(self) -> FloatArray:
         """95 % intervals (n, 2) [display unit], NaN where there is none."""
@@ -118,7 +130,8 @@ def _value(result: str, identification: Identification, listed: ListedParameter)
     conditions = identification.test_conditions.get(listed.test, {})
     amounts = {name: amount for name, text in conditions.items() if (amount := _amount(str(text))) is not None}
     days = (_day(str(text)) for name, text in conditions.items() if name.lower() in DATES)
-    return Value(label, listed.parameter, amounts, next((day for day in days if day is not None), None))
+    day = next((day for day in days if day is not None), None)
+    return Value(label, listed.parameter, amounts, day, listed.random_error, listed.changes)
 
 
 def _amount(text: str) -> tuple[float, str] | None:

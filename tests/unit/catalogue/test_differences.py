@@ -131,6 +131,8 @@ def row(value: float, preload: str = "", date: str = "2026-11-03", error: float 
         value=value,
         unit="N/m",
         std_error=error,
+        random_error=error,
+        changes="{}",
         ci_low=None,
         ci_high=None,
         warnings="",
