@@ -10,6 +10,7 @@ from labpipe.arrays import FloatArray
 from labpipe.dynamic_stiffness.baseline import given_baseline
 from labpipe.dynamic_stiffness.choice import choice_findings, compared
 from labpipe.dynamic_stiffness.estimate import Estimate, Noise, estimate
+from labpipe.dynamic_stiffness.excitation import motion_note, other_excitations
 from labpipe.dynamic_stiffness.findings import (
     effective_forces,
     given_notes,
@@ -36,7 +37,7 @@ from labpipe.identify.settings import ESTIMATE, FitSettings
 from labpipe.identify.statistics import condition_number, correlation, determination, inflation_factors
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.channel_spectra import ChannelSpectra
-from labpipe.records.dynamic_stiffness import GivenDoubt, systematic
+from labpipe.records.dynamic_stiffness import GivenDoubt, OtherExcitation, systematic
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Candidate, Fit, Goodness, Parameter
 from labpipe.records.setting_values import Uncertain
@@ -56,6 +57,7 @@ class Solved:
     found: Estimate
     doubts: tuple[GivenDoubt, ...]
     amplification: FloatArray | None
+    excitations: tuple[OtherExcitation, ...] = ()
     candidates: tuple[Candidate, ...] = ()
 
 
@@ -109,8 +111,9 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *whirl_findings(turning, shaft.speed),
         *physical_findings(main),
     )
-    notes = (*given_notes(given, solved.doubts, doubted), *((LS_NOTE,) if settings.estimator == "ls" else ()))
+    notes = (*given_notes(given, solved.doubts, doubted), motion_note(stator), *((LS_NOTE,) if settings.estimator == "ls" else ()))
     shown = shown_course(balance, doubted, solved.doubts, given, shaft.sense)
+    shown = replace(shown, excitations=solved.excitations)
     return replace(fit, findings=(*findings, *spectra.findings), notes=notes, dynamic_stiffness=shown)
 
 
@@ -158,7 +161,7 @@ def _solved(stator: Stator, given: Given, balance: Balance, settings: FitSetting
     errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
     doubts = given_doubts(errors, response_of(state, columns))
     amplification = problem.size * np.sqrt(2 * np.diag(found.covariance) / noise.inflation)
-    return Solved(found, doubts, amplification, candidates)
+    return Solved(found, doubts, amplification, other_excitations(stator, found, columns), candidates)
 
 
 def _most_likely(balance: Balance, settings: FitSettings, noise: Noise) -> tuple[Estimate, tuple[Candidate, ...]]:
