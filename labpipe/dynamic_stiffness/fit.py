@@ -9,7 +9,9 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.dynamic_stiffness.baseline import given_baseline
 from labpipe.dynamic_stiffness.choice import choice_findings, compared
+from labpipe.dynamic_stiffness.dimensionless import Bearing, dimensionless
 from labpipe.dynamic_stiffness.estimate import Estimate, Noise, estimate
+from labpipe.dynamic_stiffness.excitation import motion_note, other_excitations
 from labpipe.dynamic_stiffness.findings import (
     effective_forces,
     given_notes,
@@ -36,12 +38,11 @@ from labpipe.identify.settings import ESTIMATE, FitSettings
 from labpipe.identify.statistics import condition_number, correlation, determination, inflation_factors
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.channel_spectra import ChannelSpectra
-from labpipe.records.dynamic_stiffness import GivenDoubt, systematic
+from labpipe.records.dynamic_stiffness import GivenDoubt, OtherExcitation, systematic
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Candidate, Fit, Goodness, Parameter
 from labpipe.records.setting_values import Uncertain
 
-SPEED = "speed"
 BANDS_BY_DEFAULT = 10
 LS_NOTE = (
     "ls: as in the literature: H of every line from two runs, then Re H on (1, -w^2) and Im H on w with equal weights. The noise of the "
@@ -56,6 +57,7 @@ class Solved:
     found: Estimate
     doubts: tuple[GivenDoubt, ...]
     amplification: FloatArray | None
+    excitations: tuple[OtherExcitation, ...] = ()
     candidates: tuple[Candidate, ...] = ()
 
 
@@ -94,12 +96,14 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     found, factor = solved.found, mismatch_factor(solved.found) if settings.estimator == "ml" else 1.0
     of_given = systematic(solved.doubts, found.values.size)
     doubted = Doubted(found.model, found.values, found.covariance, factor**2 * found.covariance + of_given, found.dof)
-    shaft = Shaft(_speed(own, spectra), own.rotor_mass, own.rotor_stiffness)
+    shaft = Shaft(_stated(own.speed, spectra, "speed", "Hz"), own.rotor_mass, own.rotor_stiffness)
+    load = _stated(own.load, spectra, "load", "N") if own.clearance is not None else None
+    bearing = Bearing(own.clearance, load, own.viscosity, own.diameter, own.length)
     main = coefficients(doubted, inflation_factors(found.design))
     # A baseline is no bearing of a shaft.
     others, turning = ((), None) if given.absolute else derived_values(doubted, stator.omega, shaft)
     whole_band = band or (float(stator.omega[0] / (2 * np.pi)), float(stator.omega[-1] / (2 * np.pi)))
-    fit = _reported(settings, balance, solved, whole_band, (*main, *others))
+    fit = _reported(settings, balance, solved, whole_band, (*main, *others, *dimensionless(main, bearing, shaft.speed)))
     findings = (
         *fit.findings,
         *(mismatch_findings(found) if settings.estimator == "ml" else ()),
@@ -109,8 +113,9 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *whirl_findings(turning, shaft.speed),
         *physical_findings(main),
     )
-    notes = (*given_notes(given, solved.doubts, doubted), *((LS_NOTE,) if settings.estimator == "ls" else ()))
+    notes = (*given_notes(given, solved.doubts, doubted), motion_note(stator), *((LS_NOTE,) if settings.estimator == "ls" else ()))
     shown = shown_course(balance, doubted, solved.doubts, given, shaft.sense)
+    shown = replace(shown, excitations=solved.excitations)
     return replace(fit, findings=(*findings, *spectra.findings), notes=notes, dynamic_stiffness=shown)
 
 
@@ -133,14 +138,14 @@ def _given(settings: FitSettings, stator: Stator) -> Given:
     return given
 
 
-def _speed(own: DynamicStiffnessSettings, spectra: ChannelSpectra) -> float | None:
-    """Speed of the shaft [Hz]: of the settings, else the test's condition."""
-    if own.speed is not None or SPEED not in spectra.conditions:
-        return own.speed
+def _stated(given: float | None, spectra: ChannelSpectra, condition: str, unit: str) -> float | None:
+    """A number of the settings, else the test's condition of that name; ConfigError for one that cannot be read."""
+    if given is not None or condition not in spectra.conditions:
+        return given
     try:
-        return parse_value(spectra.conditions[SPEED], "Hz")
+        return parse_value(spectra.conditions[condition], unit)
     except UnitError as error:
-        raise ConfigError(f"conditions.{SPEED}: {error.what}", hint=error.hint or "for example speed: 3000 rpm") from None
+        raise ConfigError(f"conditions.{condition}: {error.what}", hint=error.hint or f"a value in {unit}") from None
 
 
 def _solved(stator: Stator, given: Given, balance: Balance, settings: FitSettings, noise: Noise) -> Solved:
@@ -158,7 +163,7 @@ def _solved(stator: Stator, given: Given, balance: Balance, settings: FitSetting
     errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
     doubts = given_doubts(errors, response_of(state, columns))
     amplification = problem.size * np.sqrt(2 * np.diag(found.covariance) / noise.inflation)
-    return Solved(found, doubts, amplification, candidates)
+    return Solved(found, doubts, amplification, other_excitations(stator, found, columns), candidates)
 
 
 def _most_likely(balance: Balance, settings: FitSettings, noise: Noise) -> tuple[Estimate, tuple[Candidate, ...]]:

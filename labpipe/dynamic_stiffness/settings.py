@@ -36,6 +36,11 @@ class DynamicStiffnessSettings(Settings):
         "uncertain", "mass on the bearing, for the onset speed of whirl of a rotor on it", unit="kg", default=None
     )
     rotor_stiffness: float | None = setting("value", "stiffness of that rotor; default: rigid", unit="N/m", default=None)
+    load: float | None = setting("value", "for coefficients without dimension; default: the condition `load`", unit="N", default=None)
+    clearance: float | None = setting("value", "radial clearance, for coefficients without dimension", unit="m", default=None)
+    viscosity: float | None = setting("value", "for the Sommerfeld number", unit="Pa.s", default=None)
+    diameter: float | None = setting("value", "for the Sommerfeld number", unit="m", default=None)
+    length: float | None = setting("value", "for the Sommerfeld number", unit="m", default=None)
     known: Baseline | None = None
 
     def __post_init__(self) -> None:
@@ -45,7 +50,7 @@ class DynamicStiffnessSettings(Settings):
             mass: Uncertain | None = getattr(self, name)
             if mass is not None and mass.value < 0:
                 raise ConfigError(f"'{name}' is negative", field=name)
-        for name in ("band_width", "rotor_stiffness"):
+        for name in ("band_width", "rotor_stiffness", "load", "clearance", "viscosity", "diameter", "length"):
             value: float | None = getattr(self, name)
             if value is not None and value <= 0:
                 raise ConfigError(f"'{name}' must be positive", field=name)

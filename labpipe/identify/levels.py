@@ -10,6 +10,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.quantities import UnitError, si_amount
+from labpipe.records.dynamic_stiffness import systematic
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Fit, Parameter
 
@@ -92,8 +93,11 @@ def _estimated(fit: Fit) -> list[Parameter]:
 
 
 def _covariance(fit: Fit, parameters: Sequence[Parameter]) -> FloatArray:
-    """Covariance (n, n) of the estimates, enlarged where the residual exceeds the noise."""
+    """Covariance (n, n) of the estimates, enlarged where the residual exceeds the noise; given numbers are the same at both levels."""
     errors = np.array([parameter.full_error or 0.0 for parameter in parameters])
+    if fit.dynamic_stiffness is not None:
+        of_given = np.diag(systematic(fit.dynamic_stiffness.doubts, errors.size))
+        errors = np.sqrt(np.maximum(errors**2 - of_given, np.array([parameter.std_error or 0.0 for parameter in parameters]) ** 2))
     return np.asarray(fit.correlation * np.outer(errors, errors))
 
 

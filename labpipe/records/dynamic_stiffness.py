@@ -29,6 +29,15 @@ def systematic(doubts: Sequence[GivenDoubt], n_parameter: int) -> FloatArray:
 
 
 @dataclass(frozen=True)
+class OtherExcitation:
+    """Ratios of the standard errors by noise that another excitation of the same time and peak force would have given, by K, C, M."""
+
+    name: str
+    matrices: tuple[str, ...]
+    ratios: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class DynamicStiffness:
     """Dynamic stiffness H(w) [N/m] of a floating bearing, force in the row's direction per displacement in the column's, x then y.
 
@@ -58,3 +67,4 @@ class DynamicStiffness:
     baseline: ComplexArray | None = None
     bands: tuple[float, ...] = ()
     absolute: bool = False
+    excitations: tuple[OtherExcitation, ...] = ()

@@ -26,7 +26,17 @@ def dynamic_stiffness_blocks(fit: Fit) -> list[Block]:
         return []
     given = [given_table(fit, shown)] if shown.doubts else []
     orbit = [] if shown.absolute else [effective_figure(fit, shown)]
-    return [*given, stiffness_figure(fit, shown), *orbit]
+    other = [excitation_table(fit, shown)] if shown.excitations else []
+    return [*given, *other, stiffness_figure(fit, shown), *orbit]
+
+
+def excitation_table(fit: Fit, shown: DynamicStiffness) -> Table:
+    """What another excitation of the same time and peak force would have made of the standard errors by noise."""
+    letters = shown.excitations[0].matrices
+    header = ("excitation", *(f"{letter.upper()} times" for letter in letters))
+    rows = tuple((other.name, *(f"{ratio:.2f}" for ratio in other.ratios)) for other in shown.excitations)
+    caption = f"Standard errors by noise of {fit_title(fit)} with other excitations of the same time and r.m.s. force, this test being 1"
+    return Table(header, rows, caption, tuple(range(1, len(header))))
 
 
 def given_table(fit: Fit, shown: DynamicStiffness) -> Table:

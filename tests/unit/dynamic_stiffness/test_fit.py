@@ -12,6 +12,7 @@ from labpipe.artefacts.fit_entry import fit_entry, read_fit
 from labpipe.dynamic_stiffness.settings import DynamicStiffnessSettings
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.fitting import identify
+from labpipe.identify.levels import with_level_findings
 from labpipe.identify.settings import FitSettings
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.identification import Fit, Identification
@@ -340,3 +341,21 @@ def test_motion_that_differs_from_period_to_period_is_no_noise_but_scatter_that_
     loud = replace(still, covariance=5 * still.covariance)
     (finding,) = [f for f in fitted(loud, **GIVEN).findings if f.code == "scatter-not-noise"]
     assert finding.level == "note" and "0.44 times" in finding.message
+
+
+def test_levels_are_held_against_each_other_without_what_they_have_in_common() -> None:
+    """3 % more stiffness at the larger orbit, beside a doubt of 10 % in the baseline that both tests share."""
+    hard = {**SEAL, "k": (1.03 * np.array(SEAL["k"])).tolist()}
+    given = {**GIVEN, "baseline_stiffness": "1.35 MN/m +- 30 %"}
+    names = {"low": SEAL, "same": SEAL, "high": hard}
+    fits = {
+        name: replace(fitted(drawn(replace(EVEN, bearing=kcm(**matrices)), seed), **given), test=name)
+        for seed, (name, matrices) in enumerate(names.items())
+    }
+    conditions = {"low": {"amplitude": "5 um"}, "same": {"amplitude": "10 um"}, "high": {"amplitude": "20 um"}}
+    assert fits["low"].parameter("k_xx").full_error > 0.06 * 5e6
+    _, high = with_level_findings([fits["low"], fits["high"]], conditions)
+    (finding,) = [f for f in high.findings if f.code == "amplitude"]
+    assert "stiffness by +3" in finding.message or "stiffness by +2.9" in finding.message
+    _, same = with_level_findings([fits["low"], fits["same"]], conditions)
+    assert "amplitude" not in [f.code for f in same.findings]

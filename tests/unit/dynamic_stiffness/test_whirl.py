@@ -11,6 +11,7 @@ from labpipe.dynamic_stiffness.effective import crossover, effective
 from labpipe.dynamic_stiffness.forms import FORMS, StiffnessModel
 from labpipe.dynamic_stiffness.values import Doubted, Shaft, derived_values
 from labpipe.dynamic_stiffness.whirl import LIMIT, whirl
+from labpipe.errors import ConfigError
 from labpipe.records.setting_values import Uncertain
 from tests.unit.dynamic_stiffness.floating_rig import JOURNAL, SEAL, kcm
 from tests.unit.dynamic_stiffness.test_fit import EVEN, GIVEN, drawn, fitted
@@ -149,3 +150,19 @@ def test_the_ratio_of_a_fit_is_over_the_speed_of_its_test() -> None:
     assert ratios[1].value == pytest.approx(2 * ratios[0].value, rel=1e-12)
     truth = np.sqrt(whirl(KCM, numbers(SEAL), np.eye(12)).square) / (2 * np.pi * 50)
     assert ratios[0].ci95[0] < truth < ratios[0].ci95[1] and ratios[0].derived
+
+
+def test_coefficients_without_dimension() -> None:
+    """By hand: k c / W, c c w / W, m c w^2 / W; S = mu N L D / W (R / c)^2 = 0.01 50 0.05 0.1 / 1000 (0.05 / 1e-4)^2 = 0.625."""
+    bearing = {"load": "1 kN", "clearance": "100 um", "viscosity": "10 mPa.s", "diameter": "100 mm", "length": "50 mm"}
+    fit = fitted(drawn(), **GIVEN, **bearing)
+    for letter, factor in zip("kcm", 1e-7 * (100 * np.pi) ** np.arange(3), strict=True):
+        plain, scaled = fit.parameter(f"{letter}_xy"), fit.parameter(f"{letter}_xy_dimensionless")
+        assert (scaled.value, scaled.std_error) == pytest.approx((factor * plain.value, factor * plain.std_error))
+        assert scaled.ci95 == pytest.approx(tuple(factor * end for end in plain.ci95)) and scaled.derived
+    assert fit.parameter("sommerfeld").value == pytest.approx(0.625)
+    rig = replace(EVEN, conditions={"speed": "3000 rpm", "load": "1 kN"})
+    by_condition = fitted(drawn(rig), clearance="100 um", **GIVEN)
+    assert by_condition.parameter("k_xx_dimensionless").value == pytest.approx(fit.parameter("k_xx_dimensionless").value)
+    with pytest.raises(ConfigError, match=r"conditions\.speed"):
+        fitted(drawn(replace(EVEN, conditions={"speed": "fast"})), **GIVEN)
