@@ -109,6 +109,8 @@ def rig_page() -> str:
 
     return (
         "# Rig files\n\nWhat the rig is. `channels:` holds one entry per channel, under the name used everywhere else.\n\n"
+        "`constants:` holds numbers with their doubt for channels that are sums of others (`derived`): "
+        "[a floating stator](../how-to/floating.md#channels-that-are-sums-of-others).\n\n"
         f"{table(RigSettings)}\n## channels\n\n{table(ChannelSettings)}"
     )
 

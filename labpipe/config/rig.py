@@ -24,7 +24,7 @@ from labpipe.records.settings import Doubts, Settings, setting
 from labpipe.registry import nearest
 
 # Beside the plain entries of a rig file.
-PARTS = ("channels", "constants")
+PARTS = ("channels", "constants", "derived")
 # Entries of a recorded channel that a sum of channels does not have.
 RECORDED_ONLY = ("unit", "column", "sensitivity", "invert", "delay", "response", "range", "doubt")
 DEFAULT_ROLES = {"force": "input", "displacement": "output", "velocity": "output", "acceleration": "output"}
@@ -112,7 +112,7 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
     entries = faults.mapping(tree, "")
     plain = Marked({k: v for k, v in entries.items() if k not in PARTS}, tree.where)
     settings = read_settings(RigSettings, plain, "", faults)
-    channels, derived = _read_channels(entries.get("channels"), entries.get("constants"), tree, faults)
+    channels, derived = _read_channels(_with_listed_sums(entries, faults), entries.get("constants"), tree, faults)
     if settings is not None and settings.sample_rate is not None and settings.time is not None:
         faults.add(entries["time"], "sample_rate", "one of sample_rate and time is needed, not both", "leave one of them out")
     if settings is not None and settings.sample_rate is not None and settings.sample_rate <= 0:
@@ -141,6 +141,28 @@ def time_scale(column: str | None) -> float:
         return parse_value(f"1 {match[1]}", "s")
     except UnitError:
         return 1.0
+
+
+def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | None:
+    """The channels, with those under ``derived:``, whose sums are listed: {sum: {f: 1, a: -30 kg +- 0.1 kg}, quantity: force}."""
+    channels = entries.get("channels")
+    if channels is None or "derived" not in entries or not isinstance(channels.content, dict):
+        return channels
+    together = dict(channels.content)
+    for name, node in faults.mapping(entries["derived"], "derived").items():
+        key = join("derived", name)
+        parts = faults.mapping(node, key)
+        listed = parts.get("sum")
+        if name in together:
+            faults.add(node, key, "is a channel already", "give it another name")
+        elif listed is None or not isinstance(listed.content, dict):
+            faults.add(listed or node, join(key, "sum"), "a mapping of channels to factors is needed", "sum: {f: 1, a: -30 kg +- 0.1 kg}")
+        else:
+            text = " + ".join(f"{factor.text} * {member}" for member, factor in listed.content.items())
+            as_text = Marked(text, listed.where, listed.key_where, text)
+            content = {**{entry: value for entry, value in parts.items() if entry != "sum"}, "derived": as_text}
+            together[name] = Marked(content, node.where, node.key_where)
+    return Marked(together, channels.where, channels.key_where, channels.text)
 
 
 def _read_channels(

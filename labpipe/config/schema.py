@@ -24,6 +24,11 @@ def rig_schema() -> dict[str, Any]:
     schema["properties"]["channels"] = {"type": "object", "additionalProperties": _object(ChannelSettings)}
     constants = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
     schema["properties"]["constants"] = {**constants, "description": "numbers in sums of channels, with their doubt: m_s: 30 kg +- 0.1 kg"}
+    factors = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
+    listed = _object(ChannelSettings)
+    listed["properties"] = {name: listed["properties"][name] for name in ("quantity", "role", "dof")} | {"sum": factors}
+    described = "sums of channels, listed: {e: {sum: {f: 1, a: -30 kg +- 0.1 kg}, quantity: force, dof: x}}"
+    schema["properties"]["derived"] = {"type": "object", "additionalProperties": listed, "description": described}
     schema["required"] = ["channels"]
     return {"$schema": DRAFT, "title": "labpipe rig", **schema}
 

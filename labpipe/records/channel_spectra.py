@@ -45,6 +45,9 @@ class ChannelSpectra:
     covariance_dof  complex degrees of freedom behind each covariance (inf: known)
     line_correlation  E[e_(k+d) e_k*] of noise of unit variance with that of the next lines, d = 1, 2, ...; empty where independent
     factors      numbers with a doubt that stand in derived channels
+
+    The channels are forces (role input) and responses (output), then sums of these and their members; a member that is no force or
+    response of its own has the role reference, and the covariance is singular between a sum and its members.
     """
 
     frequency: FloatArray

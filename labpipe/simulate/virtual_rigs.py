@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ConfigError
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.recording import Recording
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.run_up import RunUp
 from labpipe.registry import Registry, nearest
+from labpipe.spectra.all_channels import channel_spectra
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 
@@ -111,8 +113,8 @@ def recordings(rig: VirtualRig, seed: int, runs: Iterable[str] | None = None) ->
 
 def simulated_response(
     rig: VirtualRig, seeds: Sequence[int], runs: Iterable[str] | None = None, frf: FrfSettings | None = None
-) -> FrequencyResponse:
-    """One FRF matrix of the rig, its noise from *seeds*: given directly, or measured from its *runs* as *frf* says.
+) -> FrequencyResponse | ChannelSpectra:
+    """One FRF matrix of the rig, its noise from *seeds*: given directly, or measured from its *runs* as *frf* says; or spectra.
 
     ConfigError for a rig that has none.
     """
@@ -123,7 +125,8 @@ def simulated_response(
         raise ConfigError(f"a {rig.kind} gives no frequency response", hint="studies repeat fits of frequency responses")
     if frf is None:
         raise ConfigError("the study needs the frf: section to measure this rig's recordings")
-    return measure(list(recordings(rig, _joined(seeds), runs)), frf)
+    made = list(recordings(rig, _joined(seeds), runs))
+    return channel_spectra(made, frf) if frf.result == "spectra" else measure(made, frf)
 
 
 def _joined(seeds: Sequence[int]) -> int:

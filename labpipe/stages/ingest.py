@@ -20,6 +20,8 @@ from labpipe.quantities import UnitError, readings
 from labpipe.records.rig import Rig, RigChannel
 from labpipe.signals.screening import ChannelScreen, TimeAxisScreen
 
+# Ends of the range of a channel that cannot clip.
+FAR = (-1e300, 1e300)
 # Rates are written down with this many digits at least.
 SAME_RATE = 1e-4
 
@@ -136,9 +138,9 @@ def _check_unit(table: Table, channel: RigChannel) -> None:
 
 
 def _si_limits(channel: RigChannel) -> tuple[float, float] | None:
-    """The recorded values at which the logger clips, in SI units of the channel, in increasing order."""
+    """The recorded values at which the logger clips, in SI units of the channel, increasing; pulses have flat ends and none."""
     if channel.limits is None:
-        return None
+        return FAR if channel.channel.quantity == "tacho" else None
     low, high = sorted(limit * channel.scale + channel.offset for limit in channel.limits)
     return low, high
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from labpipe.errors import FitError
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.identification import Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.study.sources import Source
@@ -69,7 +70,7 @@ def _repeated(
     return numbered
 
 
-def _outcome(response: FrequencyResponse, settings: FitSettings) -> Outcome:
+def _outcome(response: FrequencyResponse | ChannelSpectra, settings: FitSettings) -> Outcome:
     """A fit with FitError counts as not converged; intervals are those of the estimator alone."""
     try:
         (fit,) = identify(response, settings, judging=False)

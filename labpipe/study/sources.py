@@ -15,6 +15,7 @@ from labpipe.identify.output_error import OutputError
 from labpipe.identify.settings import MODELS, FitSettings
 from labpipe.identify.setup import Setup
 from labpipe.identify.weights import whitener
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.response import FrequencyResponse
 from labpipe.simulate.virtual_rigs import Truth, VirtualRig, chosen_runs, kind_of, simulated_response
 from labpipe.spectra.bands import lines_in
@@ -37,10 +38,10 @@ class Source:
     @cached_property
     def n_line(self) -> int:
         """Number of frequency lines of a response."""
-        return self.response((0, 0)).n_frequency
+        return int(self.response((0, 0)).frequency.size)
 
-    def response(self, seed: tuple[int, ...]) -> FrequencyResponse:
-        """The response with the noise of a *seed*."""
+    def response(self, seed: tuple[int, ...]) -> FrequencyResponse | ChannelSpectra:
+        """The response, or the spectra, with the noise of a *seed*."""
         return simulated_response(self.rig, seed, self.runs or None, self.frf)
 
     def bounds(self, settings: FitSettings) -> Truth:

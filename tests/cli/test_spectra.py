@@ -66,6 +66,16 @@ def test_spectra_are_those_of_the_recordings(lab: Path) -> None:
     assert same(stored, made) and [factor.name for factor in made.factors] == ["m_s"]
 
 
+def test_pulses_of_a_tacho_are_not_clipped(lab: Path, labpipe) -> None:  # type: ignore[no-untyped-def]
+    """Their ends are flat by design; the same numbers as a voltage are."""
+    (lab / "n.yaml").write_text(RIG + '  n: {column: "n [V]", quantity: tacho, unit: V}\n')
+    shown = labpipe("ingest", lab / "seal-plus.parquet", "-r", lab / "n.yaml", "-o", lab / "ingested")
+    assert shown.code == 0 and "clipped" not in shown.out + shown.err
+    (lab / "v.yaml").write_text((lab / "n.yaml").read_text().replace("quantity: tacho", "quantity: voltage"))
+    flat = labpipe("ingest", lab / "seal-plus.parquet", "-r", lab / "v.yaml", "-o", lab / "flat")
+    assert "warning clipped: channel n" in flat.out
+
+
 def test_the_file_is_made_again_only_where_something_changed(lab: Path, labpipe) -> None:  # type: ignore[no-untyped-def]
     path = lab / "out/seal.spectra.parquet"
     before = path.stat().st_ino

@@ -70,11 +70,17 @@ def test_shell_commands_are_known(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_yaml_shown_has_the_keys_that_are_read(page: Path) -> None:
+def test_yaml_shown_has_the_keys_that_are_read(page: Path, tmp_path: Path) -> None:
+    """Keys of a pipeline; a block with channels is a whole rig file, which is read."""
     from labpipe.config.pipeline import section_names
+    from labpipe.config.rig import load_rig
 
     for block in blocks(page.read_text(encoding="utf-8"), "yaml"):
-        assert set(yaml.safe_load(block)) <= set(section_names()), block
+        if "channels" in yaml.safe_load(block):
+            (tmp_path / "rig.yaml").write_text(block, encoding="utf-8")
+            assert load_rig(tmp_path / "rig.yaml").all_channels
+        else:
+            assert set(yaml.safe_load(block)) <= set(section_names()), block
 
 
 def test_the_notebook_page_runs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -124,6 +124,25 @@ def test_faults_have_their_place(tmp_path: Path, entry: str, place: str, message
     assert str(fault).startswith(f"{tmp_path}/rig.yaml:{place}: channels.e.") and message in str(fault)
 
 
+def test_sums_may_be_listed_by_themselves(tmp_path: Path) -> None:
+    """`derived: {e: {sum: {f: 1, a: -30 kg +- 0.1 kg}}}` is the same as the text, and its faults have their place."""
+    text = HEAD + "derived:\n  e: {sum: {f: 1, a: -30 kg +- 0.1 kg}, quantity: force, role: input, dof: x}\n"
+    (tmp_path / "rig.yaml").write_text(text)
+    (listed,) = load_rig(tmp_path / "rig.yaml").derived
+    written = rig(tmp_path, "e: {quantity: force, derived: 1 * f - 30 kg +- 0.1 kg * a, dof: x}").derived[0]
+    assert [(term.channel, term.factor) for term in listed.terms] == [(term.channel, term.factor) for term in written.terms]
+    assert listed.terms[1].numbers[0].std_error == 0.1 and (listed.role, listed.dof) == ("input", "x")
+    for broken, message in (
+        (text.replace("sum: {f: 1,", "sum: {g: 1,"), r"rig.yaml:9:7: channels.e.derived: 'g' is neither"),
+        (text.replace("sum: {f: 1, a: -30 kg +- 0.1 kg}", "sum: f"), r"rig.yaml:9:7: derived.e.sum: a mapping of channels"),
+        (text.replace("\n  e: {sum", "\n  f: {sum"), r"rig.yaml:9:3: derived.f: is a channel already"),
+        (text.replace("role: input", "rolle: input"), r"channels.e.rolle: unknown key; did you mean 'role'"),
+    ):
+        (tmp_path / "rig.yaml").write_text(broken)
+        with pytest.raises(ConfigErrors, match=message):
+            load_rig(tmp_path / "rig.yaml")
+
+
 def test_a_ring_of_sums_and_a_constant_without_unit_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigErrors, match="holds itself: d of e of d"):
         rig(tmp_path, "d: {quantity: force, derived: 2 * e}", "e: {quantity: force, derived: f + d}")

@@ -11,8 +11,13 @@ import pytest
 
 from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.errors import ConfigError
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.simulate.floating_rig import FLOATING_RIG, floating_runs, truth
 from labpipe.simulate.floating_settings import Condition, FloatingNoise, FloatingRig, Pad, Relaxation
+from labpipe.simulate.virtual_rigs import simulated_response
+from labpipe.spectra.all_channels import channel_spectra
+from labpipe.spectra.settings import FrfSettings
+from labpipe.study.sources import source_of
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 SILENT = FloatingNoise(0.0, 0.0, 0.0, 0.0)
@@ -189,3 +194,15 @@ def test_impossible_conditions_are_refused() -> None:
     ):
         with pytest.raises(ConfigError, match=message):
             Condition(**settings)
+
+
+def test_a_study_may_repeat_spectra_of_all_channels() -> None:
+    """The same draws as the recordings of that seed, as the settings measure them."""
+    settings = FrfSettings("periodic", period="1 s", skip=0, band="10-100 Hz", result="spectra")
+    rig = replace(seal(), noise=FloatingNoise())
+    measured = simulated_response(rig, (3,), ["seal-plus", "seal-minus"], settings)
+    assert isinstance(measured, ChannelSpectra) and measured.runs == ("seal-plus", "seal-minus")
+    direct = channel_spectra(floating_runs(rig, 3, ["seal-plus", "seal-minus"]), settings)
+    np.testing.assert_array_equal(measured.vectors, direct.vectors)
+    source = source_of(rig, 1.0, None, ("seal-plus", "seal-minus"), settings)
+    assert source.n_line == 91 and source.truth["m_xx"] == 229.0
