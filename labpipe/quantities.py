@@ -125,6 +125,7 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity("receptance", "H", "m/N", "um/N"),
         Quantity("mobility", "Y", "m/(N.s)", "mm/(N.s)"),
         Quantity("accelerance", "A", "m/(N.s^2)", "m/(N.s^2)"),
+        Quantity("transmissibility", "T", "1", "1"),
     )
 }
 

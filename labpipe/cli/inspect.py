@@ -45,7 +45,7 @@ def _echo_response(response: FrequencyResponse, file: str) -> None:
     frequency = response.frequency
     lines = f"{frequency.size} lines, {frequency[0]:g} to {frequency[-1]:g} Hz"
     click.echo(f"{file}: {response.form} [{FORMS[response.form]}], {lines}")
-    for title, ports in (("responses", response.outputs), ("forces", response.inputs)):
+    for title, ports in (("responses", response.outputs), ("bases" if response.form == "transmissibility" else "forces", response.inputs)):
         click.echo(f"  {title:<9} " + ", ".join(_port(port) for port in ports))
     qualities = [name for name in ("covariance", "coherence") if getattr(response, name) is not None]
     click.echo(f"  with {' and '.join(qualities)}" if qualities else "  without covariance or coherence")

@@ -114,12 +114,13 @@ def _change_of(effect: str, number: int, sign: float) -> Change:
 
     def change(case: Case, error: float) -> tuple[Setup, Measured]:
         factor = np.exp(sign * course(case.measured.omega, error))
-        matrix = case.measured.matrix.copy()
+        matrix = case.measured.plus_offset(case.measured.matrix).copy()
         if sign > 0:
             matrix[:, number, :] *= factor[:, None]
         else:
             matrix[:, :, number] *= factor[:, None]
-        return case.setup, replace(case.measured, matrix=matrix)
+        offset = case.measured.offset
+        return case.setup, replace(case.measured, matrix=matrix if offset is None else matrix - offset[:, None, None])
 
     return change
 

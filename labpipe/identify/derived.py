@@ -7,11 +7,12 @@ from collections.abc import Callable
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.identify.base_motion import PER_MASS
 from labpipe.identify.corrections import Estimated, is_corrected
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.modes import Quantities, modal_quantities
 from labpipe.identify.proportional import ProportionalModel
-from labpipe.identify.settings import COEFFICIENT_UNITS
+from labpipe.identify.settings import BASE, COEFFICIENT_UNITS
 from labpipe.identify.setup import Setup
 from labpipe.identify.statistics import derived
 from labpipe.identify.transfer_mode import TransferMode, transfer_of
@@ -25,12 +26,12 @@ STEP, SMALLEST_STEP = 1e-3, 1e-7
 
 
 def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: int) -> list[Parameter]:
-    """f_n and zeta (sdof), modes (mdof), forcing angle (rotor-2dof, one force), damping coefficients of proportional damping,
+    """f_n and zeta (sdof, base), modes (mdof), forcing angle (rotor-2dof, one force), damping coefficients of proportional damping,
     totals where support or share changed the coefficients, and fixed coefficients.
     """
     settings = setup.settings
     parameters: list[Parameter] = []
-    if settings.model == "sdof":
+    if settings.model in ("sdof", BASE):
         parameters.extend(_resonance(total, setup, dof))
     if isinstance(model, ProportionalModel):
         parameters.extend(_propagated_all(total, lambda values: _damping_coefficients(model, values), dof))
@@ -83,10 +84,11 @@ def _resonance(total: Estimated, setup: Setup, dof: int) -> list[Parameter]:
     k and m of a transfer FRF, or of a sensor of the wrong sign, are negative together: the resonance is the same. None of it where k and
     m have different signs or are eliminated.
     """
-    if "k" not in total.names:
+    stiffness, damping = (next((n for n in (name, PER_MASS[name][0]) if n in total.names), "") for name in "kc")
+    if not stiffness:
         return []
-    k = total.value("k")
-    m = total.value("m") if "m" in total.names else float(setup.settings.mass)  # type: ignore[arg-type]
+    k = total.value(stiffness)
+    m = total.value("m") if "m" in total.names else 1.0 if stiffness != "k" else float(setup.settings.mass)  # type: ignore[arg-type]
     resonance = []
     if "m" in total.names and m != 0 and transfer_of(setup):
         resonance.append(derived("modal_constant", "1/kg", 1 / m, propagated(total, {"m": -1 / m**2}), dof))
@@ -94,11 +96,11 @@ def _resonance(total: Estimated, setup: Setup, dof: int) -> list[Parameter]:
         return resonance
     w_n = np.sqrt(k / m)
     f_n = w_n / (2 * np.pi)
-    slopes = {"k": f_n / (2 * k), "m": -f_n / (2 * m)}
+    slopes = {stiffness: f_n / (2 * k), "m": -f_n / (2 * m)}
     resonance.insert(0, derived("f_n", "Hz", float(f_n), propagated(total, slopes), dof))
-    if "c" in total.names:
-        zeta = total.value("c") / (2 * m * w_n)
-        slopes = {"c": 1 / (2 * m * w_n), "k": -zeta / (2 * k), "m": -zeta / (2 * m)}
+    if damping:
+        zeta = total.value(damping) / (2 * m * w_n)
+        slopes = {damping: 1 / (2 * m * w_n), stiffness: -zeta / (2 * k), "m": -zeta / (2 * m)}
         resonance.insert(1, derived("zeta", "1", float(zeta), propagated(total, slopes), dof))
     return resonance
 

@@ -57,7 +57,7 @@ def drift_findings(measured: Measured, model: FittedModel, values: FloatArray, n
     try:
         whiten = whitener(measured)
         jacobian = whitened(whiten, model.jacobian(values, measured.omega))
-        fitted = model.receptance(values, measured.omega)
+        fitted = measured.plus_offset(model.receptance(values, measured.omega))
     except FitError:
         return []
     change = whitened(whiten, measured.change)

@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
+from labpipe.identify.base_motion import form_view
 from labpipe.identify.bootstrap import bootstrapped
 from labpipe.identify.budget import Case, budget_of
 from labpipe.identify.comparison import candidates, comparison_findings, comparison_notes
@@ -34,7 +35,7 @@ from labpipe.identify.model_kinds import DECAYS, RESPONSES, SPECTRA
 from labpipe.identify.motions import motion_notes
 from labpipe.identify.physical import mode_findings
 from labpipe.identify.reported import reported_parameters, widened_parameters, with_systematic, without_intervals
-from labpipe.identify.settings import ESTIMATE, ESTIMATORS, MODELS, FitSettings, check_kind
+from labpipe.identify.settings import BASE, ESTIMATE, ESTIMATORS, MODELS, FitSettings, check_kind
 from labpipe.identify.setup import Setup
 from labpipe.identify.short_blocks import leakage_findings
 from labpipe.identify.statistics import Estimate, condition_number, correlation, student_limit
@@ -45,7 +46,7 @@ from labpipe.records.free_decay import FreeDecays
 from labpipe.records.identification import Fit, FittedCurve, Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.bands import EDGE, lines_in
-from labpipe.spectra.convert import receptance_factor
+from labpipe.spectra.convert import FormView
 
 Band = tuple[float, float]
 
@@ -58,6 +59,8 @@ def identify(measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings
     Raises ConfigError where settings and measurement do not fit together, FitError where the data cannot support the fit.
     """
     check_kind(settings, _kind_of(measured))
+    if isinstance(measured, FrequencyResponse):
+        form_view(measured.form, settings)
     if settings.kind.fit is fit_linear:
         return fit_linear(measured, settings, judging=judging)  # type: ignore[arg-type]
     return settings.kind.fit(measured, settings)
@@ -77,19 +80,19 @@ def fit_linear(response: FrequencyResponse, settings: FitSettings, *, judging: b
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
     setup = Setup(outputs, inputs, settings)
-    model = _model(setup)
+    view, model = form_view(response.form, settings), _model(setup)
     fits, bands = [], _bands(response, settings)
     for band, lines in bands:
-        measured = measured_part(response, rows, columns, lines)
+        measured = measured_part(response, rows, columns, lines, view)
         try:
             fit = _fit_band(setup, model, measured, band, len(bands), judging)
         except FitError as error:
             raise FitError(f"band {band[0]:g}-{band[1]:g} Hz: {error.what}", where=error.where, hint=error.hint) from None
         drift = drift_findings(measured, fit.model, fit.values, len(bands))
         quality = (*quality_findings(response, rows, columns, lines), *covariance_findings(response), *drift)
-        curve = _curve(response, measured, fit)
+        curve = _curve(view, measured, fit)
         # The bands of a sliding fit are drawn as coefficients over frequency, not as curves.
-        curve = _between_lines(response, curve, fit) if len(bands) == 1 else curve
+        curve = _between_lines(view, curve, fit) if len(bands) == 1 else curve
         fits.append(replace(fit.fit, findings=(*fit.fit.findings, *quality), curve=curve))
     return tuple(fits)
 
@@ -244,8 +247,13 @@ def _with_honest_intervals(
 
 
 def _mass_findings(measured: Measured, model: BandModel, estimate: Estimate, setup: Setup) -> list[Finding]:
-    """The given mass against a free one, for models linear in their parameters and responses of reliable phase."""
-    if not isinstance(model, DynamicModel) or setup.settings.estimator == "amplitude" or not estimate.converged:
+    """The given mass against a free one, for models linear in their parameters and responses of reliable phase to a force."""
+    if (
+        not isinstance(model, DynamicModel)
+        or setup.settings.model == BASE
+        or setup.settings.estimator == "amplitude"
+        or not estimate.converged
+    ):
         return []
     return mass_findings(measured, model, estimate.values, setup)
 
@@ -277,31 +285,31 @@ def _eliminated(
     return model, estimate, notes
 
 
-def _curve(response: FrequencyResponse, measured: Measured, fit: _BandFit) -> FittedCurve:
+def _curve(view: FormView, measured: Measured, fit: _BandFit) -> FittedCurve:
     """Measured and fitted FRF in the measured form."""
     frequency = measured.omega / (2 * np.pi)
-    factor = receptance_factor(response.form, frequency)[:, None, None]
+    factor = view.factor(frequency)[:, None, None]
     variance = None
     if measured.covariance is not None:
         diagonal = np.einsum("lii->li", measured.covariance).real.reshape(measured.matrix.shape)
         variance = diagonal * np.abs(factor) ** 2
     return FittedCurve(
         frequency,
-        measured.matrix * factor,
-        fit.fitted * factor,
+        measured.matrix * factor + view.offset,
+        fit.fitted * factor + view.offset,
         variance=variance,
         outputs=tuple(port.label for port in measured.outputs),
         inputs=tuple(port.label for port in measured.inputs),
-        form=response.form,
+        form=view.form,
     )
 
 
-def _between_lines(response: FrequencyResponse, curve: FittedCurve, fit: _BandFit) -> FittedCurve:
+def _between_lines(view: FormView, curve: FittedCurve, fit: _BandFit) -> FittedCurve:
     """The curve with the model between its lines too, so close that no resonance is cut off."""
 
     def model(frequency: FloatArray) -> ComplexArray:
-        factor = receptance_factor(response.form, frequency)[:, None, None]
-        return fit.model.receptance(fit.values, 2 * np.pi * frequency) * factor
+        factor = view.factor(frequency)[:, None, None]
+        return fit.model.receptance(fit.values, 2 * np.pi * frequency) * factor + view.offset
 
     frequency, values = drawn_densely(model, curve.frequency)
     return replace(curve, dense_frequency=frequency, dense=values)

@@ -12,7 +12,7 @@ from labpipe.identify.leakage import Leakage
 from labpipe.identify.shared_noise import SharedNoise
 from labpipe.records.response import Blocks, FrequencyResponse, Port
 from labpipe.registry import nearest
-from labpipe.spectra.convert import DERIVATIVES, receptance_factor
+from labpipe.spectra.convert import DERIVATIVES, TRANSMISSIBILITY, FormView
 from labpipe.spectra.leakage import kernel_of
 
 
@@ -27,7 +27,8 @@ class Measured:
     of their noise (a window spreads it over neighbours): factor on the variance of a sum over lines, and on that of their powers. Where
     c is complex, lines do not add up and shared_noise is the upper bound shared_power; where noise cancels between lines it is 1 at least,
     since no estimate is a plain sum. *line_noise*: the same correlation line by line, None for independent lines; *noise*: that of lines
-    that each have gains of their own. *blocks* of random data and their *leakage* where it is known (H1), or None.
+    that each have gains of their own. *offset* (n_line,) [m/N]: what was taken off the measured form, a gain's error acts on both; None for
+    0. *blocks* of random data and their *leakage* where it is known (H1), or None.
     """
 
     omega: FloatArray
@@ -43,7 +44,12 @@ class Measured:
     noise: SharedNoise | None = None
     line_noise: SharedNoise | None = None
     leakage: Leakage | None = None
+    offset: FloatArray | None = None
     blocks: Blocks | None = None
+
+    def plus_offset(self, receptance: ComplexArray) -> ComplexArray:
+        """What a sensor shows of a *receptance* (n_line, n_output, n_input) [m/N] of the model."""
+        return receptance if self.offset is None else receptance + self.offset[:, None, None]
 
     @property
     def n_equation(self) -> int:
@@ -70,18 +76,21 @@ def chosen_ports(ports: tuple[Port, ...], names: tuple[str, ...], what: str) -> 
     return chosen
 
 
-def measured_part(response: FrequencyResponse, rows: list[int], columns: list[int], lines: BoolArray) -> Measured:
-    """The chosen part as receptance; *lines*: mask (n_frequency,) [-] of the lines.
+def measured_part(
+    response: FrequencyResponse, rows: list[int], columns: list[int], lines: BoolArray, view: FormView | None = None
+) -> Measured:
+    """The chosen part as receptance; *lines*: mask (n_frequency,) [-] of the lines; *view* of the response's form, its own by default.
 
     FitError when it is empty, constant zero, or at 0 Hz for a mobility or accelerance.
     """
     frequency = response.frequency[lines]
     if not frequency.size:
         raise FitError("no frequency line lies in the band", hint=f"lines from {response.frequency[0]:g} to {response.frequency[-1]:g} Hz")
-    factor = receptance_factor(response.form, frequency)
+    view = view or FormView(response.form)
+    factor = view.factor(frequency)
     if np.any(factor == 0):
         raise FitError(f"the line at 0 Hz of a {response.form} has no receptance", hint="begin the band above 0 Hz")
-    matrix = response.matrix[lines][:, rows][:, :, columns] / factor[:, None, None]
+    matrix = (response.matrix[lines][:, rows][:, :, columns] - view.offset) / factor[:, None, None]
     _check_moving(matrix, [response.outputs[row].label for row in rows])
     covariance = None
     if response.covariance is not None:
@@ -110,6 +119,7 @@ def measured_part(response: FrequencyResponse, rows: list[int], columns: list[in
         leakage=_leakage(response, frequency),
         noise=None if gains is None else line_noise,
         line_noise=line_noise,
+        offset=view.offset / np.real(factor) if view.offset else None,
         change=None if response.change is None else response.change[lines][:, rows][:, :, columns] / factor[:, None, None],
     )
 
@@ -119,7 +129,17 @@ def _leakage(response: FrequencyResponse, frequency: FloatArray) -> Leakage | No
     if blocks is None or blocks.estimator != "H1" or blocks.degree:
         return None
     numbers = np.round(frequency * blocks.length).astype(np.intp)
-    return Leakage(kernel_of(blocks), numbers, np.array(response.line_correlation, float), DERIVATIVES[response.form])
+    return Leakage(
+        kernel_of(blocks),
+        numbers,
+        np.array(response.line_correlation, float),
+        _derivatives(response.form) + blocks.derivatives,
+    )
+
+
+def _derivatives(form: str) -> int:
+    """Time derivatives of a form beyond the receptance of its model: T = 1 + w^2 H of a transmissibility."""
+    return 2 if form == TRANSMISSIBILITY else DERIVATIVES[form]
 
 
 def _line_numbers(frequency: FloatArray, lines: BoolArray) -> IntArray:

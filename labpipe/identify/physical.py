@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from labpipe.identify.settings import ESTIMATE
+from labpipe.identify.settings import BASE, ESTIMATE
 from labpipe.identify.setup import Setup
 from labpipe.identify.transfer_mode import transfer_of
 from labpipe.records.finding import Finding
@@ -12,12 +12,12 @@ from labpipe.records.identification import Parameter
 
 
 def mode_findings(parameters: Sequence[Parameter], band: tuple[float, float], setup: Setup) -> list[Finding]:
-    """Warnings on the one mode of sdof in its *band* [Hz]: negative mass at a driving point, negative damping, resonance beside the band.
+    """Warnings on the one mode of sdof or base in its *band* [Hz]: negative mass at a driving point, negative damping, resonance beside it.
 
     They do not wait for significance, which is for coefficients that may be zero: a mode has a mass and damping. Without an estimated
     mass the band may well lie beside the resonance, and coefficients stand for themselves.
     """
-    if setup.settings.model != "sdof" or setup.settings.mass != ESTIMATE:
+    if setup.settings.model not in ("sdof", BASE) or setup.settings.mass != ESTIMATE:
         return []
     by_name = {parameter.name: parameter for parameter in parameters}
     said = [*_negative(by_name, driving=not transfer_of(setup)), *_beside(by_name, band)]

@@ -20,6 +20,7 @@ MODELS = Registry(
         "rotor-2dof": "labpipe.identify.models:rotor_2dof",
         "rotor-2dof-direct": "labpipe.identify.models:rotor_2dof_direct",
         "mdof": "labpipe.identify.mdof:mdof",
+        "base": "labpipe.identify.base_motion:base_excited",
         "modal": "labpipe.modal.model_kind:MODAL",
         "decay": "labpipe.decay.model_kind:DECAY",
         "dynamic-stiffness": "labpipe.dynamic_stiffness.model_kind:DYNAMIC_STIFFNESS",
@@ -36,6 +37,8 @@ ESTIMATORS = Registry(
         "amplitude": "labpipe.identify.amplitude:amplitude_fit",
     },
 )
+# The model whose input is the motion of a base.
+BASE = "base"
 WEIGHTS = ("none", "noise")
 DAMPINGS = ("viscous", "proportional")
 
@@ -80,6 +83,7 @@ class FitSettings(Settings):
     symmetric: bool = setting("flag", "mdof: K, C and M are symmetric", default=False)
     lumped_mass: bool = setting("flag", "mdof with mass: estimate: the mass matrix is diagonal", default=False)
     scale_mass: bool = setting("flag", "mdof: the given mass is known but for a factor, which is estimated", default=False)
+    relative: bool = setting("flag", "base: the response is measured relative to the base", default=False)
     damping: str = setting("choice", "viscous, or proportional: C = alpha M + beta K", choices=DAMPINGS, default="viscous")
     fixed: tuple[tuple[str, float], ...] = setting("coefficients", "coefficients that are given, by name", default=())
     tied: tuple[tuple[str, ...], ...] = setting("groups", "lists of coefficients that have one value", default=())
@@ -101,8 +105,7 @@ class FitSettings(Settings):
             raise ConfigError("'eliminate' cannot be combined with proportional damping", hint="leave one of them out")
         if self.estimator == "amplitude" and self.model != "sdof":
             raise ConfigError("the amplitude fit is for sdof only", hint="estimator: ml")
-        if self.model != "mdof" and (self.symmetric or self.lumped_mass or self.scale_mass):
-            raise ConfigError("'symmetric', 'lumped_mass' and 'scale_mass' are for mdof only", hint="leave them out")
+        self._check_flags()
         kind = self.kind
         if kind.settings is None and self.model_settings is not None:
             raise ConfigError(f"model {self.model} has no settings of its own", hint="leave model_settings out")
@@ -112,6 +115,13 @@ class FitSettings(Settings):
             raise ConfigError(f"model {self.model} needs the section '{kind.section}'", hint=kind.example)
         if self.scale_mass and self.mass == ESTIMATE:
             raise ConfigError("'scale_mass' needs the mass to be scaled", hint="for example mass: [1 kg, 2 kg]")
+
+    def _check_flags(self) -> None:
+        """ConfigError for flags of another model."""
+        if self.model != "mdof" and (self.symmetric or self.lumped_mass or self.scale_mass):
+            raise ConfigError("'symmetric', 'lumped_mass' and 'scale_mass' are for mdof only", hint="leave them out")
+        if self.relative and self.model != BASE:
+            raise ConfigError(f"'relative' is for {BASE} only, the response to a force is absolute", hint="leave it out", field="relative")
 
     @property
     def kind(self) -> ModelKind:

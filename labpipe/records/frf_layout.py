@@ -12,7 +12,9 @@ from labpipe.records.windowed import WindowedSettings
 
 # Windows of analysers by name.
 WINDOWS = ("boxcar", "hann", "hamming", "blackman", "flattop")
-MECHANICAL = tuple(form for form in FORMS if form != "other")
+# Forms that their units tell, and one that must be named.
+MECHANICAL = ("receptance", "mobility", "accelerance")
+NAMED = "transmissibility"
 AXES = ("frequency", "output", "input")
 # Columns that together are a complex number.
 PARTS = (
@@ -84,7 +86,9 @@ class FrfLayout(Settings):
         "sections", "several elements in one file: {x/f: {re: 2, im: 3}, y/f: {re: 4, im: 5}}", section=ElementColumns, default=()
     )
     axes: tuple[str, ...] = setting("names", "order of the dimensions of 'matrix'; default: found by their lengths", default=())
-    form: str = setting("choice", "what is divided by the force; default: as the unit says", choices=MECHANICAL, default="")
+    form: str = setting(
+        "choice", "what is divided by the force, or transmissibility; default: as the unit says", choices=(*MECHANICAL, NAMED), default=""
+    )
     unit: str = setting("text", "unit of the numbers, for example g/N; default: SI", default="")
     output: tuple[str, ...] = setting("names", "dof of the response; of a matrix: of every row", default=())
     input: tuple[str, ...] = setting("names", "dof of the force; of a matrix: of every column", default=())

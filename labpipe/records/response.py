@@ -15,7 +15,7 @@ from labpipe.records.finding import Finding
 from labpipe.records.text import response_line
 from labpipe.records.views import VIEWS
 
-FORMS = {"receptance": "m/N", "mobility": "m/(N.s)", "accelerance": "m/(N.s^2)", "other": "1"}
+FORMS = {"receptance": "m/N", "mobility": "m/(N.s)", "accelerance": "m/(N.s^2)", "transmissibility": "1", "other": "1"}
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,8 @@ class Port:
 class Blocks:
     """Blocks of random data averaged to an FRF: length [s], window, overlap of neighbours [1], number, estimator (H1, H2, Hv).
 
-    degree: of the local polynomials that take the place of the window; 0 for Welch's averages.
+    degree: of the local polynomials that take the place of the window; 0 for Welch's averages. derivatives: in time of what was averaged,
+    beyond those of the response's form; -2 for a transmissibility from an accelerometer on the base and a probe on the mass.
     """
 
     length: float
@@ -54,6 +55,7 @@ class Blocks:
     number: int
     estimator: str
     degree: int = 0
+    derivatives: int = 0
 
 
 @dataclass(frozen=True, repr=False)

@@ -18,7 +18,8 @@ def measurement_sections(identification: Identification) -> tuple[Section, ...]:
 def _measurement(identification: Identification) -> tuple[Block, ...]:
     blocks: list[Block] = []
     for response in identification.responses:
-        size = f"{len(response.outputs)} x {len(response.inputs)} (responses x forces), {response.n_frequency} lines"
+        sides = "responses x bases" if response.form == "transmissibility" else "responses x forces"
+        size = f"{len(response.outputs)} x {len(response.inputs)} ({sides}), {response.n_frequency} lines"
         averages = f"{response.averages:.4g} effective averages"
         blocks.append(Paragraph(f"{response.name or 'Measurement'}: {response.form}, {size}, {averages}."))
         blocks.append(figures.response_figure(response))

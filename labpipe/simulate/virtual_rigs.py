@@ -31,6 +31,7 @@ VIRTUAL_RIGS = Registry(
         "virtual-decay-rig": "labpipe.simulate.decay_rig:DECAY_RIG",
         "virtual-floating-rig": "labpipe.simulate.floating_rig:FLOATING_RIG",
         "virtual-sweep-rig": "labpipe.simulate.sweep_rig:SWEEP_RIG",
+        "virtual-base-rig": "labpipe.simulate.base_rig:BASE_RIG",
     },
 )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.matrices import hermitian, without_rounding
 
 DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
+# Motion over motion of a base.
+TRANSMISSIBILITY = "transmissibility"
 
 
 def receptance_factor(form: str, frequency: FloatArray) -> ComplexArray:
@@ -20,9 +23,24 @@ def receptance_factor(form: str, frequency: FloatArray) -> ComplexArray:
     ConfigError for a form other than receptance, mobility and accelerance.
     """
     if form not in DERIVATIVES:
-        raise ConfigError(f"a response of the form '{form}' cannot be identified", hint="displacement, velocity or acceleration per force")
+        hint = "model: base" if form == TRANSMISSIBILITY else "displacement, velocity or acceleration per force"
+        raise ConfigError(f"a response of the form '{form}' cannot be identified so", hint=hint)
     factor: ComplexArray = (2j * np.pi * frequency) ** DERIVATIVES[form]
     return factor
+
+
+@dataclass(frozen=True)
+class FormView:
+    """How a measured *form* is seen as the receptance of a model: H = (measured - *offset*) / factor, offset [1] of a transmissibility."""
+
+    form: str
+    offset: float = 0.0
+
+    def factor(self, frequency: FloatArray) -> ComplexArray:
+        """(j w)^n of a response to a force, w^2 of a transmissibility, (n_line,) [1/s^n], at *frequency* (n_line,) [Hz]."""
+        if self.form == TRANSMISSIBILITY:
+            return np.asarray((2 * np.pi * frequency) ** 2, np.complex128)
+        return receptance_factor(self.form, frequency)
 
 
 def converted(response: FrequencyResponse, form: str) -> FrequencyResponse:

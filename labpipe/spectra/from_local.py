@@ -56,7 +56,7 @@ def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         findings=coherence_findings(coherence, power, layout),
         coherence=coherence[:, :, None] if n_input == 1 else None,
         multiple_coherence=coherence,
-        blocks=Blocks(settings.block, "none", 0.0, blocks.shape[0], "H1", settings.degree),
+        blocks=Blocks(settings.block, "none", 0.0, blocks.shape[0], "H1", settings.degree, layout.derivatives),
         line_correlation=tuple(complex(value) for value in fitted.correlation),
     )
 

@@ -34,7 +34,7 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     spectra = [whole for whole, _ in halved]
     assert settings.block is not None
     n_block = sum(spectrum.n_block for spectrum in spectra)
-    blocks = Blocks(settings.block, settings.window, settings.overlap, n_block, settings.estimator)
+    blocks = Blocks(settings.block, settings.window, settings.overlap, n_block, settings.estimator, derivatives=layout.derivatives)
     parts = parts_of_spectra(spectra, settings, layout)
     change = change_of_random(halved, settings.estimator, layout, lines_left(halved[0][0].frequency, settings))
     return replace(parts, blocks=blocks, change=change)

@@ -13,6 +13,7 @@ from labpipe.errors import ConfigError
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.aliasing import AliasingMonitor, aliasing_findings
+from labpipe.spectra.convert import TRANSMISSIBILITY
 from labpipe.spectra.directional import directional
 from labpipe.spectra.from_impact import impact_parts
 from labpipe.spectra.from_periodic import LOW_SNR, periodic_parts
@@ -58,7 +59,8 @@ def measure(
         response = robust_mean(responses, settings.smooth)
     else:
         response = _of_sensor_places(sources, settings, name, conditions)
-    response = dataclasses.replace(response, findings=(*response.findings, *reciprocity_findings(response)))
+    if response.form != TRANSMISSIBILITY:
+        response = dataclasses.replace(response, findings=(*response.findings, *reciprocity_findings(response)))
     return directional(response) if settings.directional else response
 
 

@@ -14,8 +14,11 @@ from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import Port
 from labpipe.spectra.bands import EDGE
+from labpipe.spectra.convert import TRANSMISSIBILITY
 from labpipe.spectra.sums import check_in_time
 
+# Time derivatives of a motion.
+ORDER_OF = {"displacement": 0, "velocity": 1, "acceleration": 2}
 FORM_OF = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
 
 
@@ -37,11 +40,21 @@ class Layout:
     def sensor_factor(self, frequency: FloatArray) -> ComplexArray:
         """S_input / S_output, the factor that corrects H for the sensors, (n_line, n_output, n_input) [1], at *frequency* (n_line,) [Hz].
 
-        Raises as sensor_response does.
+        Of a transmissibility also (j w)^-n, n derivatives of the response more than of the base: displacement of the one over acceleration
+        of the other is motion over motion. Raises as sensor_response does.
         """
         responses = [[sensor_response(sensor, frequency) for sensor in sensors] for sensors in (self.output_sensors, self.input_sensors)]
         outputs, inputs = (np.array(rows, np.complex128).T for rows in responses)
-        return np.asarray(inputs[:, None, :] / outputs[:, :, None])
+        factor = inputs[:, None, :] / outputs[:, :, None]
+        motion = (2j * np.pi * frequency[:, None, None]) ** -self.derivatives if self.derivatives else 1.0
+        return np.asarray(factor * motion)
+
+    @property
+    def derivatives(self) -> int:
+        """Time derivatives of the measured responses beyond those of the measured motion of a base; 0 for forces."""
+        if self.form != TRANSMISSIBILITY:
+            return 0
+        return ORDER_OF[self.output_sensors[0].quantity] - ORDER_OF[self.input_sensors[0].quantity]
 
     def padded(self, recording: int, values: ComplexArray, axes: int) -> ComplexArray:
         """*values* (..., n_channel) [any unit], its last *axes* axes in the order inputs, outputs; zero for an absent force."""
@@ -149,6 +162,8 @@ def _form(forces: list[list[tuple[int, Channel]]], responses: list[list[tuple[in
     if len(effects) > 1:
         hint = "keep one per FRF matrix (role: reference for the others, or a sum of channels: derived), or use frf: {result: spectra}"
         raise DataError(f"the responses are of several quantities ({', '.join(sorted(effects))})", hint=hint)
+    if len(causes) == 1 and causes | effects <= ORDER_OF.keys():
+        return TRANSMISSIBILITY
     return FORM_OF.get(effects.pop(), "other") if causes == {"force"} else "other"
 
 

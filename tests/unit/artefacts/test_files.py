@@ -116,7 +116,7 @@ def correlated(draw: st.DrawFn) -> FrequencyResponse:
     correlation, n_gain = draw(st.sampled_from([((), 0), ((0.4, 0.1), 0), ((0.5 - 0.4j, 0.2j), 3)]))
     gains = np.stack([plain.matrix / (place + 1) for place in range(n_gain)], axis=1) if n_gain else None
     whole = upper + upper.conj().swapaxes(1, 2) + diagonal
-    blocks = draw(st.sampled_from([None, Blocks(0.5, "hann", 0.5, 40, "H1")]))
+    blocks = draw(st.sampled_from([None, Blocks(0.5, "hann", 0.5, 40, "H1", 2, -2)]))
     return replace(plain, covariance=whole, line_correlation=correlation, line_gains=gains, blocks=blocks)
 
 

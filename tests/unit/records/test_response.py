@@ -51,7 +51,7 @@ def test_forms_follow_from_one_another_by_seconds() -> None:
 def test_another_form_is_refused_with_the_known_ones() -> None:
     with pytest.raises(DataError) as caught:
         response(form="inertance")
-    assert str(caught.value) == "unknown form 'inertance'; known: receptance, mobility, accelerance, other"
+    assert str(caught.value) == "unknown form 'inertance'; known: receptance, mobility, accelerance, transmissibility, other"
 
 
 @pytest.mark.parametrize("frequency", [[1.0, 1.0, 2.0], [3.0, 2.0, 1.0], [1.0, 3.0, 2.0]])

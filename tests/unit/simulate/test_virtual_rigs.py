@@ -41,6 +41,12 @@ STUDIED: dict[str, tuple[str, tuple[str, ...], FrfSettings | None, FitSettings]]
         FrfSettings("random", block="4 s"),
         FitSettings("rotor-2dof", mass="30 kg", band="10-30 Hz"),
     ),
+    "virtual-base-rig": (
+        "virtual-base.yaml",
+        ("absolute",),
+        FrfSettings("random", block="4 s", band="12-95 Hz"),
+        FitSettings("base", mass="2 kg"),
+    ),
     "virtual-sweep-rig": ("virtual-sweep.yaml", ("linear",), FrfSettings("sweep", band="30-60 Hz"), FitSettings("sdof", mass="2 kg")),
     "virtual-white-noise-rig": (
         "virtual-white-noise.yaml",
