@@ -4,19 +4,28 @@ from __future__ import annotations
 
 import difflib
 import functools
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from labpipe.errors import ConfigError
 
+# Names that a message lists.
+MOST_LISTED = 20
+
 
 def nearest(name: str, choices: Iterable[str]) -> str:
-    """The hint for an unknown name: the nearest known name, or all of them."""
+    """The hint for an unknown name: the nearest known name, or those that there are, up to a number."""
     names = [str(choice) for choice in choices]
     near = difflib.get_close_matches(name, names, 1, 0.6) or [k for k in names if k.lower() == name.lower()]
-    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(names) or 'none'}"
+    return f"did you mean '{near[0]}'?" if near else f"known: {listed(names)}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names in a message: the first MOST_LISTED, and how many more there are."""
+    more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
+    return (", ".join(names[:MOST_LISTED]) or "none") + more
 
 
 @functools.cache

@@ -13,7 +13,7 @@ class MatrixTheorySettings(Settings):
     """A theory beside the measured points: a bearing file, or a table of another program."""
 
     bearing: str = setting("file", "bearing file, relative to this file", file_kind="bearing", default="")
-    entries: tuple[str, ...] = setting("names", "entries of the bearing file that the conditions set, in the order of `over`", default=())
+    entries: tuple[str, ...] = setting("names", "entries of the bearing file that `over` sets, `none` where there is none", default=())
     axes: tuple[str, ...] = setting("names", "dofs of the bearing that are x and y of the rig, e.g. [-z, y]", default=())
     table: str = setting(
         "file", "CSV table with a column for every condition and coefficient, e.g. 'speed [rpm]', 'k_xx [N/m]'", default=""

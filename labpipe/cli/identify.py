@@ -51,7 +51,7 @@ def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[Measure
         for ready in test.frfs:
             tests.append(load_ready_measured(ready, test.name, test.conditions))
             references.extend(ready_refs(ready))
-        measured_path = folder.read_path(measured_file_name(test.name, pipeline.frf))
+        measured_path = folder.read_path(measured_file_name(test.name, test.frf or pipeline.frf))
         if test.recordings and not measured_path.exists():
             raise DataError("no such file", where=str(measured_path), hint="run `labpipe frf` first, or `labpipe run` for all stages")
         if test.recordings:

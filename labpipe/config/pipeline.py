@@ -155,17 +155,21 @@ def _check_kinds(
     entries: dict[str, Marked], fits: tuple[FitSettings, ...], tests: tuple[Test, ...], frf: FrfSettings | None, faults: Faults
 ) -> None:
     """Faults of fits whose model is not of what the recordings give: free decays, spectra or responses."""
-    if frf is None or not any(test.recordings for test in tests):
+    if frf is None:
         return
-    recorded = [test.name for test in tests if test.recordings]
+    kinds = {test.name: _kind_of(test.frf or frf) for test in tests if test.recordings}
     for fit in fits:
-        if fit.test and not set(fit.test) & set(recorded):
-            continue
-        try:
-            check_kind(fit, DECAYS if frf.excitation == "decay" else SPECTRA if frf.result == "spectra" else RESPONSES)
-        except ConfigError as error:
-            node = entries["identify"].content[fit.name].content["model"]
-            faults.add(node, join(join("identify", fit.name), "model"), error.what, error.hint)
+        for kind in dict.fromkeys(kinds[name] for name in fit.test or kinds if name in kinds):
+            try:
+                check_kind(fit, kind)
+            except ConfigError as error:
+                node = entries["identify"].content[fit.name].content["model"]
+                faults.add(node, join(join("identify", fit.name), "model"), error.what, error.hint)
+
+
+def _kind_of(frf: FrfSettings) -> str:
+    """What recordings give by these settings."""
+    return DECAYS if frf.excitation == "decay" else SPECTRA if frf.result == "spectra" else RESPONSES
 
 
 def _standalone() -> Iterator[str]:

@@ -14,17 +14,19 @@ from labpipe.config.recordings import RecordingReader, SourceFile
 from labpipe.marked_yaml import Marked
 from labpipe.records.recorded_condition import RecordedCondition
 from labpipe.records.rig import Rig
+from labpipe.spectra.settings import FrfSettings
 
 SINGLE = ("recordings", "frfs", "conditions")
-LISTED = ("name", *SINGLE)
-EACH = ("each", "pattern", "together", "conditions")
+LISTED = ("name", *SINGLE, "frf")
+EACH = ("each", "pattern", "together", "conditions", "frf")
 
 
 @dataclass(frozen=True)
 class Test:
     """One test: recordings that together give one FRF matrix, or ready FRFs; *conditions* as text of the file.
 
-    recorded: further conditions, which the recordings themselves show.
+    recorded: further conditions, which the recordings themselves show. frf: how this test's spectra are made, where it differs from the
+    pipeline's.
     """
 
     name: str
@@ -32,6 +34,7 @@ class Test:
     frfs: tuple[ReadyFrf, ...] = ()
     conditions: dict[str, str] = field(default_factory=dict)
     recorded: dict[str, RecordedCondition] = field(default_factory=dict)
+    frf: FrfSettings | None = None
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,7 @@ class TestReader:
         Files whose names differ only in the parts named by `together` are recordings of one test.
         """
         common, recorded = self._conditions(entries, key)
+        frf = self._frf(entries, key)
         together = self._together(entries, key)
         tests: dict[tuple[tuple[str, str], ...], Test] = {}
         for source in self._recordings(entries["each"], join(key, "each")):
@@ -88,7 +92,7 @@ class TestReader:
             conditions = {part: text for part, text in (parts or {}).items() if part not in together}
             place = tuple(conditions.items()) if together else (("file", str(source.path)),)
             first = tests.get(place, Test("-".join(conditions.values()) if together else name))
-            tests[place] = Test(first.name, (*first.recordings, source), (), {**common, **conditions}, recorded)
+            tests[place] = Test(first.name, (*first.recordings, source), (), {**common, **conditions}, recorded, frf)
         yield from tests.values()
 
     def _together(self, entries: dict[str, Marked], key: str) -> list[str]:
@@ -112,7 +116,16 @@ class TestReader:
         if frfs and recorded:
             what = "a ready FRF has no channels to take conditions from"
             self.faults.add(entries["conditions"], join(key, "conditions"), what, "write the amount, e.g. load: 1 kN")
-        return Test(name, tuple(recordings), tuple(frfs), conditions, recorded)
+        return Test(name, tuple(recordings), tuple(frfs), conditions, recorded, self._frf(entries, key))
+
+    def _frf(self, entries: dict[str, Marked], key: str) -> FrfSettings | None:
+        """The pipeline's frf: with the entries that the test itself gives; an entry without a value takes that of the pipeline away."""
+        if "frf" not in entries or key == "":
+            return None
+        common = self.top["frf"].content if "frf" in self.top and isinstance(self.top["frf"].content, dict) else {}
+        own = self.faults.mapping(entries["frf"], join(key, "frf"))
+        whole = {name: node for name, node in {**common, **own}.items() if node.content is not None}
+        return read_settings(FrfSettings, Marked(whole, entries["frf"].where, entries["frf"].key_where), join(key, "frf"), self.faults)
 
     def _recordings(self, node: Marked, key: str) -> list[SourceFile]:
         return RecordingReader(self.rig, self.top.get("rig"), self.folder, self.faults).sources(node, key)

@@ -41,7 +41,7 @@ from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.dynamic_stiffness import GivenDoubt, OtherExcitation, systematic
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Candidate, Fit, Goodness, Parameter
-from labpipe.records.setting_values import Uncertain
+from labpipe.records.setting_values import Uncertain, split_doubt
 
 BANDS_BY_DEFAULT = 10
 LS_NOTE = (
@@ -143,7 +143,7 @@ def _stated(given: float | None, spectra: ChannelSpectra, condition: str, unit: 
     if given is not None or condition not in spectra.conditions:
         return given
     try:
-        return parse_value(spectra.conditions[condition], unit)
+        return parse_value(split_doubt(str(spectra.conditions[condition]))[0], unit)
     except UnitError as error:
         raise ConfigError(f"conditions.{condition}: {error.what}", hint=error.hint or f"a value in {unit}") from None
 

@@ -121,7 +121,7 @@ def _jobs(pipeline: Pipeline, target: Path, scratch: Path, fits: Sequence[str]) 
         Job(
             test,
             tuple(next(names) for _ in test.recordings),
-            frf=pipeline.frf,
+            frf=test.frf or pipeline.frf,
             fits=tuple(
                 settings for settings in pipeline.fits if settings.name in fits and (not settings.test or test.name in settings.test)
             ),

@@ -24,7 +24,8 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
         if fit.name in work.test_fits:
             made = list(work.test_fits[fit.name])
         else:
-            check_tested(fit, [test.name for test in work.tests])
+            # A test that failed is named among the failures.
+            check_tested(fit, [*(test.name for test in work.tests), *(failure.name for failure in work.failed)])
             made = fits_of(work.tests, fit.kind.begin(fit, fits), work.pipeline.path)
         fits.extend(with_level_findings(made, conditions))
     return fits

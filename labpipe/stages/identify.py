@@ -15,6 +15,7 @@ from labpipe.artefacts.identification_file import NAME, read_identification, wri
 from labpipe.artefacts.typed_json import entry_of
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.config.pipeline import Pipeline
+from labpipe.config.tests import Test
 from labpipe.errors import DataError
 from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.sections import section
@@ -112,11 +113,16 @@ def settings_entry(pipeline: Pipeline, tests: Sequence[MeasuredTest] = ()) -> di
         "frf": pipeline.frf,
         **pipeline.sections,
         "rules": [[rule.section, rule.text] for rule in pipeline.rules],
-        "tests": [{"name": test.name, "conditions": {**test.conditions, **measured.get(test.name, {})}} for test in pipeline.tests],
+        "tests": [_test_entry(test, measured.get(test.name, {})) for test in pipeline.tests],
         "title": pipeline.title,
         "pipeline": pipeline.path.name,
     }
     return json.loads(json.dumps(entry_of(entry)))
+
+
+def _test_entry(test: Test, conditions: Mapping[str, Any]) -> dict[str, Any]:
+    own = {"frf": test.frf} if test.frf is not None else {}
+    return {"name": test.name, "conditions": {**test.conditions, **conditions}, **own}
 
 
 def _rig_entry(pipeline: Pipeline) -> dict[str, Any]:

@@ -26,6 +26,8 @@ from labpipe.stages.judging_comparisons import CompareNumber
 from labpipe.stages.work import Work
 
 MATRIX_PREFIX = "matrix."
+# Stands for a condition that the theory does not know.
+NO_ENTRY = "none"
 # Dofs of bearings that are the x and y of a rig, where a theory names none.
 DEFAULT_AXES = (("x", "y"), ("y", "z"))
 
@@ -61,7 +63,8 @@ def _bearing_theory(path: Path, theory: MatrixTheorySettings) -> PointTheory:
         if conditions not in known:
             file = open_bearing(path)
             for entry, value, unit in zip(theory.entries, conditions, units, strict=True):
-                set_entry(file.tree, f"{entry}={value!r} {unit}")
+                if entry != NO_ENTRY:
+                    set_entry(file.tree, f"{entry}={value!r} {unit}")
             (coefficients,) = file.coefficients([file.settings()])
             known[conditions] = _in_rig_axes(coefficients, theory.axes)
         return known[conditions]

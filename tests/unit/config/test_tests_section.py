@@ -220,3 +220,18 @@ def test_faults_of_recorded_conditions(folder: Path, entry: str, message: str) -
 def test_a_ready_frf_has_no_channel_to_take_a_condition_from(folder: Path) -> None:
     (fault,) = faults(folder, "frfs: h.frf.csv\nconditions: {load: {channel: x}}\n")
     assert "a ready FRF has no channels to take conditions from; write the amount" in fault
+
+
+def test_a_test_may_have_its_spectra_made_otherwise(folder: Path) -> None:
+    """The test's own entries take the place of the pipeline's, an empty one takes it away."""
+    frf = "frf: {excitation: periodic, period: 1 s, band: 1-100 Hz, mask: {speed: 50 Hz}}\n"
+    own = "  - {name: dry, recordings: runs/a.csv, frf: {band: 5-50 Hz, mask: }}\n  - {name: wet, recordings: runs/b.csv}\n"
+    dry, wet = load(folder, f"rig: rig.yaml\n{frf}tests:\n{own}").tests
+    assert dry.frf is not None and wet.frf is None
+    assert (dry.frf.excitation, dry.frf.band, dry.frf.mask) == ("periodic", (5.0, 50.0), None)
+
+
+def test_faults_of_a_test_s_own_spectra_stand_at_their_place(folder: Path) -> None:
+    text = f"rig: rig.yaml\n{FRF}tests:\n  - {{name: dry, recordings: runs/a.csv, frf: {{perod: 2 s}}}}\n"
+    (fault,) = faults(folder, text)
+    assert fault.startswith("p.yaml:4:") and "tests.1.frf.perod: unknown key; did you mean 'period'?" in fault
