@@ -32,6 +32,10 @@ WRITERS = Registry(
         "uff58b": "labpipe.formats.exports:write_uff58b",
         "mat": "labpipe.formats.exports:write_mat",
         "shapes": "labpipe.formats.exports:write_shapes",
+        "matrix": "labpipe.formats.matrix_table:write_matrix_csv",
+        "matrix-parquet": "labpipe.formats.matrix_table:write_matrix_parquet",
+        "rotor": "labpipe.formats.matrix_table:write_rotor_xlsx",
+        "rotor-csv": "labpipe.formats.matrix_table:write_rotor_csv",
     },
 )
 

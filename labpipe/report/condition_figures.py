@@ -15,6 +15,8 @@ from labpipe.report.wording import unit_text
 
 MAP_HEIGHT = 0.42
 ROOM = 1.1
+# From here on numbers are written with an exponent.
+READABLE = 1e6
 CIRCLE = np.linspace(0.0, 2 * math.pi, 121)
 
 
@@ -101,11 +103,16 @@ def _value_map(matrix: ConditionMatrix, name: str, points: Sequence[MatrixPoint]
     for point, value in having:
         values[point.place[1], point.place[0]] = to_display(value.parameter.value, unit)
     largest = float(np.nanmax(np.abs(values))) or 1.0
-    texts = [[f"{value:.4g}" if np.isfinite(value) else "none" for value in row] for row in values]
+    texts = [[_plain(value) if np.isfinite(value) else "none" for value in row] for row in values]
     chart = _map(matrix.axes, np.nan_to_num(values / largest), texts, name)
     where = f" at {at}" if at else ""
     shown = f" [{unit_text(having[0][1].parameter.unit)}]" if having and unit_text(having[0][1].parameter.unit) else ""
     return Figure(chart, f"{name}{shown} over {matrix.axes[0].name} and {matrix.axes[1].name}{where}.", f"Map of {name} of {matrix.name}")
+
+
+def _plain(value: float) -> str:
+    """Four digits, without an exponent where the number is readable."""
+    return f"{float(f'{value:.4g}'):g}" if abs(value) < READABLE else f"{value:.3e}"
 
 
 def path_figure(matrix: ConditionMatrix) -> Figure:

@@ -137,10 +137,10 @@ def _warnings(identification: Identification) -> tuple[Block, ...]:
 
 
 def _notes(identification: Identification) -> tuple[Block, ...]:
-    """Each kind of note in one box, every note in full up to a number: they describe the processing test by test."""
+    """Each kind of note in one box, every note in full where they are few, else the first alone with their number."""
     blocks: list[Block] = []
     for code, entries in _by_code(identification, NOTE).items():
         notes = list(dict.fromkeys(f"{origin}: {finding.message}" for origin, finding in entries))
-        more = [f"and {len(notes) - MOST_NOTES} more"] if len(notes) > MOST_NOTES else []
-        blocks.append(Paragraph(f"{code}: {'; '.join([*notes[:MOST_NOTES], *more])}.", "note"))
+        said = "; ".join(notes) if len(notes) <= MOST_NOTES else f"{notes[0]} ({len(notes)} such notes in all; this is the first)"
+        blocks.append(Paragraph(f"{code}: {said}.", "note"))
     return tuple(blocks)
