@@ -112,7 +112,17 @@ def test_a_measured_baseline_brings_its_noise_and_the_common_mass_cancels() -> N
     # Another number for the mass is another error, and stays.
     other = fitted(drawn(RIG), (dry,), baseline="dry", stator_mass="61 kg +- 0.6 kg")
     assert other.parameter("m_xx").full_error > 0.8
-    assert any("noise of dry" in note for note in wet.notes)
+    assert any("noise of dry" in note and "takes its error back" in note for note in wet.notes)
+
+
+def test_a_baseline_that_is_not_its_form_brings_its_excess_too() -> None:
+    """Hoses with a mass of 5 kg fitted as K and C: the doubt that they bring is that of their widened intervals."""
+    heavy = replace(RIG, baseline=kcm([[1.5e6, 0.0], [0.0, 1.2e6]], [[900.0, 0.0], [0.0, 700.0]], [[5.0, 0.0], [0.0, 5.0]]))
+    dry = replace(fitted(drawn(heavy.dry()), motion="absolute", stator_mass="60 kg", form="kc"), name="dry")
+    assert "model-mismatch" in [f.code for f in dry.findings]
+    (doubt,) = settings_of((dry,), baseline="dry").model_settings.known.doubts
+    errors = [p.std_error_inflated for p in dry.parameters]
+    assert np.sqrt(np.sum(doubt.changes**2, axis=0)) == pytest.approx(errors, rel=1e-9)
 
 
 def test_a_baseline_is_named_by_its_fit_or_its_test() -> None:
@@ -307,10 +317,11 @@ def test_the_report_shows_measured_model_and_baseline() -> None:
     assert model.y == pytest.approx(1e-6 * fit.parameter("c_xx").value * 2 * np.pi * model.x, rel=1e-6)
     assert "Effective stiffness and damping" in figures
     tables = {block.caption: block for block in blocks if isinstance(block, Table)}
-    by_source = tables["Standard errors of seal in % of the value, by where they come from"]
-    assert by_source.header == ("parameter", "noise", "mass of the stator", "in all")
+    by_source = tables["Standard errors of seal by where they come from"]
+    assert by_source.header == ("parameter", "unit", "noise", "mass of the stator", "in all")
     row = next(row for row in by_source.rows if row[0] == "m_xx")
-    assert float(row[3]) == pytest.approx(np.hypot(float(row[1]), float(row[2])), rel=0.05)
+    assert row[1] == "kg" and float(row[4]) == pytest.approx(np.hypot(float(row[2]), float(row[3])), rel=0.05)
+    assert float(row[4]) == pytest.approx(fit.parameter("m_xx").full_error, rel=0.05)
     choice = tables["Which form the data ask for"]
     assert choice.rows[0][0] == "kcm" and choice.rows[0][-1] == "0.0"
     text = " ".join(block.text for block in blocks if isinstance(block, Paragraph))
