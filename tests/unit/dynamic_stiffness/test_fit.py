@@ -98,6 +98,21 @@ def test_the_doubt_of_a_given_number_is_what_a_fit_with_another_number_shows(
         assert p.ci95[1] - p.ci95[0] == pytest.approx(2 * 1.96 * p.full_error, rel=5e-3)
 
 
+def test_chi_square_allows_given_numbers_their_doubt() -> None:
+    """A mass 2 % too large is a mismatch if it is exact, and none if it is known to 2 %: chi-square is then the least of chi-square at
+    other numbers plus their distance squared, here from the parabola through three fits."""
+    spectra = drawn(replace(EVEN, noise=0.001))
+    exact, doubtful = (fitted(spectra, **{**GIVEN, "stator_mass": text}) for text in ("61.2 kg", "61.2 kg +- 1.2 kg"))
+    assert "model-mismatch" in [f.code for f in exact.findings] and "model-mismatch" not in [f.code for f in doubtful.findings]
+    steps = np.array([-1.3, -1.0, -0.7])
+    squares = []
+    for step in steps:
+        moved = fitted(spectra, **{**GIVEN, "stator_mass": f"{61.2 + 1.2 * step} kg"})
+        squares.append(moved.gof.chi2_reduced * moved.dof + step**2)
+    second, first, constant = np.polyfit(steps, squares, 2)
+    assert doubtful.gof.chi2_reduced * doubtful.dof == pytest.approx(constant - first**2 / (4 * second), rel=5e-3)
+
+
 def test_a_measured_baseline_brings_its_noise_and_the_common_mass_cancels() -> None:
     """Dry and wet test with the same wrong mass: a baseline with K, C and M has the error too, with the other sign, and takes it back."""
     dry = fitted(drawn(RIG.dry()), motion="absolute", stator_mass="60 kg +- 0.6 kg")
@@ -177,7 +192,7 @@ def test_compared_forms_are_chosen_by_bic(bearing, chosen: str) -> None:
     best = fit.candidates[0]
     assert best.name == fit.dynamic_stiffness.form == chosen and best.chi2_p > 0.01
     assert best.bic == pytest.approx(best.chi2 + best.parameters * np.log(fit.equations))
-    assert not {"no-model", "other-model", "model-mismatch"} & {f.code for f in fit.findings}
+    assert not {"no-model", "other-model", "model-mismatch", "collinear"} & {f.code for f in fit.findings}
 
 
 def test_a_poor_form_that_is_asked_for_hears_of_a_better_one_and_of_none() -> None:
