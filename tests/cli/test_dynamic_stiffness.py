@@ -59,6 +59,27 @@ def test_the_truth_of_the_virtual_rig_comes_back(recorded: Path, tmp_path: Path,
     assert dry["k_xx"] == pytest.approx(truth["baseline"]["k_xx"], rel=1e-3) and dry["m_xx"] == pytest.approx(0, abs=0.05)
 
 
+def test_effective_forces_as_derived_channels_give_the_same(recorded: Path, tmp_path: Path, labpipe) -> None:
+    """f - m_s a with m_s of the rig file: the balance, and the same error in both tests, as with `stator_mass`."""
+    derived = "".join(f"  e{axis}: {{quantity: force, derived: f{axis} - m_s * a{axis}, dof: {axis}}}\n" for axis in "xy")
+    plain = (
+        RIG.replace(", role: input", "")
+        .replace(", role: output", "")
+        .replace("\nchannels", "\nconstants: {m_s: 60 kg +- 0.6 kg}\nchannels")
+    )
+    (recorded / "derived.yaml").write_text(plain + derived)
+    text = PIPELINE.replace("rig.yaml", "derived.yaml").replace(", stator_mass: 60 kg +- 0.6 kg", "").replace("compare: true", "form: kcm")
+    for name, pipeline in (("derived", text), ("given", PIPELINE.replace("compare: true", "form: kcm"))):
+        (recorded / f"{name}-pipeline.yaml").write_text(pipeline.replace("[html]", "[]"))
+        assert labpipe("run", recorded / f"{name}-pipeline.yaml", "-o", tmp_path / name).code == 0
+    derived_fits, given_fits = (json.loads((tmp_path / name / "identification.json").read_text())["fits"] for name in ("derived", "given"))
+    for one, other in zip(derived_fits, given_fits, strict=True):
+        assert one["gof"]["chi2_reduced"] == pytest.approx(other["gof"]["chi2_reduced"], rel=1e-6)
+        for a, b in zip(one["parameters"], other["parameters"], strict=True):
+            assert a["value"] == pytest.approx(b["value"], rel=1e-5, abs=1e-4 * b["std_error"])
+            assert (a["std_error_inflated"] or a["std_error"]) == pytest.approx(b["std_error_inflated"] or b["std_error"], rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
