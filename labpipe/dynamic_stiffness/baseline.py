@@ -12,9 +12,10 @@ from labpipe.dynamic_stiffness.forms import BANDS, FORMS, StiffnessModel, banded
 from labpipe.dynamic_stiffness.given import Baseline
 from labpipe.dynamic_stiffness.settings import DynamicStiffnessSettings
 from labpipe.errors import ConfigError
+from labpipe.identify.diagnostics import MISMATCH_P
 from labpipe.identify.settings import FitSettings
 from labpipe.records.dynamic_stiffness import DynamicStiffness, GivenDoubt
-from labpipe.records.identification import Fit
+from labpipe.records.identification import Fit, Goodness
 from labpipe.records.setting_values import Uncertain
 from labpipe.registry import nearest
 
@@ -28,27 +29,35 @@ def with_baseline(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
         return settings
     usable = [fit for fit in fits if fit.dynamic_stiffness is not None]
     found = [fit for fit in usable if fit.name == own.baseline] or [fit for fit in usable if fit.test == own.baseline]
-    where = f"identify.{settings.name}.baseline"
     if not found:
-        hint = f"fits are made in their order; {nearest(own.baseline, [fit.name for fit in usable])}"
+        hint = nearest(own.baseline, [fit.name for fit in usable])
         raise ConfigError(
-            f"{where}: no earlier fit '{own.baseline}' of model dynamic-stiffness", hint=f"fits are made in their order; {hint}"
+            f"baseline: no earlier fit '{own.baseline}' of model dynamic-stiffness", hint=f"fits are made in their order; {hint}"
         )
     if len(found) > 1:
         tests = ", ".join(fit.test for fit in found)
-        raise ConfigError(f"{where}: '{own.baseline}' has {len(found)} results ({tests})", hint="say `test:` in the fit of the baseline")
+        raise ConfigError(f"baseline: '{own.baseline}' has {len(found)} results ({tests})", hint="say `test:` in the fit of the baseline")
     return replace(settings, model_settings=replace(own, known=baseline_of(found[0])))
 
 
 def baseline_of(fit: Fit) -> Baseline:
-    """The fitted stiffness of another fit as a baseline: its noise and its given numbers become doubts of this one."""
+    """The fitted stiffness of another fit as a baseline: its noise and its given numbers become doubts of this one.
+
+    A residual beyond the noise counts as noise here as in the intervals of that fit.
+    """
     shown = fit.dynamic_stiffness
     if shown is None or not fit.converged:
         raise ConfigError(f"the fit '{fit.name}' is no baseline: it did not converge")
     label = f"noise of {fit.name}" + (f", test {fit.test}" if fit.test else "")
     values, vectors = np.linalg.eigh(shown.noise / np.outer(_scale(shown), _scale(shown)))
-    changes = (vectors * np.sqrt(np.maximum(values, 0.0))).T * _scale(shown)
+    changes = _excess(fit.gof) * (vectors * np.sqrt(np.maximum(values, 0.0))).T * _scale(shown)
     return Baseline(fitted_model(shown), shown.values, (GivenDoubt(label, changes), *shown.doubts), fit.name, fit.test)
+
+
+def _excess(gof: Goodness) -> float:
+    """The factor of a residual that is larger than noise, else 1."""
+    beyond = gof.chi2_reduced is not None and gof.chi2_p is not None and gof.chi2_p < MISMATCH_P
+    return float(np.sqrt(gof.chi2_reduced)) if beyond and gof.chi2_reduced is not None else 1.0
 
 
 def _scale(shown: DynamicStiffness) -> FloatArray:

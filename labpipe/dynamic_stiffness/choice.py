@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.dynamic_stiffness.estimate import Estimate, Noise, estimate
+from labpipe.dynamic_stiffness.estimate import Estimate, GivenErrors, Noise, estimate
 from labpipe.dynamic_stiffness.forms import FORMS, StiffnessModel
 from labpipe.dynamic_stiffness.likelihood import Balance
 from labpipe.errors import FitError
@@ -23,14 +23,19 @@ STRONG = 10.0
 
 
 def compared(
-    balance: Balance, symmetry: str, noise: Noise, forms: Sequence[str], known: Estimate | None = None
+    balance: Balance,
+    symmetry: str,
+    noise: Noise,
+    forms: Sequence[str],
+    known: Estimate | None = None,
+    doubtful: GivenErrors | None = None,
 ) -> tuple[tuple[Candidate, ...], dict[str, Estimate]]:
     """Candidates in ascending BIC, and the estimates by form; forms that the lines cannot determine are left out."""
     found: dict[str, Estimate] = {}
     for form in dict.fromkeys((*forms, *([known.model.form.name] if known else []))):
         try:
             fits = known is not None and form == known.model.form.name
-            found[form] = known if fits and known is not None else estimate(balance, StiffnessModel(FORMS[form], symmetry), noise)
+            found[form] = known if fits and known is not None else estimate(balance, StiffnessModel(FORMS[form], symmetry), noise, doubtful)
         except FitError:
             continue
     ranked = sorted((_candidate(form, one, balance.n_equation) for form, one in found.items()), key=_bic)

@@ -6,19 +6,22 @@ estimates is that of the information matrix times nu^2 / ((nu - 2)^2 - 1) (Maiwa
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail, f_tail
 from labpipe.dynamic_stiffness.forms import StiffnessModel
-from labpipe.dynamic_stiffness.likelihood import Balance, ErrorsInVariables
+from labpipe.dynamic_stiffness.likelihood import Balance, ErrorsInVariables, Whitened, real_rows
 from labpipe.dynamic_stiffness.starts import starts
 from labpipe.errors import FitError
 from labpipe.identify.regression import triangle_of
 from labpipe.optimise.levenberg import Minimum, minimise
 
+# Changes (n, n_line, n_run, 2) [N] of e by one standard deviation of n given numbers, at the values of a model.
+GivenErrors = Callable[[StiffnessModel, FloatArray, Whitened], ComplexArray]
 # Equations of a line and run.
 N_EQUATION = 2
 # Distance to the minimum in standard errors at which a descent ends: that which counts, and those from several starts before it.
@@ -36,8 +39,8 @@ LEAST_SPREAD = 1.25
 class Estimate:
     """The minimum of V: values (n_parameter,) as they are fitted, covariance of noise (n_parameter, n_parameter) [their units].
 
-    squares: 2 V [1] corrected for estimated covariances, chi-square with *dof* if the model is right; p_value of it. design: triangle
-    (n_parameter, n_parameter) [1] of the Jacobian with columns of length 1.
+    squares: 2 V [1] corrected for estimated covariances and doubtful given numbers, chi-square with *dof* if the model is right; p_value of
+    it. design: triangle (n_parameter, n_parameter) [1] of the Jacobian with columns of length 1.
     """
 
     model: StiffnessModel
@@ -113,8 +116,11 @@ def checked(balance: Balance, noise: Noise) -> None:
         )
 
 
-def estimate(balance: Balance, model: StiffnessModel, noise: Noise) -> Estimate:
-    """The most likely parameters; FitError for fewer equations than parameters, or a singular covariance."""
+def estimate(balance: Balance, model: StiffnessModel, noise: Noise, doubtful: GivenErrors | None = None) -> Estimate:
+    """The most likely parameters; FitError for fewer equations than parameters, or a singular covariance.
+
+    *doubtful* gives the changes of e by given numbers: chi-square then is that with these numbers moved within their doubt.
+    """
     n = len(model.names)
     dof = balance.n_equation - n
     if dof <= 0:
@@ -122,14 +128,35 @@ def estimate(balance: Balance, model: StiffnessModel, noise: Noise) -> Estimate:
     checked(balance, noise)
     problem = ErrorsInVariables(balance, model)
     best = _lowest(problem)
-    squares = 2 * problem.chi2(best.values) / noise.excess
+    squares = 2 * problem.chi2(best.values)
     if not np.isfinite(squares):
         raise FitError("the covariance of the channels is singular on a line", hint="leave out lines without noise, or `estimator: ls`")
     jacobian = problem.columns(best.values)
+    if doubtful is not None:
+        squares -= _explained(problem, best.values, jacobian, doubtful, noise.excess)
+    squares /= noise.excess
     design = triangle_of(jacobian)
     covariance = noise.inflation * inverse_information(jacobian)
     p_value = noise.p_value(squares, dof)
     return Estimate(model, best.values, covariance, squares, dof, p_value, best.converged, best.steps, design)
+
+
+def _explained(problem: ErrorsInVariables, values: FloatArray, jacobian: FloatArray, doubtful: GivenErrors, excess: float) -> float:
+    """What chi-square loses if given numbers take their most likely values, each standard deviation of theirs counting as one.
+
+    min over d of 2 |r + U^T d|^2 / excess + d^T d, U the whitened changes of e less what the parameters can follow.
+    """
+    state = problem.at(values)
+    errors = doubtful(problem.model, values, state)
+    if not len(errors):
+        return 0.0
+    scale = np.linalg.norm(jacobian, axis=0)
+    basis = np.linalg.qr(jacobian / np.where(scale > 0, scale, 1.0))[0]
+    changes = real_rows(state.whiten(errors).reshape(len(errors), -1))
+    changes = changes - (changes @ basis) @ basis.T
+    along = 2 * changes @ problem.residual(values) / excess
+    stiff = np.eye(len(errors)) + 2 * changes @ changes.T / excess
+    return float(excess * along @ np.linalg.solve(stiff, along))
 
 
 def _lowest(problem: ErrorsInVariables) -> Minimum:

@@ -18,6 +18,8 @@ from labpipe.records.identification import Parameter
 SEEN, MOVES = 3.0, 0.002
 # Standard deviations of chi-square below its mean beyond which the residual is too small.
 SURE = 5.0
+# Share of the standard error of noise below which an error has cancelled against that of the baseline.
+CANCELS, CANCELLED = 1e-6, "nothing, since the baseline was measured with the same number and takes its error back"
 # Degrees of freedom of the covariance below which the estimates lose more than a tenth to it.
 FEW_DOF = 13
 
@@ -48,7 +50,7 @@ def noise_findings(found: Estimate, noise: Noise) -> tuple[Finding, ...]:
         message = (
             f"the residual is only {np.sqrt(found.reduced):.2g} times what the scatter of the channels would leave: something that differs "
             "from period to period and averages out, such as runout of a turning shaft under a probe, counts as noise, and the intervals "
-            "are too wide. Take it out with `frf: {remove: {speed: ...}}`"
+            "are too wide. Take it out with `frf: {remove: {speed: ..., harmonics: 2}}`"
         )
         findings.append(note("scatter-not-noise", message))
     if noise.dof >= FEW_DOF:
@@ -113,7 +115,8 @@ def given_notes(given: Given, doubts: tuple[GivenDoubt, ...], found: Doubted) ->
     for doubt in doubts:
         share = np.sqrt(np.sum(doubt.changes**2, axis=0) / np.maximum(np.diag(found.noise), np.finfo(float).tiny))
         most = int(np.argmax(share))
-        lines.append(f"{doubt.source}: {share[most]:.2g} times the standard error of noise in {names[most]}")
+        size = f"{share[most]:.2g} times the standard error of noise in {names[most]}" if share[most] > CANCELS else CANCELLED
+        lines.append(f"{doubt.source}: {size}")
     return (f"dynamic-stiffness: the intervals hold the doubt of given numbers, common to all lines and runs. {'; '.join(lines)}.",)
 
 

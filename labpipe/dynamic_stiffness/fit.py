@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from labpipe.arrays import FloatArray
 from labpipe.dynamic_stiffness.baseline import given_baseline
 from labpipe.dynamic_stiffness.choice import choice_findings, compared
 from labpipe.dynamic_stiffness.dimensionless import Bearing, dimensionless
-from labpipe.dynamic_stiffness.estimate import Estimate, Noise, estimate
+from labpipe.dynamic_stiffness.estimate import Estimate, GivenErrors, Noise, estimate
 from labpipe.dynamic_stiffness.excitation import motion_note, other_excitations
 from labpipe.dynamic_stiffness.findings import (
     effective_forces,
@@ -23,7 +24,15 @@ from labpipe.dynamic_stiffness.findings import (
     whirl_findings,
 )
 from labpipe.dynamic_stiffness.forms import BANDS, FORMS, Form, StiffnessModel, banded
-from labpipe.dynamic_stiffness.given import Given, balance_of, given_doubts, given_errors, response_of, smoothed_channels
+from labpipe.dynamic_stiffness.given import (
+    Given,
+    balance_of,
+    errors_by_given,
+    given_doubts,
+    given_errors,
+    response_of,
+    smoothed_channels,
+)
 from labpipe.dynamic_stiffness.least_squares import least_squares
 from labpipe.dynamic_stiffness.likelihood import Balance, ErrorsInVariables
 from labpipe.dynamic_stiffness.settings import DynamicStiffnessSettings
@@ -157,7 +166,7 @@ def _solved(stator: Stator, given: Given, balance: Balance, settings: FitSetting
         found, respond = least_squares(balance, StiffnessModel(_form(own, balance.omega), own.symmetry))
         errors = given_errors(stator, given, found.model.stiffness(found.values, stator.omega), stator.channels)
         return Solved(found, given_doubts(errors, respond), None)
-    found, candidates = _most_likely(balance, settings, noise)
+    found, candidates = _most_likely(balance, settings, noise, functools.partial(errors_by_given, stator, given))
     problem = ErrorsInVariables(balance, found.model)
     stiffness, state, columns = found.model.stiffness(found.values, stator.omega), problem.at(found.values), problem.columns(found.values)
     errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
@@ -166,13 +175,14 @@ def _solved(stator: Stator, given: Given, balance: Balance, settings: FitSetting
     return Solved(found, doubts, amplification, other_excitations(stator, found, columns), candidates)
 
 
-def _most_likely(balance: Balance, settings: FitSettings, noise: Noise) -> tuple[Estimate, tuple[Candidate, ...]]:
+def _most_likely(balance: Balance, settings: FitSettings, noise: Noise, doubtful: GivenErrors) -> tuple[Estimate, tuple[Candidate, ...]]:
     """The estimate of the form that is given, or with `compare` and without one that of the best form."""
     own: DynamicStiffnessSettings = settings.model_settings
+    model = StiffnessModel(_form(own, balance.omega), own.symmetry)
     if not settings.compare:
-        return estimate(balance, StiffnessModel(_form(own, balance.omega), own.symmetry), noise), ()
-    known = None if own.form is None else estimate(balance, StiffnessModel(_form(own, balance.omega), own.symmetry), noise)
-    candidates, estimates = compared(balance, own.symmetry, noise, own.forms, known)
+        return estimate(balance, model, noise, doubtful), ()
+    known = None if own.form is None else estimate(balance, model, noise, doubtful)
+    candidates, estimates = compared(balance, own.symmetry, noise, own.forms, known, doubtful)
     if not candidates:
         raise ConfigError("no compared form can be determined by these lines", hint="widen the band", field="forms")
     return (known or estimates[candidates[0].name]), candidates
@@ -206,6 +216,9 @@ def _reported(settings: FitSettings, balance: Balance, solved: Solved, band: tup
         amplification=solved.amplification,
     )
     warnings: list[Finding] = estimate_findings(as_estimate, names, balance.omega.size, found.model.units)
+    if found.model.n_shape:
+        # What is common to two terms of such a form is told by their correlation and intervals, which hold; the lines are no fault.
+        warnings = [finding for finding in warnings if finding.code != "collinear"]
     if not found.converged:
         parameters = tuple(replace(parameter, std_error_inflated=None) for parameter in without_intervals(parameters))
     return Fit(

@@ -123,6 +123,13 @@ def given_errors(stator: Stator, given: Given, stiffness: ComplexArray, clean: C
     return errors
 
 
+def errors_by_given(stator: Stator, given: Given, model: StiffnessModel, values: FloatArray, state: Whitened) -> ComplexArray:
+    """All changes of e [N] by given numbers (n, n_line, n_run, 2), of whatever source, at values (n_parameter,) of a model."""
+    stiffness = model.stiffness(values, stator.omega)
+    errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
+    return np.concatenate([np.empty((0, *stator.channels.shape[:2], 2), np.complex128), *(error for _, error in errors)])
+
+
 def given_doubts(errors: Sequence[tuple[str, ComplexArray]], respond: Respond) -> tuple[GivenDoubt, ...]:
     """What given numbers do to the estimates, by source; *respond*: (n, n_parameter) by changes of e (n, n_line, n_run, 2) [N]."""
     return joined([GivenDoubt(source, respond(error)) for source, error in errors])

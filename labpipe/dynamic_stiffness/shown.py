@@ -13,7 +13,7 @@ from labpipe.dynamic_stiffness.whirl import LIMIT
 from labpipe.records.dynamic_stiffness import DynamicStiffness, GivenDoubt
 
 # Frequencies at which the model is drawn.
-N_DRAWN = 120
+N_DRAWN = 60
 
 
 def shown_course(balance: Balance, found: Doubted, doubts: tuple[GivenDoubt, ...], given: Given, sense: float) -> DynamicStiffness:

@@ -77,9 +77,15 @@ def stator_of(spectra: ChannelSpectra, band: tuple[float, float] | None, inputs:
     return Stator(omega, spectra.vectors[lines], spectra.covariance[lines], to_axes, spectra, *shared)
 
 
+def _measured(spectra: ChannelSpectra, quantity: str) -> list[int]:
+    """Columns of a quantity in its role; accelerations that stand in sums only, as references, where no others are there."""
+    columns = spectra.columns(quantity, ROLES[quantity])
+    return columns or (spectra.columns(quantity, "reference") if quantity == ACCELERATION else [])
+
+
 def _chosen(spectra: ChannelSpectra, quantity: str, names: Sequence[str]) -> list[int]:
     """Columns of a quantity that are named, or all; a channel that stands in a chosen sum only acts through that, unless it is named."""
-    columns = spectra.columns(quantity, ROLES[quantity])
+    columns = _measured(spectra, quantity)
     if names:
         return [n for n in columns if {spectra.channels[n].name, spectra.channels[n].dof} & set(names)]
     summed = {term.channel for n in columns for term in spectra.channels[n].terms}
@@ -88,7 +94,7 @@ def _chosen(spectra: ChannelSpectra, quantity: str, names: Sequence[str]) -> lis
 
 def _check_names(spectra: ChannelSpectra, names: Sequence[str], quantities: Sequence[str], key: str) -> None:
     """ConfigError for a name that no channel has."""
-    columns = [n for quantity in quantities for n in spectra.columns(quantity, ROLES[quantity])]
+    columns = [n for quantity in quantities for n in _measured(spectra, quantity)]
     known = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
     for name in names:
         if name not in known:

@@ -26,9 +26,18 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
         else:
             # A test that failed is named among the failures.
             check_tested(fit, [*(test.name for test in work.tests), *(failure.name for failure in work.failed)])
-            made = fits_of(work.tests, fit.kind.begin(fit, fits), work.pipeline.path)
+            made = fits_of(work.tests, _begun(fit, fits, work.pipeline.path), work.pipeline.path)
         fits.extend(with_level_findings(made, conditions))
     return fits
+
+
+def _begun(settings: FitSettings, fits: Sequence[Fit], pipeline_path: Path) -> FitSettings:
+    """The settings with the result of the earlier fit that they begin with; LabpipeError names the fit."""
+    try:
+        return settings.kind.begin(settings, fits)
+    except LabpipeError as error:
+        error.where = error.where or f"{pipeline_path}: identify.{settings.name}"
+        raise
 
 
 def fits_of(tests: Sequence[MeasuredTest], settings: FitSettings, pipeline_path: Path) -> list[Fit]:

@@ -98,6 +98,21 @@ def test_the_doubt_of_a_given_number_is_what_a_fit_with_another_number_shows(
         assert p.ci95[1] - p.ci95[0] == pytest.approx(2 * 1.96 * p.full_error, rel=5e-3)
 
 
+def test_chi_square_allows_given_numbers_their_doubt() -> None:
+    """A mass 2 % too large is a mismatch if it is exact, and none if it is known to 2 %: chi-square is then the least of chi-square at
+    other numbers plus their distance squared, here from the parabola through three fits."""
+    spectra = drawn(replace(EVEN, noise=0.001))
+    exact, doubtful = (fitted(spectra, **{**GIVEN, "stator_mass": text}) for text in ("61.2 kg", "61.2 kg +- 1.2 kg"))
+    assert "model-mismatch" in [f.code for f in exact.findings] and "model-mismatch" not in [f.code for f in doubtful.findings]
+    steps = np.array([-1.3, -1.0, -0.7])
+    squares = []
+    for step in steps:
+        moved = fitted(spectra, **{**GIVEN, "stator_mass": f"{61.2 + 1.2 * step} kg"})
+        squares.append(moved.gof.chi2_reduced * moved.dof + step**2)
+    second, first, constant = np.polyfit(steps, squares, 2)
+    assert doubtful.gof.chi2_reduced * doubtful.dof == pytest.approx(constant - first**2 / (4 * second), rel=5e-3)
+
+
 def test_a_measured_baseline_brings_its_noise_and_the_common_mass_cancels() -> None:
     """Dry and wet test with the same wrong mass: a baseline with K, C and M has the error too, with the other sign, and takes it back."""
     dry = fitted(drawn(RIG.dry()), motion="absolute", stator_mass="60 kg +- 0.6 kg")
@@ -112,7 +127,17 @@ def test_a_measured_baseline_brings_its_noise_and_the_common_mass_cancels() -> N
     # Another number for the mass is another error, and stays.
     other = fitted(drawn(RIG), (dry,), baseline="dry", stator_mass="61 kg +- 0.6 kg")
     assert other.parameter("m_xx").full_error > 0.8
-    assert any("noise of dry" in note for note in wet.notes)
+    assert any("noise of dry" in note and "takes its error back" in note for note in wet.notes)
+
+
+def test_a_baseline_that_is_not_its_form_brings_its_excess_too() -> None:
+    """Hoses with a mass of 5 kg fitted as K and C: the doubt that they bring is that of their widened intervals."""
+    heavy = replace(RIG, baseline=kcm([[1.5e6, 0.0], [0.0, 1.2e6]], [[900.0, 0.0], [0.0, 700.0]], [[5.0, 0.0], [0.0, 5.0]]))
+    dry = replace(fitted(drawn(heavy.dry()), motion="absolute", stator_mass="60 kg", form="kc"), name="dry")
+    assert "model-mismatch" in [f.code for f in dry.findings]
+    (doubt,) = settings_of((dry,), baseline="dry").model_settings.known.doubts
+    errors = [p.std_error_inflated for p in dry.parameters]
+    assert np.sqrt(np.sum(doubt.changes**2, axis=0)) == pytest.approx(errors, rel=1e-9)
 
 
 def test_a_baseline_is_named_by_its_fit_or_its_test() -> None:
@@ -167,7 +192,7 @@ def test_compared_forms_are_chosen_by_bic(bearing, chosen: str) -> None:
     best = fit.candidates[0]
     assert best.name == fit.dynamic_stiffness.form == chosen and best.chi2_p > 0.01
     assert best.bic == pytest.approx(best.chi2 + best.parameters * np.log(fit.equations))
-    assert not {"no-model", "other-model", "model-mismatch"} & {f.code for f in fit.findings}
+    assert not {"no-model", "other-model", "model-mismatch", "collinear"} & {f.code for f in fit.findings}
 
 
 def test_a_poor_form_that_is_asked_for_hears_of_a_better_one_and_of_none() -> None:
@@ -307,10 +332,11 @@ def test_the_report_shows_measured_model_and_baseline() -> None:
     assert model.y == pytest.approx(1e-6 * fit.parameter("c_xx").value * 2 * np.pi * model.x, rel=1e-6)
     assert "Effective stiffness and damping" in figures
     tables = {block.caption: block for block in blocks if isinstance(block, Table)}
-    by_source = tables["Standard errors of seal in % of the value, by where they come from"]
-    assert by_source.header == ("parameter", "noise", "mass of the stator", "in all")
+    by_source = tables["Standard errors of seal by where they come from"]
+    assert by_source.header == ("parameter", "unit", "noise", "mass of the stator", "in all")
     row = next(row for row in by_source.rows if row[0] == "m_xx")
-    assert float(row[3]) == pytest.approx(np.hypot(float(row[1]), float(row[2])), rel=0.05)
+    assert row[1] == "kg" and float(row[4]) == pytest.approx(np.hypot(float(row[2]), float(row[3])), rel=0.05)
+    assert float(row[4]) == pytest.approx(fit.parameter("m_xx").full_error, rel=0.05)
     choice = tables["Which form the data ask for"]
     assert choice.rows[0][0] == "kcm" and choice.rows[0][-1] == "0.0"
     text = " ".join(block.text for block in blocks if isinstance(block, Paragraph))

@@ -18,6 +18,7 @@ import yaml
 from labpipe.config.rig import ChannelSettings, RigSettings
 from labpipe.config.rotor_parts import RotorSettings
 from labpipe.decay.settings import DecaySettings
+from labpipe.dynamic_stiffness.settings import DynamicStiffnessSettings
 from labpipe.errors import LabpipeError
 from labpipe.identify.settings import FitSettings
 from labpipe.records.settings import Setting, settings_of
@@ -37,6 +38,7 @@ DECLARED: dict[tuple[str, tuple[str, ...]], type] = {
     ("pipeline.yaml", ("frf", "decay")): FreeDecaySettings,
     ("pipeline.yaml", ("identify", "*")): FitSettings,
     ("pipeline.yaml", ("identify", "*", "decay")): DecaySettings,
+    ("pipeline.yaml", ("identify", "*", "dynamic_stiffness")): DynamicStiffnessSettings,
     **{("pipeline.yaml", (name,)): entry.load("settings") for name, entry in sections() if not entry.named},
     **{("pipeline.yaml", (name, "*")): entry.load("settings") for name, entry in sections() if entry.named and name != "identify"},
     ("rotor.yaml", ()): RotorSettings,
@@ -269,3 +271,55 @@ def ring_down(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_changed_key_of_free_decays_reaches_the_result(ring_down: Path, change: tuple[str, tuple[str, ...], Any], tmp_path: Path) -> None:
     tree = changed(yaml.safe_load(RING_DOWN["pipeline.yaml"]), change[1], change[2])
     same_as_a_new_folder(ring_down, {"pipeline.yaml": yaml.safe_dump(tree, sort_keys=False)}, tmp_path)
+
+
+# A floating bearing: the keys of its section.
+
+
+def floating_stator(sign: float) -> str:
+    """Forces of five lines on k = 1 MN/m, c = 1 kN.s/m, k_xy = -k_yx = 0.2 MN/m without inertia, periods of 1 s, with noise."""
+    rng, time = np.random.default_rng(int(2 + sign)), np.arange(8 * 128) / 128
+    force, motion, acceleration = (np.zeros((time.size, 2)) for _ in range(3))
+    for frequency in (12.0, 16.0, 20.0, 24.0, 28.0):
+        w = 2 * np.pi * frequency
+        push = np.array([1.0, sign]) * np.exp(1j * frequency**2)
+        answer = np.linalg.solve(np.array([[1e6 + 1e3j * w, 2e5], [-2e5, 1e6 + 1e3j * w]]), 100 * push)
+        turn = np.exp(1j * w * time)[:, None]
+        force, motion = force + (100 * push * turn).real, motion + (answer * turn).real
+        acceleration = acceleration - (w**2 * answer * turn).real
+    columns = np.hstack([force, motion, acceleration]) * (1 + 1e-3 * rng.normal(size=(time.size, 6)))
+    rows = "".join(",".join(f"{value:.8g}" for value in row) + "\n" for row in columns)
+    return f"fx,fy,dx,dy,ax,ay\n{rows}"
+
+
+FLOATING = {
+    "rig.yaml": "name: r\nsample_rate: 128 Hz\nchannels:\n"
+    + "".join(
+        f"  {letter}{axis}: {{quantity: {quantity}, unit: {unit}, role: {role}, dof: {axis}}}\n"
+        for letter, quantity, unit, role in (("f", "force", "N", "input"), ("d", "displacement", "m", "output"))
+        for axis in "xy"
+    )
+    + "  ax: {quantity: acceleration, unit: m/s^2, role: output, dof: x}\n"
+    + "  ay: {quantity: acceleration, unit: m/s^2, role: output, dof: y}\n",
+    "pipeline.yaml": "title: r\nrig: rig.yaml\nrecordings: [plus.csv, minus.csv]\n"
+    "frf: {excitation: periodic, period: 1 s, result: spectra, band: 10-30 Hz}\n"
+    "identify:\n  seal: {model: dynamic-stiffness, dynamic_stiffness: {form: kc, speed: 20 Hz}}\nreport: {formats: []}\n",
+    "plus.csv": floating_stator(1.0),
+    "minus.csv": floating_stator(-1.0),
+}
+FLOATING_CHANGES = [
+    change for change in changes("pipeline.yaml", yaml.safe_load(FLOATING["pipeline.yaml"])) if "dynamic_stiffness" in change[1]
+]
+
+
+@pytest.fixture(scope="module")
+def floating(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return finished_laboratory(tmp_path_factory.mktemp("floating"), FLOATING)
+
+
+@pytest.mark.parametrize("change", FLOATING_CHANGES, ids=described)
+def test_a_changed_key_of_a_floating_bearing_reaches_the_result(
+    floating: Path, change: tuple[str, tuple[str, ...], Any], tmp_path: Path
+) -> None:
+    tree = changed(yaml.safe_load(FLOATING["pipeline.yaml"]), change[1], change[2])
+    same_as_a_new_folder(floating, {"pipeline.yaml": yaml.safe_dump(tree, sort_keys=False)}, tmp_path)
