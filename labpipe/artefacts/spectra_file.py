@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.parquet import HEADER_KEY, open_parquet, read_header
+from labpipe.artefacts.typed_json import entry_of, record_of
 from labpipe.records.channel_spectra import ChannelSpectra, UncertainFactor
 from labpipe.records.recording import Channel
 
@@ -50,7 +51,7 @@ def _contents(spectra: ChannelSpectra) -> dict[str, Any]:
         "runs": list(spectra.runs),
         "covariance_dof": None if math.isinf(dof) else float(dof),
         "line_correlation": [[value.real, value.imag] for value in spectra.line_correlation],
-        "factors": [{**vars(factor), "derivative": factor.derivative.tolist()} for factor in spectra.factors],
+        "factors": [{**vars(factor), "derivative": entry_of(factor.derivative)} for factor in spectra.factors],
         "conditions": spectra.conditions,
     }
 
@@ -81,7 +82,9 @@ def read_spectra(path: Path) -> ChannelSpectra:
         runs=runs,
         covariance_dof=math.inf if dof is None else dof,
         line_correlation=tuple(complex(*value) for value in contents["line_correlation"]),
-        factors=tuple(UncertainFactor(**{**entry, "derivative": np.array(entry["derivative"])}) for entry in contents["factors"]),
+        factors=tuple(
+            UncertainFactor(**{**entry, "derivative": record_of(entry["derivative"], ComplexArray)}) for entry in contents["factors"]
+        ),
         name=contents["name"],
         findings=header.findings,
         conditions=contents["conditions"],

@@ -58,7 +58,7 @@ def parse_factor(text: str, name: str) -> Factor:
     dimension = parse_unit(match[1] or "1").dimension
     unit = name_of_dimension(dimension)
     uncertain = parse_uncertain(text, unit)
-    number = Number(name, uncertain.value, uncertain.std_error, unit) if uncertain.std_error > 0 else None
+    number = Number(name, uncertain.value, uncertain.std_error, unit, uncertain.source) if uncertain.std_error > 0 else None
     return Factor(uncertain.value, dimension, number)
 
 
@@ -67,7 +67,7 @@ def _turned(sign: str, function: str, angle_text: str, name: str) -> Factor:
     angle = parse_uncertain(angle_text.strip(), "rad")
     size = -1.0 if sign == "-" else 1.0
     value, slope = (math.cos(angle.value), -math.sin(angle.value)) if function == "cos" else (math.sin(angle.value), math.cos(angle.value))
-    number = Number(name, angle.value, angle.std_error, "rad") if angle.std_error > 0 else None
+    number = Number(name, angle.value, angle.std_error, "rad", angle.source) if angle.std_error > 0 else None
     return Factor(size * value, parse_unit("1").dimension, number, size * slope)
 
 

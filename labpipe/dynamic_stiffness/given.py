@@ -117,9 +117,9 @@ def given_errors(stator: Stator, given: Given, stiffness: ComplexArray, clean: C
     to_balance = projection(stator, given) @ stator.to_axes
     rows = (to_balance[:, :2] - stiffness @ to_balance[:, 2:])[:, None]
     for factor in stator.spectra.factors:
-        error = (rows @ (clean @ factor.derivative.T)[..., None])[..., 0]
+        error = omega**factor.power * (rows @ (clean @ factor.derivative.T)[..., None])[..., 0]
         if factor.std_error > 0 and np.any(error):
-            errors.append((f"{factor.name}, {factor.value:g} {factor.unit}", factor.std_error * error[None]))
+            errors.append((factor.source, factor.std_error * error[None]))
     return errors
 
 

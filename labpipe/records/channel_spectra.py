@@ -16,21 +16,25 @@ from labpipe.records.recording import Channel
 
 @dataclass(frozen=True)
 class UncertainFactor:
-    """A number of the rig file that stands in sums of channels, with its doubt.
+    """A number of the rig file with its doubt: one that stands in sums of channels, or a gain, delay, phase or direction of a channel.
 
-    value, std_error [unit], an SI unit; *derivative* (n_channel, n_channel) real [SI units of the channels per unit of the value]: an
-    error of the number by d changes the vector z of all channels by d * (derivative @ z).
+    value, std_error [unit], an SI unit; *derivative* (n_channel, n_channel) complex [SI units of the channels per unit of the value]: an
+    error of the number by d changes the vector z of all channels by d w^power (derivative @ z), w the angular frequency [rad/s].
+    Factors of one *source* have one error; by default that is the number itself.
     """
 
     name: str
     value: float
     std_error: float
     unit: str
-    derivative: FloatArray
+    derivative: ComplexArray
+    power: int = 0
+    source: str = ""
 
     def __post_init__(self) -> None:
         n = len(self.derivative)
-        object.__setattr__(self, "derivative", frozen_array(self.derivative, np.float64, f"derivative of '{self.name}'", (n, n)))
+        object.__setattr__(self, "derivative", frozen_array(self.derivative, np.complex128, f"derivative of '{self.name}'", (n, n)))
+        object.__setattr__(self, "source", self.source or f"{self.name}, {self.value:g} {self.unit}")
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class ChannelSpectra:
     covariance   (n_line, n_run, n_channel, n_channel) complex, E[e e^H] of the noise e of a vector; runs do not share noise
     covariance_dof  complex degrees of freedom behind each covariance (inf: known)
     line_correlation  E[e_(k+d) e_k*] of noise of unit variance with that of the next lines, d = 1, 2, ...; empty where independent
-    factors      numbers with a doubt that stand in derived channels
+    factors      numbers with a doubt that stand in derived channels, and doubts of the channels' calibrations
 
     The channels are forces (role input) and responses (output), then sums of these and their members; a member that is no force or
     response of its own has the role reference, and the covariance is singular between a sum and its members.

@@ -8,12 +8,13 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Number:
-    """A number with its doubt that stands in a sum: *value*, *std_error* [unit], an SI unit."""
+    """A number with its doubt that stands in a sum: *value*, *std_error* [unit], an SI unit; numbers of one *source* have one error."""
 
     name: str
     value: float
     std_error: float
     unit: str
+    source: str = ""
 
 
 @dataclass(frozen=True)

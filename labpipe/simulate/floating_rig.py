@@ -75,7 +75,7 @@ def motions(rig: FloatingRig, condition: Condition, frequency: FloatArray, force
 
 
 def floating_runs(rig: FloatingRig, seed: int, names: Sequence[str]) -> tuple[Recording, ...]:
-    """The named runs: f_x, f_y, d_x, d_y, a_x, a_y [SI], the drives u_x, u_y if the rig has them, and the tacho n of a turning shaft.
+    """The named runs: f_x, f_y, d_x, d_y, a_x, a_y [SI], the drives u_x, u_y if the rig has them, and the tacho n, still with the shaft.
 
     Periodic in the whole run and band-limited, so every line is the exact steady state; noise is independent from run to run.
     """
@@ -98,10 +98,10 @@ def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
         samples = np.concatenate([samples, _in_time(rig, inside, np.asarray(forces[:, :2] / rig.gain))], axis=1)
         channels += [Channel(f"u_{axis}", "voltage", "reference", axis, AXIS_ANGLES[axis]) for axis in AXES]
     samples = samples + rng.standard_normal(samples.shape) * [rig.noise.of(channel.quantity) for channel in channels]
-    if condition.speed > 0:
-        turned = (_angle(rig, condition.speed) + phase) / (2 * np.pi) % 1.0
-        samples = np.column_stack([samples, np.where(turned < PULSE_SHARE, PULSE, 0.0)])
-        channels.append(Channel("n", "tacho", "reference", "n"))
+    turned = (_angle(rig, condition.speed) + phase) / (2 * np.pi) % 1.0
+    pulses = np.where((turned < PULSE_SHARE) & (condition.speed > 0), PULSE, 0.0)
+    samples = np.column_stack([samples, pulses])
+    channels.append(Channel("n", "tacho", "reference", "n"))
     return Recording(tuple(channels), samples, rig.sample_rate, name)
 
 

@@ -11,6 +11,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.channel_spectra import UncertainFactor
 from labpipe.records.recording import Channel, SampleSource
+from labpipe.spectra.channel_doubts import calibration_factors
 from labpipe.spectra.ports import sensor_response
 from labpipe.spectra.sums import doubtful_numbers
 
@@ -36,14 +37,19 @@ class ChannelLayout:
 
         Every recorded channel is divided by its sensor's response, then the sums are made. DataError outside a sensor's table.
         """
+        response = np.column_stack([sensor_response(channel, frequency) for channel in self.recorded])
+        return np.asarray(self.sums[None, :, :] / response[:, None, :])
+
+    @property
+    def sums(self) -> FloatArray:
+        """Factors (n_channel, n_recorded) [SI] of all channels in the recorded ones."""
         combined = np.zeros((len(self.channels), len(self.recorded)))
         combined[: len(self.recorded)] = np.eye(len(self.recorded))
         names = [channel.name for channel in self.recorded]
         for row, channel in enumerate(self.channels):
             for term in channel.terms:
                 combined[row, names.index(term.channel)] = term.factor
-        response = np.column_stack([sensor_response(channel, frequency) for channel in self.recorded])
-        return np.asarray(combined[None, :, :] / response[:, None, :])
+        return combined
 
     def picked(self, recording: int, values: ComplexArray, axes: int) -> ComplexArray:
         """*values* (..., n_channel) [any unit] of a recording, its last *axes* axes as the recorded channels; zero for an absent force."""
@@ -56,16 +62,17 @@ class ChannelLayout:
         return values
 
     def factors(self) -> tuple[UncertainFactor, ...]:
-        """The numbers with a doubt in the sums, with their effect on the vector of all channels."""
+        """The numbers with a doubt in the sums and the calibrations of channels, with their effect on the vector of all channels."""
         names = [channel.name for channel in self.channels]
-        factors = []
+        factors = list(calibration_factors(self.channels, self.sums.astype(np.complex128)))
         for number, sums in doubtful_numbers(self.channels).items():
             derivative = np.zeros((len(names), len(names)))
             for channel in sums:
                 for term in channel.terms:
                     slopes = dict(zip(term.numbers, term.derivatives, strict=True))
                     derivative[names.index(channel.name), names.index(term.channel)] = slopes.get(number, 0.0)
-            factors.append(UncertainFactor(number.name, number.value, number.std_error, number.unit, derivative))
+            slopes_of = derivative.astype(np.complex128)
+            factors.append(UncertainFactor(number.name, number.value, number.std_error, number.unit, slopes_of, source=number.source))
         return tuple(factors)
 
 

@@ -66,6 +66,16 @@ def shaft_motion(source: SampleSource, lines: ShaftLines) -> ShaftMotion:
     return ShaftMotion(pulses, np.arange(pulses.size) / lines.pulses)
 
 
+def at_rest(source: SampleSource, lines: ShaftLines) -> bool:
+    """Whether a recording has the tacho that is named and this shows fewer than two pulses: the shaft does not turn."""
+    if lines.tacho is None or lines.tacho not in [channel.name for channel in source.channels]:
+        return False
+    try:
+        return tacho_pulses(source, lines.tacho).size < 2
+    except DataError:
+        return True
+
+
 def tacho_pulses(source: SampleSource, channel: str) -> FloatArray:
     """Times (n_pulse,) [s] at which the tacho rises through the middle of its range, interpolated linearly between samples.
 

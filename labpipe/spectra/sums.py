@@ -35,9 +35,20 @@ def doubtful_numbers(channels: Iterable[Channel]) -> dict[Number, list[Channel]]
 
 
 def doubt_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
-    """Of numbers in sums that are inputs or outputs: their doubt is not in the intervals of an FRF."""
+    """Of sums that are inputs or outputs: the doubts of their numbers and of their members are not in the intervals of an FRF."""
     channels = dict.fromkeys(channel for source in sources for channel in source.channels if channel.role != "reference")
-    return tuple(
+    doubted = {channel.name for source in sources for channel in source.channels if channel.doubts}
+    members = {
+        channel.name: names for channel in channels if (names := [term.channel for term in channel.terms if term.channel in doubted])
+    }
+    calibrated = tuple(
+        Finding(
+            "number-doubt",
+            f"doubts of the calibration of {', '.join(names)} in {name}: they are not in the intervals of the FRF and of its fits",
+        )
+        for name, names in members.items()
+    )
+    return calibrated + tuple(
         Finding(
             "number-doubt",
             f"{number.name} = {number.value:g} {number.unit} +- {number.std_error:.3g} {number.unit} in "

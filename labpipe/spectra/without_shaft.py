@@ -8,24 +8,41 @@ from collections.abc import Sequence
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.records.finding import Finding
+from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.between_periods import smooth_motion, without_runout
 from labpipe.spectra.settings import FrfSettings, ShaftLines
-from labpipe.spectra.shaft import shaft_motion
+from labpipe.spectra.shaft import at_rest, shaft_motion
 from labpipe.spectra.synchronous import without_synchronous
+
+# A shaft turns steadily where its fastest is at most this many times its slowest; pulses of noise at rest are not steady.
+STEADY = 1.2
 
 
 def without_shaft(sources: Sequence[SampleSource], settings: FrfSettings) -> tuple[list[SampleSource], FrfSettings, tuple[Finding, ...]]:
     """The recordings, each without its synchronous part where `remove` is given, and the settings without the lines that it falls on."""
-    if settings.remove is None:
+    remove = settings.remove
+    if remove is None:
         return list(sources), settings, ()
-    if settings.excitation == "random":
-        return [without_synchronous(source, settings.remove) for source in sources], settings, ()
-    cleaned = [without_runout(source, settings) for source in sources]
-    bands = dict.fromkeys(band for one in cleaned for band in one.bands)
-    settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
-    return [one.source for one in cleaned], settings, tuple(finding for one in cleaned for finding in one.findings)
+    resting = [at_rest(source, remove) for source in sources]
+    findings = [
+        note("synchronous-removed", f"{source.name}: the tacho {remove.tacho} shows no revolution, nothing was taken out")
+        for source, rests in zip(sources, resting, strict=True)
+        if rests
+    ]
+    cleaned: list[SampleSource] = []
+    bands: dict[tuple[float, float], None] = {}
+    for source, rests in zip(sources, resting, strict=True):
+        if rests:
+            cleaned.append(source)
+        elif settings.excitation == "random":
+            cleaned.append(without_synchronous(source, remove))
+        else:
+            one = without_runout(source, settings)
+            cleaned.append(one.source)
+            bands |= dict.fromkeys(one.bands)
+            findings.extend(one.findings)
+    return cleaned, dataclasses.replace(settings, exclude=(*settings.exclude, *bands)), tuple(findings)
 
 
 def lines_of_shaft(sources: Sequence[SampleSource], settings: FrfSettings, frequency: FloatArray) -> tuple[Finding, ...]:
@@ -38,9 +55,11 @@ def lines_of_shaft(sources: Sequence[SampleSource], settings: FrfSettings, frequ
     findings = []
     for source in sources:
         tacho = next((channel.name for channel in source.channels if channel.quantity == "tacho"), None)
-        if tacho is None:
+        if tacho is None or at_rest(source, ShaftLines(tacho=tacho)):
             continue
         low, high = smooth_motion(shaft_motion(source, ShaftLines(tacho=tacho)), source.sample_rate).speed_range
+        if high > STEADY * low:
+            continue
         width = source.sample_rate / source.n_sample
         for order in (1, 2):
             hit = frequency[(frequency > order * low - width) & (frequency < order * high + width)]

@@ -119,6 +119,8 @@ def _channel_line(channel: GuessedChannel) -> str:
 def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> str:
     inputs, outputs = first.column_of("input"), first.column_of("output")
     excitation = look(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
+    if excitation is not None and _side_by_side(first, outputs):
+        return _pipeline_of_stator(first, excitation, paths)
     lines = [
         f"# Evaluation of the recording{'s' if len(paths) > 1 else ''}. Paths are relative to this file.",
         "title: Stiffness and damping of my rig",
@@ -134,6 +136,30 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
     for output in (first.channels[number].key for number in outputs):
         lines.extend(_fit_lines(f"fit_{output}", force, output, peaks.get(output)))
     lines.append("# Coupled responses: model: mdof, with one force after the other. See README, 'Models and estimators'.")
+    return "\n".join(lines) + "\n"
+
+
+def _side_by_side(first: FirstLook, outputs: Sequence[int]) -> bool:
+    """Whether displacements and accelerations were recorded together, which one response matrix cannot hold."""
+    return {"displacement", "acceleration"} <= {first.channels[number].quantity for number in outputs}
+
+
+def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequence[str]) -> str:
+    """A pipeline for all channels side by side, as of a stator that floats around its shaft."""
+    lines = [
+        "# Displacements and accelerations side by side, as on a stator that floats around its shaft. Paths are relative to this file.",
+        "# For an FRF of one quantity give the others role: reference in rig.yaml, and leave `result` out.",
+        "title: Dynamic stiffness of my rig",
+        "rig: rig.yaml",
+        f"recordings: [{', '.join(json.dumps(path, ensure_ascii=False) for path in paths)}]",
+        *_frf_lines(excitation, first.rate),
+        "  result: spectra",
+        "identify:",
+        "  film:",
+        "    model: dynamic-stiffness",
+        "    dynamic_stiffness:",
+        f"      stator_mass: {DECIDE}    {MARK} the mass that moves with the stator, with its doubt: 60 kg +- 0.1 kg",
+    ]
     return "\n".join(lines) + "\n"
 
 

@@ -98,6 +98,22 @@ def test_it_can_be_looked_at_and_exported(lab: Path, labpipe) -> None:  # type: 
     assert refused.code == 2 and "known: csv, parquet" in refused.err
 
 
+def test_a_project_of_such_recordings_is_proposed(lab: Path, labpipe) -> None:  # type: ignore[no-untyped-def]
+    """Once rate, period and mass are decided it runs: of the 60 kg stator on 4 MN/m, k_xx is that of film and hoses together."""
+    made = labpipe("init", lab / "my", lab / "seal-plus.parquet", lab / "seal-minus.parquet")
+    assert made.code == 0
+    rig, pipeline = (lab / "my" / name for name in ("rig.yaml", "pipeline.yaml"))
+    rig.write_text(rig.read_text().replace("sample_rate: DECIDE", "sample_rate: 1 kHz"))
+    text = pipeline.read_text()
+    assert "result: spectra" in text and text.count("DECIDE") == 2
+    pipeline.write_text(
+        text.replace("period: DECIDE", "period: 1 s\n  band: 10-100 Hz").replace("stator_mass: DECIDE", "stator_mass: 60 kg")
+    )
+    assert labpipe("run", pipeline, "-o", lab / "my/out", "--set", "report.formats=[]").code == 0
+    (fit,) = read_identification(lab / "my/out/identification.json").fits
+    assert fit.parameter("k_xy").value == pytest.approx(11.3e6, rel=0.05)
+
+
 def test_the_report_shows_amplitudes_noise_and_orbits(lab: Path) -> None:
     page = (lab / "out/report.html").read_text()
     assert "Amplitudes and noise of the channels of seal" in page and "Half axes of the orbits of d_x and d_y of seal" in page

@@ -142,7 +142,7 @@ def test_noise_is_that_of_the_settings_on_every_channel() -> None:
     rig = replace(seal(drives=True), conditions=(("dry", Condition()),), noise=FloatingNoise(3.0, 2e-7, 0.04, 1e-3))
     first, second = (floating_runs(rig, seed, ["dry-x"])[0].samples for seed in (1, 2))
     spread = np.std(first - second, axis=0) / np.sqrt(2)
-    np.testing.assert_allclose(spread, [3.0, 3.0, 2e-7, 2e-7, 0.04, 0.04, 1e-3, 1e-3], rtol=0.03)
+    np.testing.assert_allclose(spread, [3.0, 3.0, 2e-7, 2e-7, 0.04, 0.04, 1e-3, 1e-3, 0.0], rtol=0.03)
 
 
 def test_the_journal_bearing_is_the_one_of_a_bearing_file(labpipe, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

@@ -13,6 +13,7 @@ from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.channel_sum import Number, Term
+from labpipe.records.doubt import ChannelDoubt, Doubt
 from labpipe.records.recording import Channel, Recording
 from labpipe.simulate.floating_rig import FLOATING_RIG, floating_runs
 from labpipe.simulate.floating_settings import FloatingRig
@@ -142,6 +143,39 @@ def test_delays_are_taken_out_and_sums_made_line_by_line() -> None:
     changed = np.einsum("cd,lrd->lrc", factor.derivative, found.vectors)
     np.testing.assert_allclose(changed[:, :, 6:], -found.vectors[:, :, 4:6])
     assert not np.any(changed[:, :, :6])
+
+
+@pytest.mark.parametrize("effect", ["gain", "delay", "phase", "direction"])
+def test_doubts_of_calibrations_change_the_vector_as_they_are_declared(effect: str) -> None:
+    """A recording whose d_x has the error gives another vector; the factor's derivative takes it back, to second order.
+
+    By a thousandth: a gain of 1.001, 1 us, 1 mrad of phase, and d_x pointing 1 mrad towards y.
+    """
+    size = {"gain": 1e-3, "delay": 1e-6, "phase": 1e-3, "direction": 1e-3}[effect]
+    runs = floating_runs(quiet(seal()), 1, ["seal-plus", "seal-minus"])
+    doubt = ChannelDoubt(effect, Doubt("probe", size, "1"))
+    marked = []
+    for run in runs:
+        channels = [replace(one, doubts=(doubt,)) if one.name == "d_x" else one for one in run.channels]
+        twice = Channel("s", "displacement", "output", "s", terms=(Term("d_x", -2.0),))
+        marked.append(replace(run, channels=(*channels, twice), samples=np.column_stack([run.samples, run.samples[:, :1]])))
+    exact = channel_spectra(marked, PERIODIC)
+    (factor,) = exact.factors
+    assert (factor.source, factor.std_error) == ("probe", size)
+    omega = 2 * np.pi * exact.frequency[:, None]
+    names = [channel.name for channel in exact.channels]
+    d_x, d_y, s = (exact.vectors[:, :, names.index(name)] for name in ("d_x", "d_y", "s"))
+    wrong = {"gain": d_x * (1 + size), "delay": d_x * np.exp(-1j * omega * size), "phase": d_x * np.exp(-1j * size)}.get(
+        effect, np.cos(size) * d_x + np.sin(size) * d_y
+    )
+    change = size * omega**factor.power * np.einsum("cd,lrd->lrc", factor.derivative, exact.vectors)[:, :, names.index("d_x")]
+    # What the error does is taken back, but for its square.
+    largest = size * np.max(omega) ** factor.power
+    np.testing.assert_allclose(change, d_x - wrong, rtol=0, atol=largest**2 * np.max(np.abs(exact.vectors[:, :, :4])))
+    assert np.max(np.abs(change)) > 100 * largest**2 * np.max(np.abs(d_x))
+    of_sum = size * omega**factor.power * np.einsum("cd,lrd->lrc", factor.derivative, exact.vectors)[:, :, names.index("s")]
+    np.testing.assert_allclose(of_sum, -2 * change, rtol=1e-12)
+    np.testing.assert_allclose(s, -2 * d_x, rtol=1e-12)
 
 
 def test_drives_are_instruments_for_random_forces() -> None:

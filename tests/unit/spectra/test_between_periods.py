@@ -97,6 +97,17 @@ def test_a_dropped_line_is_named() -> None:
     assert len(removed) == 12
 
 
+def test_nothing_is_taken_out_where_the_tacho_stands_still() -> None:
+    """A baseline beside tests of a turning shaft, under the same settings; noise on the tacho is no speed either."""
+    still = turning(0.0)
+    plain, found = spectra(still, None, 2), spectra(still, TACHO, 2)
+    np.testing.assert_array_equal(found.vectors, plain.vectors)
+    assert "the tacho n shows no revolution" in found.findings[0].message and not shaft_lines(plain)
+    rng = np.random.default_rng(1)
+    noisy = [replace(run, samples=run.samples + 1e-3 * rng.normal(size=run.samples.shape)) for run in floating_runs(still, 2, RUNS)]
+    assert not shaft_lines(channel_spectra(noisy, PERIODIC))
+
+
 def test_a_given_speed_without_runout_follows_no_noise() -> None:
     """Nothing turns: the given speed is kept, the vectors as good as they were."""
     still = turning(0.0, runout=(), unbalance=0.0)
