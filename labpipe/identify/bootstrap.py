@@ -34,7 +34,7 @@ def bootstrapped(
     if not has_noise(measured):
         raise FitError("bootstrap needs the noise of the FRF, which is not known", hint="leave `bootstrap` out")
     rng = np.random.default_rng(zlib.crc32(name.encode()))
-    refits = [values for _ in range(repeats) if (values := _refitted(refit, _redrawn(measured, fitted, rng)))]
+    refits = [values for _ in range(repeats) if (values := _refitted(refit, redrawn(measured, fitted, rng)))]
     if len(refits) < (1 - MOST_FAILED) * repeats:
         raise FitError(f"bootstrap: {repeats - len(refits)} of {repeats} refits failed", hint="widen the band")
     note = f"Standard errors and intervals come from {len(refits)} refits on noise drawn from the FRF's covariance (bootstrap)."
@@ -43,8 +43,8 @@ def bootstrapped(
     return tuple(scattered), note
 
 
-def _redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) -> Measured:
-    """The fitted FRF with circular noise of the measured covariance."""
+def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) -> Measured:
+    """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance."""
     assert measured.covariance is not None
     n = measured.covariance.shape[1]
     values, vectors = np.linalg.eigh(measured.covariance)

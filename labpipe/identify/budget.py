@@ -35,6 +35,8 @@ from labpipe.records.response import Port
 SHARE = 1e-3
 # From a setup with changed numbers to its model.
 ModelOf = Callable[[Setup], BandModel]
+# From a setup, its model and data to the reported parameters of a whole fit.
+Refit = Callable[[Setup, BandModel, Measured], tuple[Parameter, ...]]
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class Case:
 
 def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
     """The budget of reported *parameters*; None where no number has a doubt, or the fit did not converge."""
-    sources = _sources(case.setup)
+    sources = sources_of(case.setup)
     if not sources or not case.estimate.converged:
         return None
     step = _step_of(case)
@@ -72,7 +74,7 @@ def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
 Change = Callable[[Case, float], tuple[Setup, Measured]]
 
 
-def _sources(setup: Setup) -> list[tuple[Doubt, Change]]:
+def sources_of(setup: Setup) -> list[tuple[Doubt, Change]]:
     """Every source with what an error of it does; numbers of one source change together."""
     changes: dict[str, list[tuple[Doubt, Change]]] = {}
     for ports, sign in ((setup.outputs, 1.0), (setup.inputs, -1.0)):

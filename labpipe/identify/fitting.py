@@ -32,6 +32,7 @@ from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.mismatch import Judgement, judge
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.model_kinds import DECAYS, RESPONSES, SPECTRA
+from labpipe.identify.monte_carlo import propagated
 from labpipe.identify.motions import motion_notes
 from labpipe.identify.physical import mode_findings
 from labpipe.identify.reported import reported_parameters, widened_parameters, with_systematic, without_intervals
@@ -181,8 +182,13 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
         parameters, note = bootstrapped(parameters, measured, fitted, refit, settings.bootstrap, settings.name)
         notes = (*notes, note)
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
-    budget = budget_of(Case(setup, measured, model, estimate, functools.partial(_same_model, names=model.names)), parameters)
+    case = Case(setup, measured, model, estimate, functools.partial(_same_model, names=model.names))
+    budget = budget_of(case, parameters)
     parameters = parameters if budget is None else with_systematic(parameters, budget)
+    drawn_findings: tuple[Finding, ...] = ()
+    if budget is not None and settings.monte_carlo:
+        drawn = propagated(case, parameters, budget, fitted, _refit, settings.monte_carlo)
+        parameters, budget, drawn_findings, notes = drawn.parameters, drawn.budget, drawn.findings, (*notes, drawn.note)
     notes = (*notes, *motion_notes(measured))
     # Candidates show whether proportional damping is justified.
     of_model = settings.estimator == "ml" and not settings.eliminate and not isinstance(model, TransferMode)
@@ -213,6 +219,7 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
             *leakage,
             *_mass_findings(measured, model, estimate, setup),
             *_parameter_findings(parameters, band, setup),
+            *drawn_findings,
             *comparison_findings(compared_models),
         ),
         notes=notes,

@@ -89,6 +89,7 @@ class FitSettings(Settings):
     tied: tuple[tuple[str, ...], ...] = setting("groups", "lists of coefficients that have one value", default=())
     weight: str = setting("choice", "ls, iv, amplitude: all lines weigh alike, or by their noise", choices=WEIGHTS, default="none")
     bootstrap: int = setting("integer", "repeats of the fit on resampled noise, for intervals beyond first order", default=0)
+    monte_carlo: int = setting("integer", "draws of noise and of all numbers with a doubt, as a check of the budget", default=0)
     compare: bool = setting("flag", "hold the model against simpler and richer ones", default=False)
     test: tuple[str, ...] = setting("names", "tests that are fitted; default: all", default=())
     name: str = ""

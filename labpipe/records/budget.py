@@ -14,10 +14,11 @@ from labpipe.records.doubt import Doubt
 class Budget:
     """Doubts of the parameters *names* of a fit, in their units.
 
-    random (n_parameter,) [unit of the parameter]: standard uncertainties by noise, with what the residual shows beyond it; random_dof
-    behind them. sources: systematic ones; changes (n_source, n_parameter) [unit of the parameter]: change of every parameter by one
-    standard uncertainty of the source, with its sign: their outer products are the covariance by each source. NaN where a parameter has
-    no random uncertainty.
+    random (n_parameter,) [unit of the parameter]: standard uncertainties by noise, with what the residual shows beyond it, NaN where there
+    is none; random_dof behind them. sources: systematic ones; changes (n_source, n_parameter) [unit of the parameter]: change of every
+    parameter by one standard uncertainty of the source, with its sign: their outer products are the covariance by each source.
+    drawn (n_parameter, 3) [unit of the parameter]: scatter and ends of the 95 % interval of Monte Carlo draws of noise and sources, None
+    where there are none.
     """
 
     names: tuple[str, ...]
@@ -25,6 +26,7 @@ class Budget:
     random_dof: float | None
     sources: tuple[Doubt, ...]
     changes: FloatArray
+    drawn: FloatArray | None = None
 
     @property
     def systematic(self) -> FloatArray:

@@ -33,13 +33,18 @@ def budget_blocks(fit: Fit) -> tuple[Block, ...]:
     budget = fit.budget
     if budget is None:
         return ()
-    rows = tuple(_row(budget, parameter) for parameter in fit.parameters if parameter.systematic)
+    drawn = budget.drawn is not None
+    rows = tuple(
+        (*_row(budget, parameter), *([_drawn(budget, parameter)] if drawn else [])) for parameter in fit.parameters if parameter.systematic
+    )
     if not rows:
         return ()
     named = [parameter.name for parameter in fit.parameters if parameter.systematic]
     return (
         Paragraph(EXPLAINED),
-        Table(HEADER, rows, f"Uncertainty of {fit.name}", tuple(range(1, len(HEADER)))),
+        Table(
+            (*HEADER, *(["Monte Carlo / first order"] if drawn else [])), rows, f"Uncertainty of {fit.name}", tuple(range(1, len(rows[0])))
+        ),
         _bars(budget, named[:MOST_BARS]),
         _shares_table(budget, named),
         Paragraph(_improvement(fit, budget, named), "note"),
@@ -71,6 +76,13 @@ def _row(budget: Budget, parameter: Parameter) -> tuple[str, ...]:
         f"{factor:.2f}",
         "known" if dof > MANY else f"{math.floor(dof)}",
     )
+
+
+def _drawn(budget: Budget, parameter: Parameter) -> str:
+    """Scatter of the Monte Carlo draws over the combined standard uncertainty."""
+    assert budget.drawn is not None
+    column = budget.names.index(parameter.name)
+    return f"{budget.drawn[column, 0] / budget.combined[column]:.3f}"
 
 
 def _sources(budget: Budget, names: list[str]) -> list[str]:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.identify.fitting import identify
+from labpipe.identify.monte_carlo import drawn_error
 from labpipe.identify.settings import FitSettings
 from labpipe.records.budget import Budget
 from labpipe.records.doubt import ChannelDoubt, Doubt
@@ -143,3 +144,33 @@ def test_a_mass_in_the_settings_keeps_its_doubt() -> None:
     assert given.mass == 0.79
     assert dict(given.doubts)["mass"] == Uncertain(0.79, pytest.approx(0.00395))
     assert dataclasses.replace(given, estimator="ls").doubts == given.doubts
+
+
+def test_monte_carlo_scatters_as_first_order_says(rng) -> None:
+    """400 draws of noise, gains, delay and mass: scatter over the combined uncertainty within 4 standard deviations of a scatter."""
+    (fit,) = identify(a_response(rng), settings("ml", mass="0.79 kg +- 0.5 %", monte_carlo=400))
+    assert fit.budget is not None and fit.budget.drawn is not None
+    np.testing.assert_allclose(fit.budget.drawn[:, 0] / fit.budget.combined, 1.0, atol=4 / np.sqrt(800))
+    low, high = fit.parameter("k").ci95
+    assert (low, high) == tuple(fit.budget.drawn[0, 1:])
+    assert "400 draws" in fit.notes[-1] or any("400 draws" in note for note in fit.notes)
+    assert not [finding for finding in fit.findings if finding.code == "first-order"]
+
+
+def test_a_large_doubt_is_beyond_first_order(rng) -> None:
+    """c takes 1 / (1 - d) from the force sensor: with d of 30 % (one sigma) the scatter is far from linear, and it is said."""
+    large = ChannelDoubt("gain", Doubt("f.sensitivity", 0.3, "1"))
+    (fit,) = identify(a_response(rng, output=(), force=(large,)), settings("ml", mass="0.79 kg", monte_carlo=400))
+    (finding,) = [finding for finding in fit.findings if finding.code == "first-order"]
+    assert "c (" in finding.message and fit.budget is not None
+
+
+@pytest.mark.parametrize(("shape", "dof", "spread"), [("normal", None, 1.0), ("rectangular", None, 1.0), ("triangular", None, 1.0)])
+def test_errors_are_drawn_by_their_distribution(rng, shape: str, dof, spread: float) -> None:
+    """Standard deviation one, kurtosis 3, 9/5 and 12/5 (closed forms), within 5 standard deviations of 20,000 draws."""
+    draws = np.array([drawn_error(Doubt("s", 1.0, "1", dof, shape), rng) for _ in range(20000)])
+    assert np.std(draws) == pytest.approx(spread, abs=0.03)
+    expected = {"normal": 3.0, "rectangular": 1.8, "triangular": 2.4}[shape]
+    assert np.mean(draws**4) / np.mean(draws**2) ** 2 == pytest.approx(expected, abs=0.2)
+    if shape != "normal":
+        assert np.max(np.abs(draws)) <= {"rectangular": 3**0.5, "triangular": 6**0.5}[shape]

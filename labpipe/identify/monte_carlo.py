@@ -1,0 +1,103 @@
+"""Propagation of distributions: a fit repeated on drawn noise with drawn errors of every number that was given.
+
+JCGM 101:2008 (GUM Supplement 1): the check of the first-order budget, and the interval where first order is not enough.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import FitError
+from labpipe.identify.bootstrap import MOST_FAILED, redrawn
+from labpipe.identify.budget import Case, Refit, sources_of
+from labpipe.identify.weights import has_noise
+from labpipe.records.budget import Budget
+from labpipe.records.doubt import Doubt
+from labpipe.records.finding import Finding
+from labpipe.records.parameter import Parameter
+
+FEWEST_DRAWS = 200
+# Scatter of the draws over the first-order uncertainty beyond which that is not enough, besides what chance leaves of so many draws.
+ENOUGH = 0.05
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Parameters with the intervals of the draws, their budget with the scatter of the draws, and what is to be said of it."""
+
+    parameters: tuple[Parameter, ...]
+    budget: Budget
+    findings: tuple[Finding, ...]
+    note: str
+
+
+def propagated(case: Case, parameters: Sequence[Parameter], budget: Budget, fitted: ComplexArray, refit: Refit, draws: int) -> Drawn:
+    """*draws* refits on *fitted* (n_line, n_output, n_input) [m/N] plus noise, every number off by an error of its distribution.
+
+    The seed follows from the fit's name. FitError for an unknown noise, too few draws, or failed refits.
+    """
+    if draws < FEWEST_DRAWS:
+        raise FitError(f"monte_carlo: {draws} draws give no reliable interval", hint=f"at least {FEWEST_DRAWS}, 2000 is usual")
+    if not has_noise(case.measured):
+        raise FitError("monte_carlo needs the noise of the FRF, which is not known", hint="leave `monte_carlo` out")
+    rng = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode()))
+    values = [found for _ in range(draws) if (found := _drawn(case, fitted, refit, rng)) is not None]
+    if len(values) < (1 - MOST_FAILED) * draws:
+        raise FitError(f"monte_carlo: {draws - len(values)} of {draws} refits failed", hint="widen the band")
+    columns = np.array(values)
+    scatter, (low, high) = np.std(columns, axis=0, ddof=1), np.percentile(columns, [2.5, 97.5], axis=0)
+    complete = replace(budget, drawn=np.column_stack([scatter, low, high]))
+    findings = _findings(complete, len(values))
+    note = f"Intervals are those of {len(values)} draws of the noise and of all numbers with a doubt (Monte Carlo, JCGM 101:2008)."
+    return Drawn(tuple(_with_interval(p, *ends) for p, *ends in zip(parameters, low, high, strict=True)), complete, findings, note)
+
+
+def _drawn(case: Case, fitted: ComplexArray, refit: Refit, rng: np.random.Generator) -> FloatArray | None:
+    """Reported values (n_parameter,) [parameter units] of one draw; None where the fit fails."""
+    changed = replace(case, measured=redrawn(case.measured, fitted, rng))
+    for doubt, change in sources_of(case.setup):
+        setup, measured = change(changed, drawn_error(doubt, rng))
+        changed = replace(changed, setup=setup, measured=measured)
+    try:
+        parameters = refit(changed.setup, case.model_of(changed.setup), changed.measured)
+    except FitError:
+        return None
+    return np.array([parameter.value for parameter in parameters])
+
+
+def drawn_error(doubt: Doubt, rng: np.random.Generator) -> float:
+    """An error [unit of the doubt] by its distribution: limits at sqrt(3) or sqrt(6) standard uncertainties, Student's t, or normal."""
+    if doubt.shape == "rectangular":
+        return doubt.std_error * float(np.sqrt(3.0) * rng.uniform(-1.0, 1.0))
+    if doubt.shape == "triangular":
+        return doubt.std_error * float(np.sqrt(6.0) * rng.triangular(-1.0, 0.0, 1.0))
+    if doubt.dof:
+        return doubt.std_error * float(rng.standard_t(doubt.dof))
+    return doubt.std_error * float(rng.standard_normal())
+
+
+def _with_interval(parameter: Parameter, low: float, high: float) -> Parameter:
+    if parameter.ci95 is None:
+        return parameter
+    significant = None if parameter.significant is None else not low <= 0 <= high
+    return replace(parameter, ci95=(float(low), float(high)), significant=significant)
+
+
+def _findings(budget: Budget, draws: int) -> tuple[Finding, ...]:
+    """The parameters whose scatter is not what first order says, beyond chance (three standard deviations of a scatter)."""
+    assert budget.drawn is not None
+    ratio = budget.drawn[:, 0] / budget.combined
+    far = np.abs(ratio - 1) > ENOUGH + 3 / np.sqrt(2 * draws)
+    if not np.any(far):
+        return ()
+    named = ", ".join(f"{budget.names[n]} ({ratio[n]:.2f})" for n in np.flatnonzero(far))
+    message = (
+        f"first order is not enough: the scatter of the draws over the combined standard uncertainty is not 1 for {named}; the intervals "
+        "are those of the draws"
+    )
+    return (Finding("first-order", message),)
