@@ -41,6 +41,7 @@ from labpipe.identify.setup import Setup
 from labpipe.identify.short_blocks import leakage_findings
 from labpipe.identify.statistics import Estimate, condition_number, correlation, student_limit
 from labpipe.identify.transfer_mode import TransferMode, transfer_of, transfer_start
+from labpipe.records.budget import Budget
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.finding import Finding
 from labpipe.records.free_decay import FreeDecays
@@ -183,12 +184,8 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
         notes = (*notes, note)
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     case = Case(setup, measured, model, estimate, functools.partial(_same_model, names=model.names))
-    budget = budget_of(case, parameters)
-    parameters = parameters if budget is None else with_systematic(parameters, budget)
-    drawn_findings: tuple[Finding, ...] = ()
-    if budget is not None and settings.monte_carlo:
-        drawn = propagated(case, parameters, budget, fitted, _refit, settings.monte_carlo)
-        parameters, budget, drawn_findings, notes = drawn.parameters, drawn.budget, drawn.findings, (*notes, drawn.note)
+    budgeted = _with_budget(case, parameters, fitted)
+    notes, parameters = (*notes, *budgeted.notes), budgeted.parameters
     notes = (*notes, *motion_notes(measured))
     # Candidates show whether proportional damping is justified.
     of_model = settings.estimator == "ml" and not settings.eliminate and not isinstance(model, TransferMode)
@@ -219,14 +216,37 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
             *leakage,
             *_mass_findings(measured, model, estimate, setup),
             *_parameter_findings(parameters, band, setup),
-            *drawn_findings,
+            *budgeted.findings,
             *comparison_findings(compared_models),
         ),
         notes=notes,
         candidates=compared_models,
-        budget=budget,
+        budget=budgeted.budget,
     )
     return _BandFit(fit, fitted, model, estimate.values)
+
+
+@dataclass(frozen=True)
+class _Budgeted:
+    """Parameters with all doubts, and what is to be said of them."""
+
+    parameters: tuple[Parameter, ...]
+    budget: Budget | None = None
+    findings: tuple[Finding, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def _with_budget(case: Case, parameters: tuple[Parameter, ...], fitted: ComplexArray) -> _Budgeted:
+    """The parameters with what given numbers add to their doubt, by first order and, if asked for, by draws."""
+    budget = budget_of(case, parameters)
+    if budget is None:
+        return _Budgeted(parameters)
+    expanded = with_systematic(parameters, budget)
+    draws = case.setup.settings.monte_carlo
+    if not draws:
+        return _Budgeted(expanded, budget)
+    drawn = propagated(case, expanded, budget, fitted, _refit, draws)
+    return _Budgeted(drawn.parameters, drawn.budget, drawn.findings, (drawn.note,))
 
 
 def _parameter_findings(parameters: tuple[Parameter, ...], band: Band, setup: Setup) -> list[Finding]:

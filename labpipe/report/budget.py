@@ -34,17 +34,15 @@ def budget_blocks(fit: Fit) -> tuple[Block, ...]:
     if budget is None:
         return ()
     drawn = budget.drawn is not None
-    rows = tuple(
-        (*_row(budget, parameter), *([_drawn(budget, parameter)] if drawn else [])) for parameter in fit.parameters if parameter.systematic
-    )
-    if not rows:
+    told = [parameter for parameter in fit.parameters if parameter.systematic]
+    if not told:
         return ()
-    named = [parameter.name for parameter in fit.parameters if parameter.systematic]
+    header = (*HEADER, *(["Monte Carlo / first order"] if drawn else []))
+    rows = tuple((*_row(budget, parameter), *([_drawn(budget, parameter)] if drawn else [])) for parameter in told)
+    named = [parameter.name for parameter in told]
     return (
         Paragraph(EXPLAINED),
-        Table(
-            (*HEADER, *(["Monte Carlo / first order"] if drawn else [])), rows, f"Uncertainty of {fit.name}", tuple(range(1, len(rows[0])))
-        ),
+        Table(header, rows, f"Uncertainty of {fit.name}", tuple(range(1, len(header)))),
         _bars(budget, named[:MOST_BARS]),
         _shares_table(budget, named),
         Paragraph(_improvement(fit, budget, named), "note"),
