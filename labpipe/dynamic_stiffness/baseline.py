@@ -78,7 +78,12 @@ def given_baseline(own: DynamicStiffnessSettings) -> Baseline | None:
     stiffness, damping = own.baseline_stiffness or NONE, own.baseline_damping or NONE
     pairs = (("stiffness of the baseline", stiffness, "N/m"), ("damping of the baseline", damping, "N.s/m"))
     doubts = tuple(
-        GivenDoubt(f"{name}, {number.value:g} {unit} +- {number.std_error:g} {unit}", number.std_error * np.eye(2)[place][None])
+        GivenDoubt(
+            number.source or f"{name}, {number.value:g} {unit} +- {number.std_error:g} {unit}",
+            number.std_error * np.eye(2)[place][None],
+            std_error=number.std_error,
+            unit=unit,
+        )
         for place, (name, number, unit) in enumerate(pairs)
         if number.std_error > 0
     )

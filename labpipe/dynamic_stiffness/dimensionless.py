@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labpipe.dynamic_stiffness.values import Valued
 from labpipe.records.identification import Parameter
 
 LETTERS = "kcm"
@@ -26,23 +27,25 @@ class Bearing:
     length: float | None = None
 
 
-def dimensionless(parameters: Sequence[Parameter], bearing: Bearing, speed: float | None) -> tuple[Parameter, ...]:
+def dimensionless(coefficients: Sequence[Valued], bearing: Bearing, speed: float | None) -> tuple[Valued, ...]:
     """k_xx_dimensionless ... at a *speed* [Hz], and the Sommerfeld number; as far as what they need is given."""
     if not bearing.clearance or not bearing.load or not speed:
         return ()
     omega = 2 * np.pi * abs(speed)
     scaled = [
-        _scaled(parameter, bearing.clearance / bearing.load * omega ** LETTERS.index(letter))
-        for parameter in parameters
-        if (letter := parameter.name.split("_")[0]) in LETTERS and len(parameter.name) == len("k_xx")
+        _scaled(valued, bearing.clearance / bearing.load * omega ** LETTERS.index(letter))
+        for valued in coefficients
+        if (letter := valued.parameter.name.split("_")[0]) in LETTERS and len(valued.parameter.name) == len("k_xx")
     ]
-    return (*scaled, *_sommerfeld(bearing, abs(speed)))
+    number = _sommerfeld(bearing, abs(speed))
+    return (*scaled, *(Valued(parameter, np.zeros_like(coefficients[0].slopes)) for parameter in number))
 
 
-def _scaled(parameter: Parameter, factor: float) -> Parameter:
+def _scaled(valued: Valued, factor: float) -> Valued:
+    parameter = valued.parameter
     interval = None if parameter.ci95 is None else (factor * parameter.ci95[0], factor * parameter.ci95[1])
     errors = [None if error is None else factor * error for error in (parameter.std_error, parameter.std_error_inflated)]
-    return replace(
+    scaled = replace(
         parameter,
         name=f"{parameter.name}_dimensionless",
         value=factor * parameter.value,
@@ -53,6 +56,7 @@ def _scaled(parameter: Parameter, factor: float) -> Parameter:
         vif=None,
         derived=True,
     )
+    return Valued(scaled, factor * valued.slopes)
 
 
 def _sommerfeld(bearing: Bearing, speed: float) -> tuple[Parameter, ...]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.dynamic_stiffness.baseline import given_baseline
+from labpipe.dynamic_stiffness.budget import budgeted
 from labpipe.dynamic_stiffness.choice import choice_findings, compared
 from labpipe.dynamic_stiffness.dimensionless import Bearing, dimensionless
 from labpipe.dynamic_stiffness.estimate import Estimate, GivenErrors, Noise, estimate
@@ -112,7 +113,8 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     # A baseline is no bearing of a shaft.
     others, turning = ((), None) if given.absolute else derived_values(doubted, stator.omega, shaft)
     whole_band = band or (float(stator.omega[0] / (2 * np.pi)), float(stator.omega[-1] / (2 * np.pi)))
-    fit = _reported(settings, balance, solved, whole_band, (*main, *others, *dimensionless(main, bearing, shaft.speed)))
+    parameters, budget = budgeted((*main, *others, *dimensionless(main, bearing, shaft.speed)), solved.doubts, found.dof)
+    fit = _reported(settings, balance, solved, whole_band, parameters)
     findings = (
         *fit.findings,
         *(mismatch_findings(found) if settings.estimator == "ml" else ()),
@@ -120,12 +122,14 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *(noise_findings(found, noise) if settings.estimator == "ml" else ()),
         *motion_findings(stator, given),
         *whirl_findings(turning, shaft.speed),
-        *physical_findings(main),
+        *physical_findings(parameters),
     )
     notes = (*given_notes(given, solved.doubts, doubted), motion_note(stator), *((LS_NOTE,) if settings.estimator == "ls" else ()))
     shown = shown_course(balance, doubted, solved.doubts, given, shaft.sense)
     shown = replace(shown, excitations=solved.excitations)
-    return replace(fit, findings=(*findings, *spectra.findings), notes=notes, dynamic_stiffness=shown)
+    return replace(
+        fit, findings=(*findings, *spectra.findings), notes=notes, dynamic_stiffness=shown, budget=budget if fit.converged else None
+    )
 
 
 def _given(settings: FitSettings, stator: Stator) -> Given:
@@ -220,7 +224,7 @@ def _reported(settings: FitSettings, balance: Balance, solved: Solved, band: tup
         # What is common to two terms of such a form is told by their correlation and intervals, which hold; the lines are no fault.
         warnings = [finding for finding in warnings if finding.code != "collinear"]
     if not found.converged:
-        parameters = tuple(replace(parameter, std_error_inflated=None) for parameter in without_intervals(parameters))
+        parameters = tuple(replace(parameter, std_error_inflated=None, systematic=None) for parameter in without_intervals(parameters))
     return Fit(
         name=settings.name,
         model=settings.model,

@@ -15,6 +15,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.dynamic_stiffness.forms import StiffnessModel
 from labpipe.dynamic_stiffness.likelihood import Balance, Whitened, real_rows, times
 from labpipe.dynamic_stiffness.stator import Stator
+from labpipe.records.doubt import Doubt, doubt_of
 from labpipe.records.dynamic_stiffness import GivenDoubt
 from labpipe.records.setting_values import Uncertain
 
@@ -99,7 +100,7 @@ def smoothed_channels(stator: Stator, given: Given, stiffness: ComplexArray, sta
     return stator.channels - (stator.covariance @ pulled[..., None])[..., 0]
 
 
-def given_errors(stator: Stator, given: Given, stiffness: ComplexArray, clean: ComplexArray) -> list[tuple[str, ComplexArray]]:
+def given_errors(stator: Stator, given: Given, stiffness: ComplexArray, clean: ComplexArray) -> list[tuple[Doubt, ComplexArray]]:
     """By source, the change of e [N] by one standard deviation of the given number, (n, n_line, n_run, 2) for n independent ones.
 
     stiffness (n_line, 2, 2) [N/m] of the model, *clean* (n_line, n_run, n_channel) [SI units] the channels with as little noise as may be.
@@ -107,20 +108,31 @@ def given_errors(stator: Stator, given: Given, stiffness: ComplexArray, clean: C
     axes = clean @ stator.to_axes.T
     omega = stator.omega[:, None, None]
     acceleration = axes[..., 4:] if stator.accelerated else -(omega**2) * axes[..., 2:4]
-    errors: list[tuple[str, ComplexArray]] = []
+    errors: list[tuple[Doubt, ComplexArray]] = []
     if given.mass is not None and given.mass.std_error > 0:
-        errors.append((mass_source(given.mass), -given.mass.std_error * acceleration[None]))
+        errors.append((doubt_of(given.mass, mass_source(given.mass), "kg"), -given.mass.std_error * acceleration[None]))
     if given.baseline is not None:
         slopes = given.baseline.model.jacobian(given.baseline.values, stator.omega) / omega**2
         by_value = times(slopes[:, :, None], acceleration)
-        errors.extend((doubt.source, np.tensordot(doubt.changes, by_value, 1)) for doubt in given.baseline.doubts)
+        errors.extend(
+            (Doubt(doubt.source, doubt.std_error, doubt.unit), np.tensordot(doubt.changes, by_value, 1)) for doubt in given.baseline.doubts
+        )
     to_balance = projection(stator, given) @ stator.to_axes
     rows = (to_balance[:, :2] - stiffness @ to_balance[:, 2:])[:, None]
     for factor in stator.spectra.factors:
         error = omega**factor.power * (rows @ (clean @ factor.derivative.T)[..., None])[..., 0]
         if factor.std_error > 0 and np.any(error):
-            errors.append((factor.source, factor.std_error * error[None]))
-    return errors
+            errors.append((Doubt(factor.source, factor.std_error, factor.unit), factor.std_error * error[None]))
+    return _joined(errors)
+
+
+def _joined(errors: Sequence[tuple[Doubt, ComplexArray]]) -> list[tuple[Doubt, ComplexArray]]:
+    """Errors of one source added with their signs, each source once."""
+    sources: dict[str, tuple[Doubt, ComplexArray]] = {}
+    for doubt, error in errors:
+        known = sources.get(doubt.source)
+        sources[doubt.source] = (doubt, error) if known is None else (known[0], known[1] + error)
+    return list(sources.values())
 
 
 def errors_by_given(stator: Stator, given: Given, model: StiffnessModel, values: FloatArray, state: Whitened) -> ComplexArray:
@@ -130,9 +142,9 @@ def errors_by_given(stator: Stator, given: Given, model: StiffnessModel, values:
     return np.concatenate([np.empty((0, *stator.channels.shape[:2], 2), np.complex128), *(error for _, error in errors)])
 
 
-def given_doubts(errors: Sequence[tuple[str, ComplexArray]], respond: Respond) -> tuple[GivenDoubt, ...]:
+def given_doubts(errors: Sequence[tuple[Doubt, ComplexArray]], respond: Respond) -> tuple[GivenDoubt, ...]:
     """What given numbers do to the estimates, by source; *respond*: (n, n_parameter) by changes of e (n, n_line, n_run, 2) [N]."""
-    return joined([GivenDoubt(source, respond(error)) for source, error in errors])
+    return tuple(GivenDoubt(doubt.source, respond(error), std_error=doubt.std_error, unit=doubt.unit) for doubt, error in errors)
 
 
 def response_of(state: Whitened, columns: FloatArray) -> Respond:
@@ -150,11 +162,3 @@ def response_of(state: Whitened, columns: FloatArray) -> Respond:
 def mass_source(mass: Uncertain) -> str:
     """The same number with the same doubt is the same error, in whichever fit it stands."""
     return f"{MASS}, {mass.value:g} kg +- {mass.std_error:g} kg"
-
-
-def joined(doubts: Sequence[GivenDoubt]) -> tuple[GivenDoubt, ...]:
-    """Doubts of one source added with their signs, each source once."""
-    sources: dict[str, FloatArray] = {}
-    for doubt in doubts:
-        sources[doubt.source] = sources[doubt.source] + doubt.changes if doubt.source in sources else doubt.changes
-    return tuple(GivenDoubt(source, changes) for source, changes in sources.items())

@@ -51,7 +51,15 @@ class Shaft:
         return -1.0 if self.speed is not None and self.speed < 0 else 1.0
 
 
-def coefficients(found: Doubted, vifs: FloatArray) -> tuple[Parameter, ...]:
+@dataclass(frozen=True)
+class Valued:
+    """A reported parameter and its *slopes* (n_parameter,) [its unit per parameter unit] over the fitted values."""
+
+    parameter: Parameter
+    slopes: FloatArray
+
+
+def coefficients(found: Doubted, vifs: FloatArray) -> tuple[Valued, ...]:
     """The estimated parameters with variance inflation factors (n_parameter,) [1], then those that a symmetry ties to them."""
     model = found.model
     plain = [
@@ -59,12 +67,13 @@ def coefficients(found: Doubted, vifs: FloatArray) -> tuple[Parameter, ...]:
         for number, (name, unit, vif) in enumerate(zip(model.names[: model.n_linear], model.units, vifs, strict=False))
     ]
     shaped = [_shape(found, number, float(vifs[model.n_linear + number])) for number in range(model.n_shape)]
-    return (*plain, *shaped, *(_tied(parameter) for parameter in plain if model.symmetry == "seal"))
+    return (*plain, *shaped, *(_tied(valued) for valued in plain if model.symmetry == "seal"))
 
 
-def _estimated(found: Doubted, number: int, name: str, unit: str, vif: float) -> Parameter:
+def _estimated(found: Doubted, number: int, name: str, unit: str, vif: float) -> Valued:
     noise, whole = (float(np.sqrt(matrix[number, number])) for matrix in (found.noise, found.whole))
-    return _wide(estimated(name, unit, float(found.values[number]), noise, found.dof, vif), noise, whole)
+    shown = _wide(estimated(name, unit, float(found.values[number]), noise, found.dof, vif), noise, whole)
+    return Valued(shown, np.eye(found.values.size)[number])
 
 
 def _wide(parameter: Parameter, noise: float, whole: float) -> Parameter:
@@ -72,29 +81,32 @@ def _wide(parameter: Parameter, noise: float, whole: float) -> Parameter:
     return widened(parameter, whole / noise) if noise > 0 and whole > SAME * noise else parameter
 
 
-def _shape(found: Doubted, number: int, vif: float) -> Parameter:
+def _shape(found: Doubted, number: int, vif: float) -> Valued:
     """A shape parameter; the interval of one that is positive is that of its logarithm."""
     declared, place = found.model.form.shape[number], found.model.n_linear + number
     inner, slope = float(found.values[place]), declared.slope(float(found.values[place]))
     noise, whole = (float(np.sqrt(matrix[place, place])) for matrix in (found.noise, found.whole))
     plain = _wide(estimated(declared.name, declared.unit, declared.shown(inner), slope * noise, found.dof, vif), noise, whole)
     reach = student_limit(found.dof) * whole
-    return replace(plain, ci95=_finite(declared.shown(inner - reach), declared.shown(inner + reach)))
+    shown = replace(plain, ci95=_finite(declared.shown(inner - reach), declared.shown(inner + reach)))
+    return Valued(shown, slope * np.eye(found.values.size)[place])
 
 
 def _finite(low: float, high: float) -> tuple[float, float] | None:
     return (float(low), float(high)) if np.isfinite(low) and np.isfinite(high) else None
 
 
-def _tied(parameter: Parameter) -> Parameter:
+def _tied(valued: Valued) -> Valued:
     """k_yy = k_xx and k_yx = -k_xy."""
+    parameter = valued.parameter
     letter, suffix, *rest = _parts(parameter.name)
     name = "_".join([letter, {"xx": "yy", "xy": "yx"}[suffix], *rest])
     if suffix == "xx":
-        return replace(parameter, name=name, derived=True)
+        return Valued(replace(parameter, name=name, derived=True), valued.slopes)
     interval = None if parameter.ci95 is None else (-parameter.ci95[1], -parameter.ci95[0])
     ratio = None if parameter.t_ratio is None else -parameter.t_ratio
-    return replace(parameter, name=name, value=-parameter.value, ci95=interval, t_ratio=ratio, derived=True)
+    turned = replace(parameter, name=name, value=-parameter.value, ci95=interval, t_ratio=ratio, derived=True)
+    return Valued(turned, -valued.slopes)
 
 
 def _parts(name: str) -> list[str]:
@@ -104,7 +116,7 @@ def _parts(name: str) -> list[str]:
     return ["_".join(parts[:place]), parts[place], *parts[place + 1 :]]
 
 
-def derived_values(found: Doubted, omega: FloatArray, shaft: Shaft) -> tuple[tuple[Parameter, ...], Whirl | None]:
+def derived_values(found: Doubted, omega: FloatArray, shaft: Shaft) -> tuple[tuple[Valued, ...], Whirl | None]:
     """Whirl, crossover and coefficients at the speed, as far as they exist, and the whirl itself; omega (n_line,) [rad/s] of the fit."""
     turning = _whirl_of(found)
     parts = [*_whirl_values(found, turning, shaft), *_crossover(found, omega, shaft), *_synchronous(found, omega, shaft)]
@@ -116,7 +128,7 @@ def _whirl_of(found: Doubted) -> Whirl | None:
     return whirl(found.model, found.values, found.whole) if full else None
 
 
-def _whirl_values(found: Doubted, turning: Whirl | None, shaft: Shaft) -> list[Parameter]:
+def _whirl_values(found: Doubted, turning: Whirl | None, shaft: Shaft) -> list[Valued]:
     """Whirl frequency ratio and onset speed; none where there is no whirl."""
     if turning is None or turning.square <= 0 or not shaft.speed:
         return []
@@ -130,7 +142,7 @@ def _whirl_values(found: Doubted, turning: Whirl | None, shaft: Shaft) -> list[P
     return values
 
 
-def _onset(found: Doubted, turning: Whirl, shaft: Shaft, ratio: float, ratio_slopes: FloatArray) -> Parameter:
+def _onset(found: Doubted, turning: Whirl, shaft: Shaft, ratio: float, ratio_slopes: FloatArray) -> Valued:
     """Speed [Hz] W = sqrt(k / m) / WFR at which a rotor on these coefficients begins to whirl; k in series with the shaft's stiffness."""
     mass = shaft.rotor_mass
     assert mass is not None
@@ -142,19 +154,21 @@ def _onset(found: Doubted, turning: Whirl, shaft: Shaft, ratio: float, ratio_slo
     reach = LIMIT * whole / value
     interval = _finite(float(value * np.exp(-reach)), float(value * np.exp(reach)))
     noise = found.error(slopes, whole=False)
-    return replace(derived("onset_speed", "Hz", float(value), noise, found.dof), ci95=interval, std_error_inflated=_inflated(noise, whole))
+    plain = derived("onset_speed", "Hz", float(value), noise, found.dof)
+    return Valued(replace(plain, ci95=interval, std_error_inflated=_inflated(noise, whole)), slopes)
 
 
 def _inflated(noise: float, whole: float) -> float | None:
     return whole if whole > SAME * noise else None
 
 
-def _derived(found: Doubted, name: str, unit: str, value: float, slopes: FloatArray, interval: tuple[float, float] | None) -> Parameter:
+def _derived(found: Doubted, name: str, unit: str, value: float, slopes: FloatArray, interval: tuple[float, float] | None) -> Valued:
     noise, whole = found.error(slopes, whole=False), found.error(slopes, whole=True)
-    return replace(derived(name, unit, value, noise, found.dof), ci95=interval, std_error_inflated=_inflated(noise, whole))
+    shown = replace(derived(name, unit, value, noise, found.dof), ci95=interval, std_error_inflated=_inflated(noise, whole))
+    return Valued(shown, slopes)
 
 
-def _crossover(found: Doubted, omega: FloatArray, shaft: Shaft) -> list[Parameter]:
+def _crossover(found: Doubted, omega: FloatArray, shaft: Shaft) -> list[Valued]:
     if found.model.symmetry == "direct":
         return []
     found_at = crossover(found.model, found.values, found.whole, omega, shaft.sense)
@@ -166,7 +180,7 @@ def _crossover(found: Doubted, omega: FloatArray, shaft: Shaft) -> list[Paramete
     return [_derived(found, "crossover_frequency", "Hz", value, to_hertz * found_at.slopes, _finite(low, high))]
 
 
-def _synchronous(found: Doubted, omega: FloatArray, shaft: Shaft) -> list[Parameter]:
+def _synchronous(found: Doubted, omega: FloatArray, shaft: Shaft) -> list[Valued]:
     """Re H and Im H / W at the speed W of the shaft, where it lies in the band and the form is more than K and C."""
     if not shaft.speed or found.model.form.name == "kc":
         return []

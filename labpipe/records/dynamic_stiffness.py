@@ -14,11 +14,15 @@ from labpipe.arrays import ComplexArray, FloatArray
 class GivenDoubt:
     """What the doubt of given numbers of one *source* does to the estimates; the same source is the same error in every fit.
 
-    changes (n, n_parameter) [units of the fitted parameters]: n independent errors of one standard deviation each.
+    changes (n, n_parameter) [units of the fitted parameters]: n independent errors of one standard deviation each. std_error [unit] of
+    the number, 1 of several.
     """
 
     source: str
     changes: FloatArray
+    _: KW_ONLY
+    std_error: float = 1.0
+    unit: str = "1"
 
 
 def systematic(doubts: Sequence[GivenDoubt], n_parameter: int) -> FloatArray:

@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.quantities import display_unit, to_display
 from labpipe.records.dynamic_stiffness import DynamicStiffness
 from labpipe.records.identification import Fit
 from labpipe.report.chart import GREY, WIDTH, Axis, Chart, Panel, Series, curve, dots, level
 from labpipe.report.document import Block, Figure, Table
 from labpipe.report.figures import FREQUENCY
-from labpipe.report.wording import LEGIBLE, fit_title
+from labpipe.report.wording import fit_title
 
 # Limits of 95 % of a standard normal value.
 TWO_SIGMA = 1.96
 MEGA = 1e-6
-# Share of the standard error of noise below which a given number does nothing.
-NOTHING = 1e-6
 AXES = "xy"
 PARTS = (("Re", np.real), ("Im", np.imag))
 
 
 def dynamic_stiffness_blocks(fit: Fit) -> list[Block]:
-    """Table of given numbers, H over frequency, effective stiffness and damping; nothing for other models."""
+    """Other excitations, H over frequency, effective stiffness and damping; nothing for other models."""
     shown = fit.dynamic_stiffness
     if shown is None:
         return []
-    given = [given_table(fit, shown)] if shown.doubts else []
     orbit = [] if shown.absolute else [effective_figure(fit, shown)]
     other = [excitation_table(fit, shown)] if shown.excitations else []
-    return [*given, *other, stiffness_figure(fit, shown), *orbit]
+    return [*other, stiffness_figure(fit, shown), *orbit]
 
 
 def excitation_table(fit: Fit, shown: DynamicStiffness) -> Table:
@@ -42,26 +36,6 @@ def excitation_table(fit: Fit, shown: DynamicStiffness) -> Table:
     rows = tuple((other.name, *(f"{ratio:.2f}" for ratio in other.ratios)) for other in shown.excitations)
     caption = f"Standard errors by noise of {fit_title(fit)} with other excitations of the same time and r.m.s. force, this test being 1"
     return Table(header, rows, caption, tuple(range(1, len(header))))
-
-
-def given_table(fit: Fit, shown: DynamicStiffness) -> Table:
-    """The standard error of every estimate: of noise, of each given number, and in all."""
-    parameters = [parameter for parameter in fit.parameters if not parameter.derived][: shown.values.size]
-    header = ("parameter", "unit", "noise", *(doubt.source.split(",")[0] for doubt in shown.doubts), "in all")
-    rows = []
-    for number, parameter in enumerate(parameters):
-        unit = display_unit(parameter.unit, parameter.value)
-        noise, inner = parameter.std_error or 0.0, float(np.sqrt(shown.noise[number, number]))
-        # Positive shape parameters are fitted as their logarithms.
-        slope = noise / inner if inner else 1.0
-        parts = [slope * float(np.linalg.norm(doubt.changes[:, number])) for doubt in shown.doubts]
-        errors = (noise, *(part if part > NOTHING * noise else 0.0 for part in parts), parameter.full_error or 0.0)
-        rows.append((parameter.name, LEGIBLE.get(unit, unit), *_shown(errors, unit)))
-    return Table(header, tuple(rows), f"Standard errors of {fit_title(fit)} by where they come from", tuple(range(2, len(header))))
-
-
-def _shown(errors: Sequence[float], unit: str) -> tuple[str, ...]:
-    return tuple(f"{to_display(error, unit) - to_display(0.0, unit):.2g}" for error in errors)
 
 
 def stiffness_figure(fit: Fit, shown: DynamicStiffness) -> Figure:

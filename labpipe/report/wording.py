@@ -17,8 +17,6 @@ STARS_EXPLAINED = (
 )
 # Variance inflation from which regression texts speak of collinearity (Marquardt 1970), and the correlation of two that gives it.
 LARGE_VIF, CLOSE = 10.0, 0.95
-# Ratio of standard errors from which a sentence names it.
-VISIBLE = 1.01
 # Standard errors that differ by less than this share are one.
 ALIKE = 1e-6
 LEGIBLE = {"1": "", "N.s/m": "N s/m"}
@@ -129,14 +127,8 @@ def inflated_text(fit: Fit) -> str:
         return " The residual is not noise and nothing explains it: no standard errors and intervals are given (model-mismatch above)."
     wider = [(p.name, _beyond_noise(p) / p.std_error) for p in fit.parameters if p.std_error_inflated is not None and p.std_error]
     wider = [(name, factor) for name, factor in wider if factor > 1 + ALIKE]
-    if not wider:
+    # Small given numbers of a floating bearing stay with its noise.
+    if not wider or (fit.dynamic_stiffness is not None and not mismatch):
         return ""
-    if fit.dynamic_stiffness is not None:
-        causes = ["the doubt of given numbers"] if fit.dynamic_stiffness.doubts else []
-        causes += ["a residual beyond the noise (model-mismatch above)"] if mismatch else []
-        name, factor = max(wider, key=lambda pair: pair[1])
-        if factor < VISIBLE:
-            return ""
-        return f" Standard errors and intervals hold {' and '.join(causes)}: up to {factor:.3g} times those of noise alone ({name})."
     listed = ", ".join(f"{name} {factor:.3g}" for name, factor in wider)
     return f" The residual is not noise (model-mismatch above): standard errors and intervals are those of noise alone times: {listed}."

@@ -9,9 +9,10 @@ import pytest
 
 from labpipe.dynamic_stiffness.effective import crossover, effective
 from labpipe.dynamic_stiffness.forms import FORMS, StiffnessModel
-from labpipe.dynamic_stiffness.values import Doubted, Shaft, derived_values
+from labpipe.dynamic_stiffness.values import Doubted, Shaft, Valued, derived_values
 from labpipe.dynamic_stiffness.whirl import LIMIT, whirl
 from labpipe.errors import ConfigError
+from labpipe.records.parameter import Parameter
 from labpipe.records.setting_values import Uncertain
 from tests.unit.dynamic_stiffness.floating_rig import JOURNAL, SEAL, kcm
 from tests.unit.dynamic_stiffness.test_fit import EVEN, GIVEN, drawn, fitted
@@ -117,19 +118,23 @@ def test_a_shaft_that_turns_the_other_way_swaps_the_cross_terms() -> None:
     assert crossover(KCM, values, np.eye(12), OMEGA) is None
 
 
+def named(valued: tuple[Valued, ...]) -> dict[str, Parameter]:
+    return {one.parameter.name: one.parameter for one in valued}
+
+
 def test_coefficients_at_the_speed_and_the_onset_speed() -> None:
     """At w = W: K_xx - W^2 M_xx. A short bearing, k_xy = c W / 2 at every speed: a rotor m on it is unstable from W = 2 sqrt(k / m) on."""
     speed = 50.0
     values = numbers(SEAL)
     found = Doubted(KCM, values, 1e-6 * np.diag(values**2), 2e-6 * np.diag(values**2), 700)
-    shown = {p.name: p for p in derived_values(found, OMEGA, Shaft(speed))[0]}
+    shown = named(derived_values(found, OMEGA, Shaft(speed))[0])
     w = 2 * np.pi * speed
     assert shown["k_xx_synchronous"].value == pytest.approx(5e6 - 45 * w**2) and shown["c_yx_synchronous"].value == pytest.approx(-8e3)
     assert shown["k_xx_synchronous"].std_error == pytest.approx(1e-3 * np.hypot(5e6, 45 * w**2), rel=1e-9)
-    assert "k_xx_synchronous" not in {p.name for p in derived_values(found, OMEGA, Shaft(5.0))[0]}
+    assert "k_xx_synchronous" not in named(derived_values(found, OMEGA, Shaft(5.0))[0])
     k, c, m = 5e6, 4.2e4, 80.0
     short = Doubted(KC, np.array([k, c * w / 2, -c * w / 2, k, c, 0, 0, c]), 1e-6 * np.eye(8), 1e-6 * np.eye(8), 700)
-    onset = {p.name: p for p in derived_values(short, OMEGA, Shaft(speed, Uncertain(m, 0.8)))[0]}["onset_speed"]
+    onset = named(derived_values(short, OMEGA, Shaft(speed, Uncertain(m, 0.8)))[0])["onset_speed"]
     assert onset.value == pytest.approx(2 * np.sqrt(k / m) / (2 * np.pi), rel=1e-9)
     assert onset.std_error_inflated == pytest.approx(onset.value * 0.005, rel=1e-6)
 
@@ -140,7 +145,7 @@ def test_coefficients_at_the_speed_and_the_onset_speed() -> None:
         return float(np.max(np.linalg.eigvals(np.vstack([np.hstack([np.zeros((2, 2)), np.eye(2)]), lower])).real))
 
     assert growth(0.999 * onset.value) < 0 < growth(1.001 * onset.value)
-    soft = {p.name: p for p in derived_values(short, OMEGA, Shaft(speed, Uncertain(m), k))[0]}["onset_speed"]
+    soft = named(derived_values(short, OMEGA, Shaft(speed, Uncertain(m), k))[0])["onset_speed"]
     assert soft.value == pytest.approx(onset.value / np.sqrt(2))
 
 
