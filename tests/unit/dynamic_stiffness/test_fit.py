@@ -14,7 +14,7 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.identify.fitting import identify
 from labpipe.identify.levels import with_level_findings
 from labpipe.identify.settings import FitSettings
-from labpipe.records.channel_spectra import ChannelSpectra
+from labpipe.records.channel_spectra import ChannelSpectra, UncertainFactor
 from labpipe.records.identification import Fit, Identification
 from labpipe.records.recording import Channel
 from labpipe.report.build import build
@@ -394,3 +394,17 @@ def test_levels_are_held_against_each_other_without_what_they_have_in_common() -
     assert "stiffness by +3" in finding.message or "stiffness by +2.9" in finding.message
     _, same = with_level_findings([fits["low"], fits["same"]], conditions)
     assert "amplitude" not in [f.code for f in same.findings]
+
+
+def test_a_common_gain_error_of_the_probes_scales_all_coefficients() -> None:
+    """Both probes 1 % wrong by one calibrator: H goes with 1 / D, so that every coefficient is off by 1 % of itself, with one sign."""
+    spectra = drawn()
+    slopes = [np.diag([0.0, 0, *row, 0, 0]) for row in ((-1.0, 0.0), (0.0, -1.0))]
+    gains = tuple(UncertainFactor(name, 1.0, 0.01, "1", slope, source="calibrator") for name, slope in zip("xy", slopes, strict=True))
+    fit = fitted(replace(spectra, factors=gains), **GIVEN)
+    (doubt,) = fit.dynamic_stiffness.doubts
+    assert doubt.source == "calibrator" and np.abs(doubt.changes[0]) == pytest.approx(0.01 * np.abs(values(fit)), rel=1e-2, abs=1e-3)
+    main = [0, 1, 2, 3, 4, 7, 8, 11]
+    assert np.unique(np.sign(doubt.changes[0][main] * values(fit)[main])).size == 1
+    # A scale of everything is no fault of the form: chi-square stays.
+    assert fit.gof.chi2_reduced == pytest.approx(fitted(spectra, **GIVEN).gof.chi2_reduced, rel=1e-3)
