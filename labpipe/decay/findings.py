@@ -79,8 +79,8 @@ def _over_amplitude(mode: int, fitted: FittedLaw, first: float, missing: Missing
     if missing is not None:
         where = " and ".join(f"{frequency:.5g}" for frequency in missing.frequencies)
         message += (
-            f" Two modes in its place, at {where} Hz, explain more of the decay than this law (difference of BIC {missing.better:.3g}), but "
-            "not all: they may beat. Try one more in `modes`."
+            f" Two modes in its place, at {where} Hz, explain more of the decay than this law (difference of BIC {missing.better:.3g}), "
+            "but not all: they may beat. Try one more in `modes`."
         )
     return Finding("amplitude-dependent", message)
 
