@@ -21,11 +21,15 @@ STEP = 1e-5
 
 @dataclass(frozen=True)
 class FittedLaw:
-    """The law with the covariance (4, 4) of zeta_rest [1], zeta_slope [1/unit], frequency_slope [rad/s/unit], omega [rad/s]; converged."""
+    """The law with the covariance (4, 4) of zeta_rest [1], zeta_slope [1/unit], frequency_slope [rad/s/unit], omega [rad/s]; converged.
+
+    squares: sum of the squares of what it leaves [1], over the variances that the exponential fit leaves.
+    """
 
     law: AmplitudeLaw
     covariance: FloatArray
     converged: bool
+    squares: float
 
 
 def amplitude(time: FloatArray, first: float, omega: float, rest: float, slope: float) -> FloatArray:
@@ -132,4 +136,4 @@ def fitted_law(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int)
     parts = np.split(problem.residual(minimum.values), ends)
     series = [piece.series(part[:, None]) for piece, part in zip(pieces, parts, strict=True)]
     p_value = portmanteau(series, all(piece.lines is None for piece in pieces))
-    return FittedLaw(AmplitudeLaw(omega, rest, slope, turn, p_value), covariance, minimum.converged)
+    return FittedLaw(AmplitudeLaw(omega, rest, slope, turn, p_value), covariance, minimum.converged, float(linear.chi2))

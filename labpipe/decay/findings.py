@@ -6,6 +6,7 @@ import numpy as np
 
 from labpipe.decay.amplitude_law import FittedLaw
 from labpipe.decay.likelihood import Decayed
+from labpipe.decay.missing_mode import MissingMode
 from labpipe.decay.residual_test import Judged
 from labpipe.distributions import normal_tail
 from labpipe.identify.diagnostics import MISMATCH_P
@@ -20,8 +21,13 @@ def depends_on_amplitude(law: FittedLaw) -> bool:
     return law.converged and 4 * normal_tail(float(np.max(ratios))) < MISMATCH_P
 
 
-def decay_findings(fitted: Decayed, tested: Judged, laws: dict[int, FittedLaw], amplitudes: dict[int, float]) -> tuple[Finding, ...]:
-    """Warnings: no convergence, growing oscillations, damping over amplitude (*laws* and first *amplitudes* by mode), other residuals."""
+def decay_findings(
+    fitted: Decayed, tested: Judged, laws: dict[int, FittedLaw], amplitudes: dict[int, float], missing: MissingMode | None
+) -> tuple[Finding, ...]:
+    """Warnings: no convergence, growing oscillations, damping over amplitude (*laws* and first *amplitudes* by mode), other residuals.
+
+    *missing*: the mode that explains the residual better than a law.
+    """
     warnings = []
     if not fitted.converged:
         message = f"the fit of the decay did not converge in {fitted.steps} steps; its numbers are not a result"
@@ -37,16 +43,19 @@ def decay_findings(fitted: Decayed, tested: Judged, laws: dict[int, FittedLaw], 
         warnings.append(
             Finding("unphysical", f"the oscillation at {where} does not decay: energy enters the structure, or it is an excitation")
         )
-    warnings.extend(_over_amplitude(mode, law, amplitudes[mode]) for mode, law in laws.items())
+    beats = missing.mode if missing is not None else None
+    warnings.extend(_over_amplitude(mode, law, amplitudes[mode], missing if mode == beats else None) for mode, law in laws.items())
     gaining = [mode for mode, law in laws.items() if law.law.zeta_rest < -2 * np.sqrt(law.covariance[0, 0])]
     warnings.extend(_gaining(mode, laws[mode].law.zeta_rest) for mode in gaining)
+    if missing is not None and missing.white:
+        warnings.append(_beating(missing, fitted.poles.size))
     explained = laws and all(law.law.p_value >= MISMATCH_P for law in laws.values())
     if not explained and min(tested.white, tested.amplitude) < MISMATCH_P:
         p_value = min(tested.white, tested.amplitude)
         message = (
             f"what the fit leaves is not white noise (p = {p_value:.2g}), most of it near {tested.strongest:.4g} Hz: another mode or hum, "
-            "forced motion at the start, or coloured noise. The intervals do not hold. Raise `modes`, name a `band` around the mode, or "
-            "begin later (`frf: {decay: {start: ...}}`)."
+            "forced motion at the start, or coloured noise. No interval is given, since those for white noise do not hold. Raise `modes`, "
+            "name a `band` around the mode, or begin later (`frf: {decay: {start: ...}}`)."
         )
         warnings.append(Finding("model-mismatch", message))
     return tuple(warnings)
@@ -59,7 +68,7 @@ def _lasting(fitted: Decayed) -> list[float]:
     return [float(abs(pole) / (2 * np.pi)) for pole in fitted.poles[lasting]]
 
 
-def _over_amplitude(mode: int, fitted: FittedLaw, first: float) -> Finding:
+def _over_amplitude(mode: int, fitted: FittedLaw, first: float, missing: MissingMode | None) -> Finding:
     law = fitted.law
     change = 100 * law.frequency_slope * first / law.omega
     message = (
@@ -67,7 +76,23 @@ def _over_amplitude(mode: int, fitted: FittedLaw, first: float) -> Finding:
         f"interval. Damping ratio {law.zeta_rest:.4g} at rest, {law.zeta_rest + law.zeta_slope * first:.4g} at the largest amplitude "
         f"(zeta_rest_{mode + 1}, zeta_slope_{mode + 1}); the frequency differs by {change:.2g} % there. Compare decays of one amplitude."
     )
+    if missing is not None:
+        where = " and ".join(f"{frequency:.5g}" for frequency in missing.frequencies)
+        message += (
+            f" Two modes in its place, at {where} Hz, explain more of the decay than this law (difference of BIC {missing.better:.3g}), "
+            "but not all: they may beat. Try one more in `modes`."
+        )
     return Finding("amplitude-dependent", message)
+
+
+def _beating(missing: MissingMode, n_mode: int) -> Finding:
+    first, second = missing.frequencies
+    message = (
+        f"mode {missing.mode + 1} looks as if its damping or frequency depended on the amplitude, but two modes in its place, at "
+        f"{first:.5g} and {second:.5g} Hz, explain the decay better (difference of BIC {missing.better:.3g}): they beat. Set "
+        f"`modes: {n_mode + 1}`."
+    )
+    return Finding("missing-mode", message)
 
 
 def _gaining(mode: int, zeta_rest: float) -> Finding:

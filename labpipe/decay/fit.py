@@ -11,11 +11,12 @@ from labpipe.arrays import FloatArray
 from labpipe.decay.amplitude_law import FittedLaw, fitted_law
 from labpipe.decay.findings import decay_findings, depends_on_amplitude
 from labpipe.decay.likelihood import Decayed, energies
+from labpipe.decay.missing_mode import MissingMode, missing_mode
 from labpipe.decay.over_amplitude import over_amplitude
 from labpipe.decay.peaks import peak_decrement
 from labpipe.decay.pieces import Piece, pieces_of
 from labpipe.decay.residual_test import Judged, judged
-from labpipe.decay.settings import DecaySettings
+from labpipe.decay.settings import MOST_MODES, DecaySettings
 from labpipe.decay.start import most_likely
 from labpipe.decay.traces import trace
 from labpipe.decay.values import law_parameters, mode_parameters, pole_correlation, without_interval
@@ -47,17 +48,21 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     tested = judged(pieces, fitted, decays.sample_rate)
     strongest = {mode: _strongest(fitted, mode) for mode in range(own.modes)}
     laws = _laws(pieces, fitted, tested, strongest)
+    missing = _missing(decays, columns, pieces, fitted, laws, strongest, settings)
+    laws = {} if missing and missing.white else laws
     amplitudes = {mode: float(abs(fitted.pieces[piece].amplitudes[mode, output])) for mode, (piece, output) in strongest.items()}
     curves = tuple(
         replace(over_amplitude(pieces, fitted, mode, output), law=laws[mode].law if mode in laws else None)
         for mode, (_, output) in strongest.items()
     )
-    fit = _reported(
-        decays, settings, pieces, fitted, _parameters(fitted, settings, laws, [decays.units[columns[o]] for _, o in strongest.values()])
-    )
+    parameters = _parameters(fitted, settings, laws, [decays.units[columns[o]] for _, o in strongest.values()])
+    findings = decay_findings(fitted, tested, laws, amplitudes, missing)
+    if any(finding.code == "model-mismatch" for finding in findings):
+        parameters = tuple(map(without_interval, parameters))
+    fit = _reported(decays, settings, pieces, fitted, parameters)
     return replace(
         fit,
-        findings=(*decay_findings(fitted, tested, laws, amplitudes), *decays.findings),
+        findings=(*findings, *decays.findings),
         notes=_notes(decays, columns, pieces, fitted, tested),
         ring_down=_ring_down(decays, columns, pieces, fitted, strongest, curves),
     )
@@ -101,6 +106,26 @@ def _laws(pieces: Sequence[Piece], fitted: Decayed, tested: Judged, strongest: d
         return {}
     laws = {mode: fitted_law(pieces, fitted, mode, output) for mode, (_, output) in strongest.items()}
     return {mode: law for mode, law in laws.items() if depends_on_amplitude(law)}
+
+
+def _missing(
+    decays: FreeDecays,
+    columns: Sequence[int],
+    pieces: Sequence[Piece],
+    fitted: Decayed,
+    laws: dict[int, FittedLaw],
+    strongest: dict[int, tuple[int, int]],
+    settings: FitSettings,
+) -> MissingMode | None:
+    """One mode more, where it explains better than the *laws* what the fit leaves; None without laws."""
+    if not laws or fitted.poles.size == MOST_MODES:
+        return None
+    try:
+        richer = most_likely(decays.decays, columns, pieces, decays.sample_rate, settings.band, fitted.poles.size + 1)
+    except FitError:
+        return None
+    white = judged(pieces, richer, decays.sample_rate).white >= MISMATCH_P
+    return missing_mode(pieces, fitted, richer, laws, strongest, white=white)
 
 
 def _parameters(fitted: Decayed, settings: FitSettings, laws: dict[int, FittedLaw], units: Sequence[str]) -> tuple[Parameter, ...]:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from labpipe.artefacts.decay_file import SUFFIX as DECAY_SUFFIX
+from labpipe.artefacts.decay_file import read_decays
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.parquet import open_parquet
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
@@ -41,9 +43,11 @@ WRITERS = Registry(
 
 
 def write_csv(artefact: Path, target: Path) -> None:
-    """An FRF as the table labpipe reads again, a recording or spectra as columns per channel "name [unit]", a result as its parameters."""
+    """An FRF as the table labpipe reads again, recordings, decays, spectra as columns per channel "name [unit]", results as parameters."""
     if artefact.suffix == ".json":
         parameter_table(artefact).to_csv(target, index=False)
+    elif artefact.name.endswith(DECAY_SUFFIX):
+        decay_table(artefact).to_csv(target, index=False)
     elif artefact.name.endswith(SPECTRA_SUFFIX):
         spectra_table(artefact).to_csv(target, index=False)
     elif artefact.name.endswith(RECORDING_SUFFIX):
@@ -56,6 +60,8 @@ def write_parquet(artefact: Path, target: Path) -> None:
     """The same tables as Parquet, without labpipe's header."""
     if artefact.suffix == ".json":
         parameter_table(artefact).to_parquet(target, index=False)
+    elif artefact.name.endswith(DECAY_SUFFIX):
+        decay_table(artefact).to_parquet(target, index=False)
     elif artefact.name.endswith(SPECTRA_SUFFIX):
         spectra_table(artefact).to_parquet(target, index=False)
     elif artefact.name.endswith(RECORDING_SUFFIX):
@@ -70,7 +76,7 @@ def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
     if artefact.suffix == ".json":
         write_shapes_uff(target, modal_fits(artefact))
         return
-    _refuse_spectra(artefact, "a universal file")
+    _refuse_tables(artefact, "a universal file")
     if artefact.name.endswith(RECORDING_SUFFIX):
         write_recording_uff(target, open_recording(artefact).in_memory(), binary)
     else:
@@ -86,7 +92,7 @@ def write_mat(artefact: Path, target: Path) -> None:
     """A recording or an FRF as a MATLAB file."""
     if artefact.suffix == ".json":
         raise DataError("parameters cannot be written as a MATLAB file", where=str(artefact), hint="known: csv, parquet")
-    _refuse_spectra(artefact, "a MATLAB file")
+    _refuse_tables(artefact, "a MATLAB file")
     if artefact.name.endswith(RECORDING_SUFFIX):
         write_recording_mat(target, open_recording(artefact).in_memory())
     else:
@@ -135,9 +141,26 @@ def recording_table(artefact: Path) -> pd.DataFrame:
     return table
 
 
-def _refuse_spectra(artefact: Path, what: str) -> None:
-    if artefact.name.endswith(SPECTRA_SUFFIX):
-        raise DataError(f"spectra of all channels cannot be written as {what}", where=str(artefact), hint="known: csv, parquet")
+def decay_table(artefact: Path) -> pd.DataFrame:
+    """One row per sample: the number of the decay from 1, its recording, time in it in seconds, and the responses in SI units."""
+    decays = read_decays(artefact)
+    names = [f"{port.label} [{unit}]" for port, unit in zip(decays.outputs, decays.units, strict=True)]
+    tables = []
+    for number, decay in enumerate(decays.decays, 1):
+        table = pd.DataFrame(decay.samples, columns=names)
+        table.insert(0, "t [s]", [decay.start + n / decays.sample_rate for n in range(len(table))])
+        table.insert(0, "recording", decay.recording)
+        table.insert(0, "decay", number)
+        tables.append(table)
+    return pd.concat(tables, ignore_index=True)
+
+
+def _refuse_tables(artefact: Path, what: str) -> None:
+    """DataError for spectra of all channels and for decays, of which there are tables only."""
+    named = {SPECTRA_SUFFIX: "spectra of all channels", DECAY_SUFFIX: "free decays"}
+    for suffix, name in named.items():
+        if artefact.name.endswith(suffix):
+            raise DataError(f"{name} cannot be written as {what}", where=str(artefact), hint="known: csv, parquet")
 
 
 def spectra_table(artefact: Path) -> pd.DataFrame:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,12 +20,17 @@ END = "***End_of_Header***"
 X_VALUE = "X_Value"
 CHUNK_ROWS = 1 << 14
 # LabVIEW's own words for units; others are written as they are.
+# LabVIEW's spectral measurements name their channels so, and write "Time" as the dimension of X all the same.
+SPECTRUM = re.compile(r"\((FFT\b|FRF\b|(power|amplitude|cross) spectr)", re.IGNORECASE)
 UNITS = {"volts": "V", "newtons": "N", "meters": "m", "amps": "A", "amperes": "A", "pascals": "Pa", "seconds": "s", "hertz": "Hz"}
 
 
 @dataclass(frozen=True)
 class LvmHeader:
-    """What stands above the numbers; *titles* and *units* have one entry per field, *first_line* counts from 1."""
+    """What stands above the numbers; *titles* and *units* have one entry per field, *first_line* counts from 1.
+
+    spectrum: the X values are frequencies [Hz], and no rate follows from their steps.
+    """
 
     delimiter: str
     decimal: str
@@ -33,6 +39,7 @@ class LvmHeader:
     used: tuple[int, ...]
     sample_rate: float | None
     first_line: int
+    spectrum: bool
 
 
 class LvmTable:
@@ -49,6 +56,8 @@ class LvmTable:
         self._places = dict(zip(names, self._header.used, strict=True))
         self.columns = names
         self.units = {name: unit for name, place in self._places.items() if (unit := self._header.units[place])}
+        if self._header.spectrum and X_VALUE in self._places:
+            self.units[X_VALUE] = "Hz"
         self.sample_rate = self._header.sample_rate
 
     def _lines(self) -> Iterator[str]:
@@ -122,7 +131,7 @@ def _header(entries: dict[str, list[str]], titles: list[str], delimiter: str, ro
     """The header of a segment from its entries by their first words, the line of titles and the first row of numbers."""
     stated = entries.get("Decimal_Separator", ["", ""])[1]
     decimal = stated or ("," if delimiter != "," and "," in row else ".")
-    padded = {key: [*entries.get(key, []), *[""] * len(titles)] for key in ("Samples", "Y_Unit_Label", "Delta_X")}
+    padded = {key: [*entries.get(key, []), *[""] * len(titles)] for key in ("Samples", "Y_Unit_Label", "X_Dimension", "Delta_X")}
     with_x = bool(row.split(delimiter)[0].strip())
     used = [
         place
@@ -133,8 +142,14 @@ def _header(entries: dict[str, list[str]], titles: list[str], delimiter: str, ro
         raise DataError("holds no channel with samples", where=str(path))
     # The first field is the word Y_Unit_Label itself.
     units = ["", *(UNITS.get(unit.lower(), unit) for unit in padded["Y_Unit_Label"][1:])]
-    rate = None if with_x else _rate([padded["Delta_X"][place] for place in used], decimal, path)
-    return LvmHeader(delimiter, decimal, tuple(titles), tuple(units), tuple(used), rate, first_line)
+    spectrum = _is_spectrum([(titles[place], padded["X_Dimension"][place]) for place in used if titles[place] != X_VALUE])
+    rate = None if with_x or spectrum else _rate([padded["Delta_X"][place] for place in used], decimal, path)
+    return LvmHeader(delimiter, decimal, tuple(titles), tuple(units), tuple(used), rate, first_line, spectrum)
+
+
+def _is_spectrum(channels: Sequence[tuple[str, str]]) -> bool:
+    """Whether the X values of channels with these titles and dimensions of X are frequencies."""
+    return all(dimension.lower().startswith("freq") or SPECTRUM.search(title) is not None for title, dimension in channels)
 
 
 def _rate(steps: Sequence[str], decimal: str, path: Path) -> float | None:

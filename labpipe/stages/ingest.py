@@ -67,6 +67,9 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> N
     columns = [channel.column for channel in rig.channels]
     timed = [*([rig.time] if rig.time else []), *columns]
     check_columns(table, timed)
+    if rig.time and table.units.get(rig.time) == "Hz":
+        hint = "the file holds a spectrum; a recording is needed, or an FRF under `frfs:`"
+        raise DataError(f"'{rig.time}' is a frequency, no time", where=str(table.path), hint=hint)
     for channel in rig.channels:
         _check_unit(table, channel)
     channels = rig.all_channels

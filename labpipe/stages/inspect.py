@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.artefacts.decay_file import SUFFIX as DECAY_SUFFIX
+from labpipe.artefacts.decay_file import read_decays
 from labpipe.artefacts.recording_file import StoredRecording, open_recording
 from labpipe.artefacts.spectra_file import SUFFIX as SPECTRA_SUFFIX
 from labpipe.artefacts.spectra_file import read_spectra
@@ -16,6 +18,7 @@ from labpipe.config.rig import time_scale
 from labpipe.errors import DataError
 from labpipe.formats.table import open_table
 from labpipe.records.channel_spectra import ChannelSpectra
+from labpipe.records.free_decay import FreeDecays
 from labpipe.records.overview import ChannelOverview, Overview
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import Rig
@@ -30,7 +33,7 @@ TIME_NAMES = ("t", "time", "zeit", "x_value", "timestamp", "time stamp", "dateti
 
 
 def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse | ChannelSpectra:
-    """The overview of a recording or a raw file, or the response or spectra that a file holds; DataError for one that cannot be read.
+    """The overview of a recording, free decays or a raw file, or the response or spectra of a file; DataError for one that cannot be read.
 
     Recordings and tables are read once, block by block; what is kept does not grow with their length.
     """
@@ -38,6 +41,8 @@ def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse 
         return load_response(file)
     if file.is_file() and file.name.endswith(SPECTRA_SUFFIX):
         return read_spectra(file)
+    if file.is_file() and file.name.endswith(DECAY_SUFFIX):
+        return _of_decays(read_decays(file), file.name)
     if file.is_file() and is_recording(file):
         return _of_recording(open_recording(file))
     return _of_table(file, rig)
@@ -100,13 +105,34 @@ def _of_recording(recording: StoredRecording) -> Overview:
     )
 
 
+def _of_decays(decays: FreeDecays, file: str) -> Overview:
+    """Overview of free decays, one after the other."""
+    look = _Look([port.label for port in decays.outputs])
+    for decay in decays.decays:
+        look.add(decay.samples)
+    lengths = [decay.samples.shape[0] / decays.sample_rate for decay in decays.decays]
+    number = f"{len(lengths)} decay(s) of {min(lengths):.4g} s" + (f" to {max(lengths):.4g} s" if len(lengths) > 1 else "")
+    return Overview(
+        file,
+        "free decays",
+        n_sample=sum(decay.samples.shape[0] for decay in decays.decays),
+        sample_rate=decays.sample_rate,
+        rate=f"{decays.sample_rate:g} Hz, {number}",
+        channels=look.channels(decays.units, [f"output {port.dof}" for port in decays.outputs], decays.sample_rate),
+        findings=decays.findings,
+    )
+
+
 def _of_table(file: Path, rig: Rig | None) -> Overview:
     """Overview of a raw file; rate from the file itself or from its time column."""
     table = open_table(file)
     names = list(dict.fromkeys(table.columns))
-    times = [name for name in names if name.split("[")[0].split("(")[0].strip().lower() in TIME_NAMES]
+    frequencies = [name for name in names if table.units.get(name) == "Hz"]
+    times = [name for name in names if name not in frequencies and name.split("[")[0].split("(")[0].strip().lower() in TIME_NAMES]
     look, time = _Look(names), TimeAxisScreen(times[0]) if times else None
     rate, rate_text = table.sample_rate, "no time column; the rig file gives the rate"
+    if any(name.lower() in TIME_NAMES for name in frequencies):
+        rate_text = f"a spectrum: '{frequencies[0]}' is a frequency in Hz, no time"
     try:
         for chunk in table.chunks(names):
             look.add(chunk)

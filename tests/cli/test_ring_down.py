@@ -6,9 +6,11 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import labpipe as library
+from labpipe.artefacts.decay_file import read_decays
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.report.cover import cover_facts
 
@@ -126,3 +128,22 @@ def test_a_recording_without_a_decay_is_named(lab: Path, labpipe) -> None:
 def test_a_mode_too_many_is_refused(lab: Path, labpipe) -> None:
     ended = labpipe("run", lab / "pipeline.yaml", "-o", lab / "out", "--set", "identify.ring.modes=2")
     assert ended.code == 2 and "identify.ring: what would be a mode at" in ended.err and "is noise" in ended.err
+
+
+def test_decays_are_inspected_and_exported(lab: Path, labpipe) -> None:
+    """Every sample of every decay, in SI units, with the time that it has in its recording; other formats are refused in words."""
+    assert labpipe("run", lab / "pipeline.yaml", "-o", lab / "out").code == 0
+    (kept,) = (lab / "out").rglob("*.decay.parquet")
+    shown = labpipe("inspect", kept, "-o", lab / "card.html")
+    assert shown.code == 0 and "free decays" in shown.out and "512 Hz, 1 decay(s) of" in shown.out and "y [m] output y" in shown.out
+    assert (lab / "card.html").stat().st_size > 0
+    decays = read_decays(kept)
+    for suffix, read in (("csv", pd.read_csv), ("parquet", pd.read_parquet)):
+        assert labpipe("export", kept, "--to", suffix, "-o", lab / f"d.{suffix}").code == 0
+        table = read(lab / f"d.{suffix}")
+        assert list(table.columns) == ["decay", "recording", "t [s]", "y [m]"] and set(table["recording"]) == {"ring"}
+        np.testing.assert_allclose(table["y [m]"], decays.decays[0].samples[:, 0])
+        np.testing.assert_allclose(table["t [s]"], decays.decays[0].start + np.arange(len(table)) / 512)
+    for other in ("uff", "mat"):
+        ended = labpipe("export", kept, "--to", other, "-o", lab / "d.x")
+        assert ended.code == 2 and "free decays cannot be written as" in ended.err and not (lab / "d.x").exists()

@@ -35,7 +35,7 @@ def test_the_single_mode_lies_where_the_frf_has_it() -> None:
     fit = fitted((204.0, 220.0))
     assert fit.parameter("f_n_1").value == pytest.approx(212.0925, rel=5e-5)
     assert fit.parameter("zeta_1").value == pytest.approx(8.8e-4, rel=0.1)
-    # Its damping depends on the amplitude, which one averaged FRF cannot show.
+    # Its damping depends on the amplitude, which one averaged FRF cannot show; a second mode fits it better than the law, but not well.
     assert "amplitude-dependent" in [finding.code for finding in fit.findings] and fit.parameter("zeta_1").ci95 is None
 
 

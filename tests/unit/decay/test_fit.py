@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -70,13 +71,30 @@ def test_damping_over_amplitude_warns_and_takes_the_intervals() -> None:
 
 
 def test_two_modes_that_beat_are_not_taken_for_a_law_that_gains_energy() -> None:
-    """Two linear modes 0.2 Hz apart under one: the law fits the beat with a damping at rest that no structure has."""
-    beating = motion(((40.0, 0.005, 1.0, 0.3), (40.2, 0.005, 0.5, 2.8)), times(2.0))
-    fit = fitted(record(noisy([beating], 1)))
-    rest = fit.parameter("zeta_rest_1")
-    assert rest.ci95 is not None and rest.ci95[1] < 0
-    (finding,) = [finding for finding in fit.findings if finding.code == "unphysical"]
-    assert "Raise `modes`" in finding.message and f"{rest.value:.4g}" in finding.message
+    """Two linear modes 0.2 Hz apart under one: the law fits the beat with a damping at rest that no structure has; two modes fit better."""
+    decays = record(noisy([motion(((40.0, 0.005, 1.0, 0.3), (40.2, 0.005, 0.5, 2.8)), times(2.0))], 1))
+    fit = fitted(decays)
+    (finding,) = [finding for finding in fit.findings if finding.code == "missing-mode"]
+    assert "`modes: 2`" in finding.message and "amplitude-dependent" not in [finding.code for finding in fit.findings]
+    named = [float(number) for number in re.findall(r"at (\d+\.?\d*) and (\d+\.?\d*) Hz", finding.message)[0]]
+    np.testing.assert_allclose(named, [40.0, 40.2], atol=0.05)
+    assert "zeta_rest_1" not in [parameter.name for parameter in fit.parameters]
+
+
+@pytest.mark.parametrize("apart", [0.2, 0.4])
+@pytest.mark.parametrize("ratio", [0.2, 0.5])
+@pytest.mark.parametrize("phase", [0.3, 2.8])
+def test_a_missing_mode_is_named_where_it_beats(apart: float, ratio: float, phase: float) -> None:
+    """Up to the half-power width of 0.4 Hz apart, 4 s: one mode alone would be said to depend on its amplitude."""
+    beating = motion(((40.0, 0.005, 1.0, 0.3), (40.0 + apart, 0.005, ratio, phase)), times())
+    assert "missing-mode" in [finding.code for finding in fitted(record(noisy([beating], 7))).findings]
+
+
+def test_under_a_mismatch_no_interval_is_given() -> None:
+    """As of FRFs: a second mode at 55 Hz that nothing fits."""
+    fit = fitted(record(noisy([motion((*ONE, (55.0, 0.01, 0.05, 1.0)), times())], 4)))
+    assert [finding.code for finding in fit.findings if finding.level == "warning"] == ["model-mismatch"]
+    assert all(parameter.ci95 is None and parameter.std_error is None for parameter in fit.parameters)
 
 
 def test_a_mode_too_few_warns() -> None:

@@ -10,10 +10,15 @@ import numpy as np
 import openpyxl
 import pytest
 
+from labpipe.artefacts.writing import output_folder
+from labpipe.config.rig import load_rig
 from labpipe.errors import DataError
 from labpipe.formats.frf_described import Dofs, read_described
 from labpipe.formats.table import open_table
 from labpipe.records.frf_layout import FrfColumns, FrfLayout
+from labpipe.records.overview import Overview
+from labpipe.stages.ingest import ingest
+from labpipe.stages.inspect import inspect
 
 TOP = "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\tTab\n{more}***End_of_Header***\t\n\t\n"
 SEGMENT = (
@@ -163,3 +168,22 @@ def test_a_library_that_is_not_there_is_named_with_its_extra(
     with pytest.raises(DataError) as caught:
         open_table(tmp_path / f"r{suffix}")
     assert str(caught.value).endswith(f"r{suffix}: needs the package {module}; pip install 'labpipe[{extra}]'")
+
+
+@pytest.mark.parametrize(
+    ("title", "dimension"), [("Acceleration (FFT - (RMS))", "Time"), ("a (Power Spectrum)", "Time"), ("a", "Frequency")]
+)
+def test_the_axis_of_an_lvm_spectrum_is_no_time(tmp_path: Path, title: str, dimension: str) -> None:
+    """LabVIEW says Time of an FFT as well; with or without X values no rate follows from the distance of the lines."""
+    head = SEGMENT.replace("\tF\ta\tComment", f"\t{title}\t{title} 2\tComment").replace("Time\tTime", f"{dimension}\t{dimension}")
+    path = lvm(tmp_path / "s.lvm", head + "0.0\t1\t2\n0.5\t3\t4\n1.0\t5\t6\n", step="0.5")
+    table = open_table(path)
+    assert table.units["X_Value"] == "Hz" and table.sample_rate is None
+    overview = inspect(path)
+    assert isinstance(overview, Overview) and overview.sample_rate is None and overview.time == ""
+    assert overview.rate == "a spectrum: 'X_Value' is a frequency in Hz, no time"
+    assert open_table(lvm(tmp_path / "w.lvm", head + "\t1\t2\n\t3\t4\n", step="0.5")).sample_rate is None
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(f"name: R\ntime: X_Value\nchannels:\n  a: {{column: '{title}', quantity: acceleration, role: output}}\n")
+    with output_folder(tmp_path / "out") as output, pytest.raises(DataError, match="'X_Value' is a frequency, no time"):
+        ingest(path, load_rig(rig), output, "s", tmp_path)

@@ -178,10 +178,16 @@ def model_of(name: str, response: FrequencyResponse) -> DynamicModel:
 
 @pytest.mark.parametrize("name", [name for name in MODELS if not model_kind(name).section])
 def test_jacobian_equals_central_differences(name: str, sdof_response, coupled_response, symmetric_response) -> None:
-    responses = {"sdof": sdof_response, "rotor-2dof": coupled_response, "rotor-2dof-direct": symmetric_response, "mdof": coupled_response}
+    responses = {
+        "sdof": sdof_response,
+        "base": sdof_response,
+        "rotor-2dof": coupled_response,
+        "rotor-2dof-direct": symmetric_response,
+        "mdof": coupled_response,
+    }
     response = responses[name]()
     model = model_of(name, response)
-    start = np.array([{"N/m": 2e5, "N.s/m": 100.0, "1": 0.7, "kg": 1.0}[unit] for unit in model.units]) * (
+    start = np.array([{"N/m": 2e5, "N.s/m": 100.0, "1": 0.7, "kg": 1.0, "1/s^2": 1e5, "1/s": 50.0}[unit] for unit in model.units]) * (
         1 + 0.1 * np.arange(len(model.terms))
     )
     omega = 2 * np.pi * np.array([30.0, 65.0, 110.0])

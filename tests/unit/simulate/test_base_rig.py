@@ -17,7 +17,7 @@ QUIET = BaseRig("virtual-base-rig", 2.0, 126.33e3, 20.106, noise=BaseNoise(base=
 
 def test_what_is_measured_of_the_mass_belongs_together() -> None:
     """Of one noise: acceleration of the mass = that of the table + second derivative of the gap, line by line."""
-    rig = replace(QUIET, duration=4.0)
+    rig = replace(QUIET, duration=4.0, pause=1.0)
     absolute, relative = base_runs(rig, 1, ["absolute", "relative"])
     spectra = [np.fft.rfft(run.samples, axis=0) for run in (absolute, relative)]
     frequency = np.fft.rfftfreq(absolute.n_sample, 1 / rig.sample_rate)
