@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from labpipe.config.virtual_rig import load_virtual_rig
@@ -206,3 +207,16 @@ def test_a_study_may_repeat_spectra_of_all_channels() -> None:
     np.testing.assert_array_equal(measured.vectors, direct.vectors)
     source = source_of(rig, 1.0, None, ("seal-plus", "seal-minus"), settings)
     assert source.n_line == 91 and source.truth["m_xx"] == 229.0
+
+
+def test_the_shipped_recordings_are_made_by_their_recipe(root: Path, tmp_path: Path, labpipe) -> None:  # type: ignore[no-untyped-def]
+    assert labpipe("simulate", "configs/virtual-floating-matrix.yaml", "-o", tmp_path, "--seed", "1").code == 0
+    shipped = root / "sample_data/floating"
+    assert sum(path.stat().st_size for path in shipped.iterdir()) < 600_000
+    made, kept = (json.loads((folder / "truth.json").read_text())["truth"] for folder in (tmp_path, shipped))
+    assert list(made["conditions"]) == list(kept["conditions"])
+    for name, values in kept["conditions"].items():
+        assert made["conditions"][name] == pytest.approx(values, rel=1e-9, abs=1e-9)
+        one, other = (pq.read_table(folder / f"{name}-zipper.parquet").to_pandas().to_numpy() for folder in (tmp_path, shipped))
+        # A rounding of the last bit may move a value by one step of the logger.
+        assert np.max(np.abs(one - other)) <= 1
