@@ -123,7 +123,8 @@ def _shares_table(budget: Budget, names: list[str]) -> Table:
 
 def _size(std_error: float, unit: str) -> str:
     if unit == "1":
-        return f"{100 * std_error:.2g} %"
+        # The noise of an earlier fit is counted in its own standard errors.
+        return "1 standard error" if std_error == 1.0 else f"{100 * std_error:.2g} %"
     shown = {"rad": "deg", "s": "us"}.get(unit, unit)
     return f"{to_display(std_error, shown):.2g} {shown}"
 

@@ -67,4 +67,5 @@ def _of_test(identification: Identification, test: str) -> Identification:
     if test not in names:
         raise ConfigError(f"the result has no test '{test}'", hint=nearest(test, names))
     fits = tuple(fit for fit in identification.fits if fit.test == test)
-    return replace(identification, fits=fits, responses=tuple(r for r in identification.responses if r.name == test))
+    responses = tuple(response for response in identification.responses if response.name == test)
+    return replace(identification, fits=fits, responses=responses, spectra=tuple(one for one in identification.spectra if one.name == test))

@@ -95,11 +95,18 @@ def test_any_band_of_a_sliding_fit_that_must_not_be_used_is_named() -> None:
     assert told["Verdict"][1][0] == "Read the warnings before using: direct, test 427N (collinear)."
 
 
-def test_notes_are_listed_up_to_a_number() -> None:
+def test_many_notes_of_a_kind_are_counted() -> None:
     findings = tuple(Finding("masked", f"line {n}", NOTE) for n in range(MOST_NOTES + 3))
     told = words(verdict_sections(replace(RESULT, fits=(replace(FIT, findings=findings),))))
     ((text, kind),) = told["Notes"]
-    assert kind == "note" and text.endswith("and 3 more.") and f"line {MOST_NOTES - 1}" in text and f"line {MOST_NOTES};" not in text
+    assert kind == "note" and text.endswith(f"line 0 ({MOST_NOTES + 3} such notes in all; this is the first).") and "line 1" not in text
+
+
+def test_few_notes_of_a_kind_are_listed_in_full() -> None:
+    findings = tuple(Finding("masked", f"line {n}", NOTE) for n in range(MOST_NOTES))
+    told = words(verdict_sections(replace(RESULT, fits=(replace(FIT, findings=findings),))))
+    ((text, _),) = told["Notes"]
+    assert all(f"line {n}" in text for n in range(MOST_NOTES)) and "such notes" not in text
 
 
 def test_every_part_gives_sections_and_the_report_is_their_sum() -> None:
