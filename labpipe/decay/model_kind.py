@@ -14,4 +14,4 @@ def _fit(decays: FreeDecays, settings: FitSettings) -> tuple[Fit, ...]:
     return (decay_fit(decays, settings),)
 
 
-DECAY = ModelKind(_fit, "decay", DecaySettings, "decay: {modes: 1}", optional=True, of=DECAYS)
+DECAY = ModelKind(_fit, "decay", DecaySettings, "decay: {modes: 1}", optional=True, of=DECAYS, times_mass=True)

@@ -20,14 +20,15 @@ from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.output_error import OutputError
 from labpipe.identify.regression import equation_solution, regression, solve_scaled
-from labpipe.identify.reported import reported_parameters
-from labpipe.identify.settings import ESTIMATE, ESTIMATORS
+from labpipe.identify.reported import reported_parameters, with_systematic
+from labpipe.identify.settings import ESTIMATE, ESTIMATORS, FitSettings
 from labpipe.identify.setup import Setup
 from labpipe.identify.statistics import Estimate
 from labpipe.identify.transfer_mode import TransferMode
 from labpipe.identify.weights import equal_weights, has_noise, whitener
 from labpipe.records.budget import Budget
 from labpipe.records.doubt import Doubt, doubt_of
+from labpipe.records.identification import Fit
 from labpipe.records.parameter import Parameter
 from labpipe.records.response import Port
 
@@ -68,6 +69,19 @@ def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
     return Budget(
         tuple(parameter.name for parameter in parameters), random, dof, tuple(sources[n][0] for n in kept), np.array(changes)[kept]
     )
+
+
+def with_given_mass(fit: Fit, settings: FitSettings) -> Fit:
+    """A fit whose k and c are the given mass times what is fitted, with what the doubt of that mass adds; as it is without one."""
+    number = dict(settings.doubts).get("mass")
+    if number is None or settings.mass == ESTIMATE or not number.value or fit.budget is not None:
+        return fit
+    relative = number.std_error / number.value
+    changes = np.array([relative * parameter.value if parameter.unit in ("N/m", "N.s/m") else 0.0 for parameter in fit.parameters])
+    random = np.array([np.nan if parameter.full_error is None else parameter.full_error for parameter in fit.parameters])
+    names = tuple(parameter.name for parameter in fit.parameters)
+    budget = Budget(names, random, float(fit.dof), (doubt_of(number, f"mass {number.value:g} kg", "kg"),), changes[None])
+    return replace(fit, parameters=with_systematic(fit.parameters, budget), budget=budget) if np.any(changes) else fit
 
 
 # From a case and an error of a source to the setup and the data with that error.

@@ -11,7 +11,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.identify.base_motion import form_view
 from labpipe.identify.bootstrap import bootstrapped
-from labpipe.identify.budget import Case, budget_of
+from labpipe.identify.budget import Case, budget_of, with_given_mass
 from labpipe.identify.comparison import candidates, comparison_findings, comparison_notes
 from labpipe.identify.constraints import constrained
 from labpipe.identify.dense_curve import drawn_densely
@@ -65,7 +65,8 @@ def identify(measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings
         form_view(measured.form, settings)
     if settings.kind.fit is fit_linear:
         return fit_linear(measured, settings, judging=judging)  # type: ignore[arg-type]
-    return settings.kind.fit(measured, settings)
+    fits = settings.kind.fit(measured, settings)
+    return tuple(with_given_mass(fit, settings) for fit in fits) if settings.kind.times_mass else fits
 
 
 def _kind_of(measured: FrequencyResponse | FreeDecays | ChannelSpectra) -> str:

@@ -23,6 +23,7 @@ class ModelKind:
     fit: the fits of what the model is *of*, a response, free decays or spectra; one per band or peak. section: key of the model's own
     settings in a fit, their dataclass *settings*, and an *example* of the section, *optional* where all of them have defaults. earlier:
     name of the fit whose result this one begins with, empty for none; begin: the settings with the result of that fit among *fits*.
+    times_mass: stiffness and damping are the given mass times what is fitted.
     """
 
     fit: Callable[[Any, FitSettings], tuple[Fit, ...]]
@@ -33,3 +34,4 @@ class ModelKind:
     earlier: Callable[[FitSettings], str] = lambda _settings: ""
     begin: Callable[[FitSettings, Sequence[Fit]], FitSettings] = lambda settings, _fits: settings
     of: str = RESPONSES
+    times_mass: bool = False

@@ -12,6 +12,7 @@ from labpipe.identify.monte_carlo import drawn_error
 from labpipe.identify.settings import FitSettings
 from labpipe.records.budget import Budget
 from labpipe.records.doubt import ChannelDoubt, Doubt
+from labpipe.records.free_decay import FreeDecay, FreeDecays
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.setting_values import Uncertain
 
@@ -160,7 +161,7 @@ def test_monte_carlo_scatters_as_first_order_says(rng) -> None:
 def test_a_large_doubt_is_beyond_first_order(rng) -> None:
     """c takes 1 / (1 - d) from the force sensor: with d of 30 % (one sigma) the scatter is far from linear, and it is said."""
     large = ChannelDoubt("gain", Doubt("f.sensitivity", 0.3, "1"))
-    (fit,) = identify(a_response(rng, output=(), force=(large,)), settings("ml", mass="0.79 kg", monte_carlo=400))
+    (fit,) = identify(a_response(rng, output=(), force=(large,)), settings("ml", mass="0.79 kg", monte_carlo=200))
     (finding,) = [finding for finding in fit.findings if finding.code == "first-order"]
     assert "c (" in finding.message and fit.budget is not None
 
@@ -174,3 +175,17 @@ def test_errors_are_drawn_by_their_distribution(rng, shape: str, dof, spread: fl
     assert np.mean(draws**4) / np.mean(draws**2) ** 2 == pytest.approx(expected, abs=0.2)
     if shape != "normal":
         assert np.max(np.abs(draws)) <= {"rectangular": 3**0.5, "triangular": 6**0.5}[shape]
+
+
+def test_a_ring_down_s_stiffness_takes_the_doubt_of_its_mass(rng) -> None:
+    """k = m w_n^2: relative doubts of k and c are that of the mass and of the pole; f_n and zeta have none of it."""
+    time = np.arange(4096) / 1024
+    w, zeta = 2 * np.pi * 40, 0.01
+    decay = np.exp(-zeta * w * time) * np.cos(w * np.sqrt(1 - zeta**2) * time) + 1e-3 * rng.standard_normal(time.size)
+    decays = FreeDecays(1024.0, (Port("x", "x", "x"),), ("m",), (FreeDecay("r", 0.0, decay[:, None]),))
+    (fit,) = identify(decays, FitSettings("decay", mass="2 kg +- 1 %", name="d"))
+    assert fit.budget is not None
+    k, f_n = fit.parameter("k"), fit.parameter("f_n_1")
+    assert k.systematic == pytest.approx(0.01 * k.value)
+    assert k.full_error == pytest.approx(np.hypot(0.01 * k.value, k.std_error))
+    assert f_n.systematic is None and f_n.std_error_inflated is None
