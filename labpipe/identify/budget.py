@@ -81,7 +81,8 @@ def with_given_mass(fit: Fit, settings: FitSettings) -> Fit:
     random = np.array([np.nan if parameter.full_error is None else parameter.full_error for parameter in fit.parameters])
     names = tuple(parameter.name for parameter in fit.parameters)
     budget = Budget(names, random, float(fit.dof), (doubt_of(number, f"mass {number.value:g} kg", "kg"),), changes[None])
-    return replace(fit, parameters=with_systematic(fit.parameters, budget), budget=budget) if np.any(changes) else fit
+    known = np.any(changes[np.isfinite(random)])
+    return replace(fit, parameters=with_systematic(fit.parameters, budget), budget=budget) if known else fit
 
 
 # From a case and an error of a source to the setup and the data with that error.
