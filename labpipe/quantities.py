@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 # A dimension is the tuple of exponents of (m, kg, s, A, K, rad). The angle is kept apart from the pure number so that
@@ -317,3 +318,15 @@ def display_unit(si_unit: str, size: float | None = None) -> str:
     if si_unit == "N/m" and size is not None and abs(size) < SOFT:
         return si_unit
     return DISPLAY_UNITS.get(si_unit, si_unit)
+
+
+PREFIXED = {"N/m": ("N/m", "kN/m", "MN/m", "GN/m"), "N.s/m": ("N.s/m", "kN.s/m"), "N": ("N", "kN", "MN")}
+
+
+def readable_unit(si_unit: str, values: Iterable[float]) -> str:
+    """The display unit of a table or an axis of *values* in *si_unit*: the largest prefix that leaves the largest of them above 1."""
+    units = PREFIXED.get(si_unit)
+    if units is None:
+        return display_unit(si_unit)
+    largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
+    return next((unit for unit in reversed(units) if largest >= parse_unit(unit).factor), units[0])

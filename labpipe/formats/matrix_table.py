@@ -12,6 +12,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.errors import DataError
 from labpipe.formats.table import load_extra
+from labpipe.quantities import to_display
 from labpipe.records.condition_matrix import ConditionMatrix, MatrixPoint, condition_unit
 from labpipe.records.identification import Fit, Identification
 
@@ -47,9 +48,11 @@ def matrix_table(matrices: tuple[ConditionMatrix, ...]) -> pd.DataFrame:
     rows = []
     for matrix in matrices:
         for point in matrix.points:
+            # Columns have the same names whatever the levels, so no prefix that suits them.
+            units = [condition_unit(axis.name, axis.unit) for axis in matrix.axes]
             conditions = {
-                f"{axis.name} [{axis.shown_unit}]": axis.shown(level)
-                for axis, level in zip(matrix.axes, matrix.levels_of(point), strict=True)
+                f"{axis.name} [{unit}]": to_display(level, unit)
+                for axis, unit, level in zip(matrix.axes, units, matrix.levels_of(point), strict=True)
             }
             beside = {f"{entry.name} [{entry.unit}]": entry.value for entry in point.beside}
             for value in point.values:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
 
-from labpipe.quantities import display_unit, to_display
+from labpipe.quantities import display_unit, readable_unit, to_display
 from labpipe.records.finding import Finding
 from labpipe.records.parameter import Parameter
 
@@ -32,8 +32,9 @@ class ConditionAxis:
 
     @property
     def shown_unit(self) -> str:
-        """The unit in which levels are shown."""
-        return condition_unit(self.name, self.unit)
+        """The unit in which levels are shown, with a prefix that suits the largest."""
+        unit = condition_unit(self.name, self.unit)
+        return readable_unit(unit, self.levels) if unit == self.unit else unit
 
     def shown(self, level: float) -> float:
         """A level in the unit in which it is shown."""
@@ -148,6 +149,11 @@ class ConditionMatrix:
             if amount.name == name:
                 return amount
         raise KeyError(f"no amount '{name}'; known: {', '.join(a.name for a in self.amounts)}")
+
+    def unit_of(self, name: str) -> str:
+        """The unit in which a coefficient is shown at all points, with a prefix that suits the largest."""
+        values = [value.parameter for point in self.points if (value := point.value(name)) is not None]
+        return readable_unit(values[0].unit, (parameter.value for parameter in values)) if values else "1"
 
     def text_of(self, point: MatrixPoint) -> str:
         """The conditions of a point as people read them."""

@@ -42,12 +42,24 @@ OF_TESTS = (fit_sections, measurement_sections)
 def build(identification: Identification, test: str = "") -> Document:
     """The report of an identification; a pure function of the result. *test*: only the pages of that test.
 
-    Where a matrix of tests sums them up, their own pages are left out and drawn test by test on demand. ConfigError for an unknown test.
+    Pages of tests that a matrix sums up are left out and drawn test by test on demand; fits of other tests, such as a baseline, stay.
+    ConfigError for an unknown test.
     """
     if test:
         return _document(_of_test(identification, test), OF_TESTS, f"{identification.title}: {test}")
-    parts = tuple(part for part in PARTS if part not in OF_TESTS) if _in_matrix(identification) else PARTS
+    parts = tuple(WITH_MATRIX.get(part, part) for part in PARTS) if _in_matrix(identification) else PARTS
     return _document(identification, parts, identification.title)
+
+
+def _fits_outside(identification: Identification) -> tuple[Section, ...]:
+    """The fits of tests that are at no point of a matrix."""
+    inside = {test for matrix in identification.sections["matrix"] for point in matrix.points for test in point.tests}
+    fits = tuple(fit for fit in identification.fits if fit.test not in inside)
+    return fit_sections(replace(identification, fits=fits)) if fits else ()
+
+
+# What stands in a report instead of these parts where a matrix of tests sums them up.
+WITH_MATRIX: dict[Part, Part] = {fit_sections: _fits_outside, measurement_sections: lambda _identification: ()}
 
 
 def _document(identification: Identification, parts: tuple[Part, ...], title: str) -> Document:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from labpipe.quantities import display_unit, to_display
+from labpipe.arrays import FloatArray
+from labpipe.quantities import to_display
 from labpipe.records.condition_matrix import ConditionAxis, ConditionMatrix, MatrixPoint, Repeated
 from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Panel, Series, cells, curve, look, named_ticks, stacked
 from labpipe.report.document import Figure
-from labpipe.report.wording import unit_text
+from labpipe.report.wording import legible
 
 MAP_HEIGHT = 0.42
 ROOM = 1.1
-# From here on numbers are written with an exponent.
+# From here on, and below its inverse, numbers are written with an exponent.
 READABLE = 1e6
 CIRCLE = np.linspace(0.0, 2 * math.pi, 121)
 
@@ -33,13 +35,14 @@ def coverage_figure(matrix: ConditionMatrix) -> list[Figure]:
 
 
 def _map(axes: Sequence[ConditionAxis], values: np.ndarray, texts: Sequence[Sequence[str]], name: str) -> Chart:
-    """A matrix over the levels of two conditions, the first along the abscissa."""
-    x, y = (Axis(axis.name, _unit(axis), ticks=named_ticks([f"{axis.shown(level):.4g}" for level in axis.levels])) for axis in axes[:2])
-    return stacked([Panel(x, y, (cells(values, texts, name),))], ROOM + MAP_HEIGHT * values.shape[0])
+    """A matrix (second, first) over the levels of two conditions, the first along the abscissa, the second upwards."""
+    across, up = ([f"{axis.shown(level):.4g}" for level in axis.levels] for axis in axes[:2])
+    x, y = (Axis(axis.name, _unit(axis), ticks=named_ticks(ticks)) for axis, ticks in zip(axes, (across, up[::-1]), strict=False))
+    return stacked([Panel(x, y, (cells(values[::-1], texts[::-1], name),))], ROOM + MAP_HEIGHT * values.shape[0])
 
 
 def _unit(axis: ConditionAxis) -> str:
-    return "" if axis.shown_unit == "1" else axis.shown_unit
+    return legible(axis.shown_unit)
 
 
 def coefficient_figures(matrix: ConditionMatrix, name: str) -> list[Figure]:
@@ -66,53 +69,63 @@ def _valued(points: Sequence[MatrixPoint], name: str) -> list[tuple[MatrixPoint,
 
 def _lines(matrix: ConditionMatrix, name: str, points: Sequence[MatrixPoint], at: str) -> Figure:
     """The coefficient over the first condition, one line with bars for every level of the second; dashed: the theory."""
-    first = matrix.axes[0]
+    first, unit = matrix.axes[0], matrix.unit_of(name)
     having = _valued(points, name)
     series: list[Series] = []
+    expected: list[Series] = []
     second = sorted({point.place[1] for point, _ in having}) if len(matrix.axes) > 1 else [0]
     for number, place in enumerate(second):
         line = [(point, value) for point, value in having if len(matrix.axes) < 2 or point.place[1] == place]
         title = matrix.axes[1].text(matrix.axes[1].levels[place]) if len(matrix.axes) > 1 else "measured"
-        series.extend(_line(first, line, title, number))
-    unit = unit_text(having[0][1].parameter.unit) if having else ""
-    chart = stacked([Panel(Axis(first.name, _unit(first)), Axis(name, unit), tuple(series))], 3.2)
-    theory = "; dashed: theory" if any(value.theory is not None for _, value in having) else ""
+        series.append(_line(first, line, title, unit, number))
+        expected.extend(_theory_line(first, line, unit, number))
+    if expected:
+        expected[0] = replace(expected[0], name="theory")
+    chart = stacked([Panel(Axis(first.name, _unit(first)), Axis(name, legible(unit)), (*series, *expected))], 3.2)
+    theory = "; dashed: theory" if expected else ""
     caption = f"{name} over {first.name}{f' at {at}' if at else ''}: means of repeats with 95 % intervals{theory}."
     return Figure(chart, caption, f"{name} of {matrix.name} over {first.name}")
 
 
-def _line(first: ConditionAxis, line: Sequence[tuple[MatrixPoint, Repeated]], title: str, number: int) -> list[Series]:
-    unit = display_unit(line[0][1].parameter.unit)
-    x = np.array([first.shown(first.levels[point.place[0]]) for point, _ in line])
+def _abscissa(first: ConditionAxis, line: Sequence[tuple[MatrixPoint, Repeated]]) -> FloatArray:
+    return np.array([first.shown(first.levels[point.place[0]]) for point, _ in line])
+
+
+def _line(first: ConditionAxis, line: Sequence[tuple[MatrixPoint, Repeated]], title: str, unit: str, number: int) -> Series:
     y = np.array([to_display(value.parameter.value, unit) for _, value in line])
     ends = [value.parameter.ci95 or (value.parameter.value,) * 2 for _, value in line]
     low, high = (np.array([to_display(pair[end], unit) for pair in ends]) for end in (0, 1))
     colour, dash = look(number)
-    series = [curve(title, x, y, colour, dash, marker="o", size=4.0, bars=(low, high))]
+    return curve(title, _abscissa(first, line), y, colour, dash, marker="o", size=4.0, bars=(low, high))
+
+
+def _theory_line(first: ConditionAxis, line: Sequence[tuple[MatrixPoint, Repeated]], unit: str, number: int) -> list[Series]:
+    """The theory of a line in its colour, without a name; nothing where there is none."""
     theory = np.array([np.nan if value.theory is None else to_display(value.theory, unit) for _, value in line])
-    if np.any(np.isfinite(theory)):
-        series.append(curve("" if number else "theory", x, theory, number % PALETTE_SIZE, "--", width=0.9))
-    return series
+    known = bool(np.any(np.isfinite(theory)))
+    return [curve("", _abscissa(first, line), theory, number % PALETTE_SIZE, "--", width=0.9)] if known else []
 
 
 def _value_map(matrix: ConditionMatrix, name: str, points: Sequence[MatrixPoint], at: str) -> Figure:
     shape = (len(matrix.axes[1].levels), len(matrix.axes[0].levels))
     values = np.full(shape, np.nan)
     having = _valued(points, name)
-    unit = display_unit(having[0][1].parameter.unit) if having else "1"
+    unit = matrix.unit_of(name)
     for point, value in having:
         values[point.place[1], point.place[0]] = to_display(value.parameter.value, unit)
     largest = float(np.nanmax(np.abs(values))) or 1.0
     texts = [[_plain(value) if np.isfinite(value) else "none" for value in row] for row in values]
     chart = _map(matrix.axes, np.nan_to_num(values / largest), texts, name)
     where = f" at {at}" if at else ""
-    shown = f" [{unit_text(having[0][1].parameter.unit)}]" if having and unit_text(having[0][1].parameter.unit) else ""
+    shown = f" [{legible(unit)}]" if legible(unit) else ""
     return Figure(chart, f"{name}{shown} over {matrix.axes[0].name} and {matrix.axes[1].name}{where}.", f"Map of {name} of {matrix.name}")
 
 
 def _plain(value: float) -> str:
-    """Four digits, without an exponent where the number is readable."""
-    return f"{float(f'{value:.4g}'):g}" if abs(value) < READABLE else f"{value:.3e}"
+    """Four digits, zeros at the end too, without an exponent where the number is readable."""
+    if not 1 / READABLE < abs(value) < READABLE:
+        return f"{value:.4g}"
+    return f"{float(f'{value:.4g}'):.{max(0, 3 - math.floor(math.log10(abs(value))))}f}"
 
 
 def path_figure(matrix: ConditionMatrix) -> Figure:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from labpipe.quantities import display_unit, to_display
+from labpipe.quantities import to_display
 from labpipe.records.condition_matrix import ConditionMatrices, ConditionMatrix, EquilibriumPath, MatrixPoint, Repeated, condition_unit
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Identification
 from labpipe.report.condition_figures import coefficient_figures, coverage_figure, path_figure
 from labpipe.report.document import Block, Paragraph, Section, Table
-from labpipe.report.wording import rounded, unit_text
+from labpipe.report.wording import legible, rounded
 
 EXPLAINED = (
     "Each point is the weighted mean of its repeats. What noise leaves shrinks with their number, and is enlarged where they scatter more "
@@ -88,9 +88,9 @@ def _coefficient_sections(matrix: ConditionMatrix) -> tuple[Section, ...]:
 def _coefficient_table(matrix: ConditionMatrix, name: str) -> Table:
     """The coefficient at every point with its doubt, the scatter of repeats and the theory."""
     having = [(point, value) for point in matrix.points if (value := point.value(name)) is not None]
-    unit = display_unit(having[0][1].parameter.unit) if having else "1"
+    unit = matrix.unit_of(name)
     theory = any(value.theory is not None for _, value in having)
-    shown = unit_text(having[0][1].parameter.unit) if having else ""
+    shown = legible(unit)
     header = (
         *_axis_titles(matrix),
         f"{name} [{shown}]" if shown else name,
@@ -102,7 +102,8 @@ def _coefficient_table(matrix: ConditionMatrix, name: str) -> Table:
     )
     cells = ((*_value_cells(value, unit), *([_theory(value, unit)] if theory else [])) for _, value in having)
     rows = tuple((*_levels(matrix, point), *of_value) for (point, _), of_value in zip(having, cells, strict=True))
-    return Table(header, rows, f"{name} at every point", tuple(range(len(header))))
+    outside = "; *: the theory lies outside the interval" if any(value.holds_theory is False for _, value in having) else ""
+    return Table(header, rows, f"{name} at every point{outside}", tuple(range(len(header))))
 
 
 def _size(value: float | None, unit: str) -> float | None:
@@ -129,7 +130,8 @@ def _theory(value: Repeated, unit: str) -> str:
     if value.theory is None:
         return "none"
     inside = value.holds_theory
-    return f"{to_display(value.theory, unit):.5g}{'' if inside is None or inside else ' *'}"
+    expected = rounded(to_display(value.theory, unit), _size(value.parameter.full_error, unit))
+    return f"{expected}{'' if inside is None or inside else ' *'}"
 
 
 def _path_blocks(matrix: ConditionMatrix) -> tuple[Block, ...]:

@@ -9,6 +9,8 @@ from labpipe.report.wording import fit_title
 from labpipe.sections import section
 
 MOST_NOTES = 12
+# Characters of all notes of one kind that are still read.
+LONGEST_NOTES = 1200
 # Codes of findings with which a result must not be used.
 SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch", "negative-gof", "mass", "drift", "unstable-loop")
 # Models whose residual is held against no noise: their points have none.
@@ -141,6 +143,8 @@ def _notes(identification: Identification) -> tuple[Block, ...]:
     blocks: list[Block] = []
     for code, entries in _by_code(identification, NOTE).items():
         notes = list(dict.fromkeys(f"{origin}: {finding.message}" for origin, finding in entries))
-        said = "; ".join(notes) if len(notes) <= MOST_NOTES else f"{notes[0]} ({len(notes)} such notes in all; this is the first)"
+        said = "; ".join(notes)
+        if len(notes) > 1 and (len(notes) > MOST_NOTES or len(said) > LONGEST_NOTES):
+            said = f"{notes[0]} ({len(notes)} such notes in all; this is the first)"
         blocks.append(Paragraph(f"{code}: {said}.", "note"))
     return tuple(blocks)

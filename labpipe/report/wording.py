@@ -19,12 +19,16 @@ STARS_EXPLAINED = (
 LARGE_VIF, CLOSE = 10.0, 0.95
 # Standard errors that differ by less than this share are one.
 ALIKE = 1e-6
-LEGIBLE = {"1": "", "N.s/m": "N s/m"}
+LEGIBLE = {"1": "", "N.s/m": "N s/m", "kN.s/m": "kN s/m"}
 
 
 def unit_text(si_unit: str) -> str:
     """The unit shown for values given in *si_unit*."""
-    unit = display_unit(si_unit)
+    return legible(display_unit(si_unit))
+
+
+def legible(unit: str) -> str:
+    """A display unit as it is printed; '' for numbers without one."""
     return LEGIBLE.get(unit, unit)
 
 

@@ -104,3 +104,13 @@ def test_what_is_wrong_is_said_where_it_is(recorded: Path, tmp_path: Path, labpi
     (recorded / "wrong.yaml").write_text(text)
     ended = labpipe("run", recorded / "wrong.yaml", "-o", tmp_path)
     assert ended.code == 2 and message in ended.err.replace("+- 0.6 kg", ""), ended.err
+
+
+def test_the_report_of_a_matrix_keeps_the_baseline(recorded: Path, tmp_path: Path, labpipe) -> None:
+    """The dry test is at no point of the matrix: its fit has its page, those at the points are drawn on demand."""
+    matrix = "matrix: {water: {fit: seal, over: [speed]}}\nreport: {formats: [md]}\n"
+    text = PIPELINE.replace("compare: true", "form: kcm").replace("report: {formats: [html]}\n", matrix)
+    (recorded / "matrix.yaml").write_text(text)
+    assert labpipe("run", recorded / "matrix.yaml", "-o", tmp_path / "out").code == 0
+    page = (tmp_path / "out/report.md").read_text("utf-8")
+    assert "Test matrix: water" in page and "Result: hoses, test dry" in page and "Result: seal" not in page

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labpipe.quantities import QUANTITIES, UnitError, display_unit, parse_unit, parse_value, to_display
+from labpipe.quantities import QUANTITIES, UnitError, display_unit, parse_unit, parse_value, readable_unit, to_display
 
 
 @pytest.mark.parametrize(
@@ -74,6 +74,24 @@ def test_every_quantity_reads_and_displays_its_own_units() -> None:
 def test_display_is_the_inverse_of_parsing(value: float, unit: str) -> None:
     si_unit = {"um": "m", "kN/m": "N/m", "deg": "rad", "N.s/m": "N.s/m", "degC": "K"}[unit]
     assert to_display(parse_value(f"{value!r} {unit}", si_unit), unit) == pytest.approx(value, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("si_unit", "values", "shown"),
+    [
+        ("N/m", [3e5, -2.26e8], "MN/m"),
+        ("N/m", [999e3], "kN/m"),
+        ("N/m", [12.0, float("nan")], "N/m"),
+        ("N/m", [], "N/m"),
+        ("N.s/m", [2.1e6], "kN.s/m"),
+        ("N.s/m", [-500.0], "N.s/m"),
+        ("N", [2000.0, 0.0], "kN"),
+        ("m", [1e-4], "um"),
+        ("1", [1e9], "1"),
+    ],
+)
+def test_the_unit_of_a_table_suits_its_largest_value(si_unit: str, values: list[float], shown: str) -> None:
+    assert readable_unit(si_unit, values) == shown
 
 
 def test_display_unit_of_what_people_read() -> None:

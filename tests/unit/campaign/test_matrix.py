@@ -13,6 +13,7 @@ from labpipe.campaign.matrix_settings import EquilibriumSettings, MatrixSettings
 from labpipe.campaign.repeats import repeated
 from labpipe.errors import ConfigError
 from labpipe.records.identification import Fit, Parameter
+from labpipe.report.condition_figures import coefficient_figures
 from tests.unit.campaign.conftest import a_fit
 
 SETTINGS = MatrixSettings(fit="axial", over=("speed", "load"), name="tm")
@@ -49,7 +50,7 @@ def test_points_are_ordered_by_measured_conditions_and_repeats_averaged() -> Non
     assert first.values[0].parameter.std_error == pytest.approx(1e3 / np.sqrt(2))
     assert first.values[0].scatter == pytest.approx(1e3 / np.sqrt(2))
     assert second.values[0].repeats == 1
-    assert matrix.text_of(first) == "speed 3000 rpm, load 1000 N"
+    assert matrix.text_of(first) == "speed 3000 rpm, load 1 kN"
 
 
 def test_what_is_common_to_repeats_does_not_shrink() -> None:
@@ -67,7 +68,7 @@ def test_repeats_apart_are_named_and_their_mean_widened() -> None:
     tests = [({"k": (value, 1e3)}, at("50 Hz", "1 kN")) for value in (1.00e6, 1.02e6, 0.98e6)]
     matrix = a_matrix(tests)
     assert [finding.code for finding in matrix.findings] == ["repeats-apart"]
-    assert "speed 3000 rpm, load 1000 N" in matrix.findings[0].message
+    assert "speed 3000 rpm, load 1 kN" in matrix.findings[0].message
     # Birge: the error of the mean is that of the scatter, 2e4 / sqrt 3.
     assert matrix.points[0].values[0].parameter.std_error == pytest.approx(2e4 / np.sqrt(3), rel=1e-9)
     assert matrix.amount("repeats_apart").value == 1
@@ -170,3 +171,22 @@ def test_static_and_shaken_stiffness_that_differ_are_shown(rng) -> None:
     assert all(point.p_value < 1e-3 for point in apart.points)
     alike = [point.p_value for _ in range(20) for point in a_path(rng, 12, STIFFNESS, STIFFNESS).points]
     assert sum(p < 0.05 for p in alike) <= 60 * 0.05 + 3.5 * np.sqrt(60 * 0.05 * 0.95)
+
+
+def test_the_report_shows_all_points_in_the_unit_of_the_largest_the_second_condition_upwards() -> None:
+    tests = [
+        ({"k": (value, 1e4)}, at(speed, load))
+        for value, speed, load in (
+            (2.5e6, "25 Hz", "2 kN"),
+            (40.0e6, "50 Hz", "2 kN"),
+            (104.0e6, "25 Hz", "5 kN"),
+            (226.1e6, "50 Hz", "5 kN"),
+        )
+    ]
+    matrix = a_matrix(tests, theory=lambda _conditions, _units: {"k": 3e6})
+    lines, chart = (figure.graphic.panels[0] for figure in coefficient_figures(matrix, "k"))
+    assert [axis.shown_unit for axis in matrix.axes] == ["rpm", "kN"] and lines.y.unit == "MN/m"
+    assert [series.name for series in lines.series] == ["load 2 kN", "load 5 kN", "theory", ""]
+    np.testing.assert_allclose(lines.series[1].y, [104.0, 226.1])
+    assert chart.series[0].texts == (("104.0", "226.1"), ("2.500", "40.00"))
+    assert [name for _, name in chart.y.ticks or ()] == ["5", "2"]

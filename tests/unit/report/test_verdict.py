@@ -102,6 +102,12 @@ def test_many_notes_of_a_kind_are_counted() -> None:
     assert kind == "note" and text.endswith(f"line 0 ({MOST_NOTES + 3} such notes in all; this is the first).") and "line 1" not in text
 
 
+def test_long_notes_of_a_kind_are_counted() -> None:
+    findings = tuple(Finding("shaft-moves", f"{'word ' * 60}{n}", NOTE) for n in range(5))
+    ((text, _),) = words(verdict_sections(replace(RESULT, fits=(replace(FIT, findings=findings),))))["Notes"]
+    assert text.endswith("0 (5 such notes in all; this is the first).")
+
+
 def test_few_notes_of_a_kind_are_listed_in_full() -> None:
     findings = tuple(Finding("masked", f"line {n}", NOTE) for n in range(MOST_NOTES))
     told = words(verdict_sections(replace(RESULT, fits=(replace(FIT, findings=findings),))))
