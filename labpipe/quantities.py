@@ -245,6 +245,21 @@ def parse_value(text: str | float, si_unit: str) -> float:
     return _finite((number * unit.factor + unit.offset) / target.factor * _angle_per_period(unit, target), text)
 
 
+def written_unit(text: str | float) -> str:
+    """The unit in which a value is written: "rpm" of "2772 rpm", '' for a bare number and for what is no value."""
+    match = _VALUE.match(str(text))
+    return "" if match is None else match[2]
+
+
+def in_unit(value: float, si_unit: str, text: str) -> float:
+    """The *value* [*si_unit*] in the unit written as *text*: what parse_value makes of a value with a unit, undone.
+
+    Raises UnitError as unit_of does.
+    """
+    target, unit = parse_unit(si_unit), unit_of(text, si_unit)
+    return (value * target.factor / _angle_per_period(unit, target) - unit.offset) / unit.factor
+
+
 _SI_UNITS = ("1", "N", "m", "Hz", "K", "Pa", "N.m", "s", "V", "A", "kg", "rad", "m/s", "Pa.s", "N/m", "m^3/s", "kg/s", "W")
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,7 @@ def write_identification(path: Path, identification: Identification) -> None:
         "fits": [fit_entry(fit) for fit in identification.fits],
         "accept": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "accept"],
         "expect": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "expect"],
+        **_found_entries(identification.outcomes),
         "responses": [_response_entry(response) for response in identification.responses],
         **({"spectra": [_spectra_entry(spectra) for spectra in identification.spectra]} if identification.spectra else {}),
         **{section(name).entry: entry_of(record) for name, record in identification.sections.items()},
@@ -85,7 +87,7 @@ def _upgraded_curve(curve: dict[str, Any] | None) -> dict[str, Any] | None:
 
 
 def _identification(entries: dict[str, Any]) -> Identification:
-    outcomes = [RuleOutcome(key, **entry) for key in ("accept", "expect") for entry in entries.get(key, [])]
+    outcomes = [outcome for key in ("accept", "expect") for outcome in _outcomes(entries, key)]
     return Identification(
         fits=tuple(read_fit(entry) for entry in entries["fits"]),
         title=entries["title"],
@@ -108,6 +110,18 @@ def _identification(entries: dict[str, Any]) -> Identification:
 
 def _outcome_entry(outcome: RuleOutcome) -> dict[str, Any]:
     return {"rule": outcome.rule, "value": outcome.value, "passed": outcome.passed}
+
+
+def _found_entries(outcomes: Sequence[RuleOutcome]) -> dict[str, Any]:
+    """The values in the rules' own units, beside the rules: readers of an earlier labpipe take no further key of a rule."""
+    found = {key: [outcome.shown for outcome in outcomes if outcome.section == key] for key in ("accept", "expect")}
+    return {"found": found} if any(any(texts) for texts in found.values()) else {}
+
+
+def _outcomes(entries: dict[str, Any], key: str) -> list[RuleOutcome]:
+    rules = entries.get(key, [])
+    found = entries.get("found", {}).get(key) or [""] * len(rules)
+    return [RuleOutcome(key, **entry, shown=shown) for entry, shown in zip(rules, found, strict=True)]
 
 
 _OPTIONAL_ARRAYS = ("coherence", "multiple_coherence", "partial_coherence", "distortion", "snr")

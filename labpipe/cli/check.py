@@ -71,4 +71,4 @@ def outcomes_of(path: Path, overrides: tuple[str, ...], quiet: bool, verbose: bo
 
 
 def _failure(path: Path, outcome: RuleOutcome) -> str:
-    return f"{path}: {outcome.section}: {outcome.rule} fails, found {outcome.value}"
+    return f"{path}: {outcome.section}: {outcome.rule} fails, found {outcome.found}"

@@ -37,11 +37,7 @@ def echo_identification(identification: Identification, quiet: bool) -> None:
         _echo_findings([tuple(finding for _, finding in section(name).call("findings", record))], name)
     for outcome in identification.outcomes:
         mark = _coloured("passed", "green") if outcome.passed else _coloured("FAILED", "red")
-        click.echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {_outcome_value(outcome.value)})")
-
-
-def _outcome_value(value: float | str | None) -> str:
-    return "nothing" if value is None else value if isinstance(value, str) else f"{value:.6g}"
+        click.echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {outcome.found})")
 
 
 def _echo_fit(fit: Fit) -> None:

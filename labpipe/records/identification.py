@@ -8,6 +8,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.display import number
 from labpipe.records.budget import Budget
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.dynamic_stiffness import DynamicStiffness
@@ -148,12 +149,20 @@ class Fit:
 
 @dataclass(frozen=True)
 class RuleOutcome:
-    """One rule of ``accept`` or ``expect`` (*section*), the compared value, and whether it passed."""
+    """One rule of ``accept`` or ``expect`` (*section*), the value [SI], whether it passed; *shown*: the value in the rule's own unit."""
 
     section: str
     rule: str
     value: float | str | None
     passed: bool
+    shown: str = ""
+
+    @property
+    def found(self) -> str:
+        """The value as people read it, in the unit of the rule."""
+        if self.shown:
+            return self.shown
+        return "nothing" if self.value is None else self.value if isinstance(self.value, str) else number(self.value)
 
 
 @dataclass(frozen=True)

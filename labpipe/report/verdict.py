@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labpipe.records.finding import NOTE, WARNING, Finding
-from labpipe.records.identification import Identification, RuleOutcome
+from labpipe.records.identification import Identification
 from labpipe.report.document import Block, Paragraph, Section, Table
 from labpipe.report.wording import fit_title
 from labpipe.sections import section
@@ -54,8 +54,8 @@ def _judged(identification: Identification) -> tuple[Block, ...]:
         unchecked = _unchecked(identification)
         said = f" Not checked: {'; '.join(unchecked)}." if unchecked else ""
         lead = Paragraph(f"ACCEPTED: all {len(outcomes)} rules hold.{doubt}{said}", "note" if unchecked else "passed")
-    rows = tuple((outcome.section, outcome.rule, _outcome_text(outcome), "holds" if outcome.passed else "FAILS") for outcome in outcomes)
-    table = Table(("section", "rule", "found (SI)", "outcome"), rows, "Rules of the pipeline")
+    rows = tuple((outcome.section, outcome.rule, outcome.found, "holds" if outcome.passed else "FAILS") for outcome in outcomes)
+    table = Table(("section", "rule", "found", "outcome"), rows, "Rules of the pipeline")
     return (lead, *_by_goodness_alone(identification), *_not_to_be_signed(identification), table)
 
 
@@ -98,10 +98,6 @@ def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
     listed = [f"{origin} ({', '.join(dict.fromkeys(codes))})" for origin, codes in serious.items()]
     more = [f"and {len(listed) - MOST_NOTES} more"] if len(listed) > MOST_NOTES else []
     return (Paragraph(f"Read the warnings before using: {'; '.join([*listed[:MOST_NOTES], *more])}.", "warning"),)
-
-
-def _outcome_text(outcome: RuleOutcome) -> str:
-    return "none" if outcome.value is None else outcome.value if isinstance(outcome.value, str) else f"{outcome.value:.6g}"
 
 
 def _of_fits(identification: Identification) -> list[tuple[str, Finding]]:

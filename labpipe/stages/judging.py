@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -11,11 +10,10 @@ from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Fit, Parameter, RuleOutcome
-from labpipe.records.setting_values import parse_uncertain
 from labpipe.registry import nearest
 from labpipe.sections import names_of, section
+from labpipe.stages.judging_numbers import Compared, compare_number
 
-_COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 _FIT_VALUES: dict[str, Callable[[Fit], float | None]] = {
     "gof": lambda fit: fit.gof.r2_adjusted,
     "r2": lambda fit: fit.gof.r2,
@@ -71,18 +69,17 @@ def _is_centre(text: str, centre: float) -> bool:
 
 def _outcome(rule: Rule, fits: list[Fit]) -> RuleOutcome:
     """A rule on several fits (bands, tests) must hold for each; the value shown is the first that fails, or the first."""
-    compared: list[tuple[float | str | None, bool]]
+    compared: list[Compared]
     if rule.item == "count":
         compared = [compare_number(rule, float(len(fits)), "1")]
     elif rule.item == "warnings":
         compared = [_compare_warnings(rule, fit) for fit in fits]
     else:
         compared = [_compare_item(rule, fit) for fit in _having(rule, fits)]
-    value, passed = next((pair for pair in compared if not pair[1]), compared[0])
-    return RuleOutcome(rule.section, rule.text, value, passed)
+    return RuleOutcome(rule.section, rule.text, *next((one for one in compared if not one[1]), compared[0]))
 
 
-def _compare_warnings(rule: Rule, fit: Fit) -> tuple[str, bool]:
+def _compare_warnings(rule: Rule, fit: Fit) -> Compared:
     """ "collinear" must be among the warnings, "not collinear" must not; "none" means no warning at all."""
     codes = [finding.code for finding in of_level(WARNING, fit.findings)]
     code = rule.bound
@@ -92,7 +89,8 @@ def _compare_warnings(rule: Rule, fit: Fit) -> tuple[str, bool]:
         passed = code.removeprefix("not ").strip() not in codes
     else:
         passed = code in codes
-    return ", ".join(codes) or "none", passed
+    text = ", ".join(codes) or "none"
+    return text, passed, text
 
 
 def _having(rule: Rule, fits: list[Fit]) -> list[Fit]:
@@ -116,14 +114,14 @@ def _split(item: str, fits: Sequence[Fit]) -> tuple[str, str]:
     return (name, attribute) if name else (item, "")
 
 
-def _compare_item(rule: Rule, fit: Fit) -> tuple[float | str | None, bool]:
+def _compare_item(rule: Rule, fit: Fit) -> Compared:
     if rule.item in _FIT_VALUES:
         return compare_number(rule, _FIT_VALUES[rule.item](fit), "1")
     name, attribute = _split(rule.item, [fit])
     parameter = fit.parameter(name)
     if attribute == "significant":
         text = str(bool(parameter.significant)).lower()
-        return text, text == rule.bound
+        return text, text == rule.bound, text
     if attribute == "std_error":
         return compare_number(rule, parameter.full_error, parameter.unit)
     if attribute == "expanded":
@@ -131,25 +129,11 @@ def _compare_item(rule: Rule, fit: Fit) -> tuple[float | str | None, bool]:
     return compare_number(rule, parameter.value, parameter.unit)
 
 
-def _compare_expanded(rule: Rule, parameter: Parameter) -> tuple[float | None, bool]:
+def _compare_expanded(rule: Rule, parameter: Parameter) -> Compared:
     """The half width of the 95 % interval, relative to the value where the rule is in per cent."""
     if parameter.ci95 is None:
-        return None, False
+        return None, False, ""
     half = (parameter.ci95[1] - parameter.ci95[0]) / 2
     if rule.bound.endswith("%"):
         return compare_number(rule, half / abs(parameter.value) if parameter.value else None, "1")
     return compare_number(rule, half, parameter.unit)
-
-
-def compare_number(rule: Rule, value: float | None, unit: str) -> tuple[float | None, bool]:
-    """Whether a number meets the rule; a number that could not be given meets none."""
-    try:
-        if rule.kind == "+-":
-            wanted = parse_uncertain(rule.bound, unit)
-            return value, value is not None and abs(value - wanted.value) <= wanted.std_error
-        bound = parse_value(rule.bound, unit)
-        if rule.kind == "=":
-            return value, value is not None and value == bound
-    except UnitError as error:
-        raise ConfigError(f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint) from None
-    return value, value is not None and bool(_COMPARE[rule.kind](value, bound))

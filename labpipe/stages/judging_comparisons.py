@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from labpipe.config.rules import Rule
 from labpipe.errors import ConfigError
-from labpipe.quantities import UnitError, parse_value
 from labpipe.records.comparison import Comparison
 from labpipe.records.identification import Parameter, RuleOutcome
 from labpipe.registry import nearest
-
-# (rule, value, unit) -> (value shown, passed)
-CompareNumber = Callable[[Rule, float | None, str], tuple[float | None, bool]]
+from labpipe.stages.judging_numbers import CompareNumber, compare_covers
 
 
 def comparison_outcome(rule: Rule, comparisons: Sequence[Comparison], compare_number: CompareNumber) -> RuleOutcome:
@@ -25,7 +22,7 @@ def comparison_outcome(rule: Rule, comparisons: Sequence[Comparison], compare_nu
     name, _, attribute = rule.item.partition(".")
     amount = _amount(rule, comparison, name)
     if attribute == "covers":
-        return _covers(rule, amount)
+        return RuleOutcome(rule.section, rule.text, *compare_covers(rule, amount.ci95, amount.unit))
     value = amount.std_error if attribute == "std_error" else amount.value
     return RuleOutcome(rule.section, rule.text, *compare_number(rule, value, amount.unit))
 
@@ -36,15 +33,3 @@ def _amount(rule: Rule, comparison: Comparison, name: str) -> Parameter:
     except KeyError:
         hint = nearest(name, [*(amount.name for amount in comparison.amounts), "verdict", "count"])
         raise ConfigError(f"{rule.section}.{rule.address}: the comparison has no '{name}'", where=rule.place, hint=hint) from None
-
-
-def _covers(rule: Rule, amount: Parameter) -> RuleOutcome:
-    """True if the 95 % interval covers the value of the rule, with the interval as text."""
-    try:
-        wanted = parse_value(rule.bound, amount.unit)
-    except UnitError as error:
-        raise ConfigError(f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint) from None
-    if amount.ci95 is None:
-        return RuleOutcome(rule.section, rule.text, "no interval", False)
-    low, high = amount.ci95
-    return RuleOutcome(rule.section, rule.text, f"{low:.6g} to {high:.6g}", low <= wanted <= high)

@@ -13,13 +13,12 @@ import numpy as np
 
 from labpipe.config.rules import Rule
 from labpipe.errors import ConfigError
-from labpipe.quantities import UnitError, parse_value
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import RuleOutcome
 from labpipe.records.run_up_result import Amount, MeasuredRun, MetamodelResult, RunPrediction, RunUpMethod, RunUpResult
 from labpipe.registry import nearest
+from labpipe.stages.judging_numbers import Compared, CompareNumber, compare_covers
 
-CompareNumber = Callable[[Rule, float | None, str], tuple[float | None, bool]]
 MEASURED = "measured"
 SPEEDS = ("critical_speed", "threshold")
 ATTRIBUTES = ("std_error", "covers", "difference")
@@ -107,8 +106,7 @@ def _speed(rule: Rule, address: _Address, result: RunUpResult, compare_number: C
     candidates = [(run, _amount(rule, address, result, run)) for run in runs]
     selected = [(run, amount) for run, amount in candidates if amount is not None] or candidates[:1]
     outcomes = [_attribute(rule, address, run, amount, compare_number) for run, amount in selected]
-    value, passed = next((pair for pair in outcomes if not pair[1]), outcomes[0])
-    return RuleOutcome(rule.section, rule.text, value, passed)
+    return RuleOutcome(rule.section, rule.text, *next((one for one in outcomes if not one[1]), outcomes[0]))
 
 
 def _amount(rule: Rule, address: _Address, result: RunUpResult, run: MeasuredRun) -> Amount | None:
@@ -121,11 +119,10 @@ def _amount(rule: Rule, address: _Address, result: RunUpResult, run: MeasuredRun
     return None if prediction is None else getattr(prediction, address.item)
 
 
-def _attribute(
-    rule: Rule, address: _Address, run: MeasuredRun, amount: Amount | None, compare_number: CompareNumber
-) -> tuple[float | str | None, bool]:
+def _attribute(rule: Rule, address: _Address, run: MeasuredRun, amount: Amount | None, compare_number: CompareNumber) -> Compared:
     if address.attribute == "covers":
-        return _covers(rule, amount)
+        interval = None if amount is None else amount.ci95
+        return compare_covers(rule, None if interval is None else (HZ * interval[0], HZ * interval[1]), "Hz")
     if address.attribute == "difference":
         measured: Amount | None = getattr(run, address.item)
         return compare_number(rule, None if amount is None or measured is None else abs(amount.value / measured.value - 1), "1")
@@ -133,16 +130,3 @@ def _attribute(
         return compare_number(rule, None, "Hz")
     value = amount.std_error if address.attribute == "std_error" else amount.value
     return compare_number(rule, None if value is None else HZ * value, "Hz")
-
-
-def _covers(rule: Rule, amount: Amount | None) -> tuple[str, bool]:
-    """The 95 % interval as text, and True if it covers the speed of the rule."""
-    try:
-        wanted = parse_value(rule.bound, "Hz")
-    except UnitError as error:
-        raise _fault(rule, error.what, error.hint) from None
-    interval = None if amount is None else amount.ci95
-    if interval is None:
-        return "no interval", False
-    low, high = (HZ * end for end in interval)
-    return f"{low:.6g} to {high:.6g}", low <= wanted <= high

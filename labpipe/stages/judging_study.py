@@ -11,8 +11,8 @@ from labpipe.quantities import parse_value
 from labpipe.records.identification import RuleOutcome
 from labpipe.records.study import Studies, StudyCase
 from labpipe.registry import nearest
+from labpipe.stages.judging_numbers import CompareNumber
 
-CompareNumber = Callable[[Rule, float | None, str], tuple[float | None, bool]]
 _STUDIED = re.compile(r"^(?P<fit>[^.\[\]]+)(?:\[(?P<noise>[^\]]*)\])?\.(?P<item>\w+)$")
 _CASE_VALUES: dict[str, Callable[[StudyCase], float | None]] = {
     "mean_error": lambda case: case.mean_error,
@@ -37,8 +37,7 @@ def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -
     if not values:
         raise ConfigError(f"{rule.section}.{rule.address}: no such case in the study", where=rule.place)
     outcomes = [compare_number(rule, value, "1") for value in values]
-    value, passed = next((pair for pair in outcomes if not pair[1]), outcomes[0])
-    return RuleOutcome(rule.section, rule.text, value, passed)
+    return RuleOutcome(rule.section, rule.text, *next((one for one in outcomes if not one[1]), outcomes[0]))
 
 
 def _studied(rule: Rule, case: StudyCase, item: str) -> float | None:

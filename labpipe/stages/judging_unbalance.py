@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from labpipe.config.rules import Rule
 from labpipe.errors import ConfigError
 from labpipe.records.identification import RuleOutcome
 from labpipe.records.unbalance import UnbalanceRuns
 from labpipe.registry import nearest
-
-CompareNumber = Callable[[Rule, float | None, str], tuple[float | None, bool]]
+from labpipe.stages.judging_numbers import CompareNumber
 
 
 def unbalance_outcome(rule: Rule, runs: UnbalanceRuns, compare_number: CompareNumber) -> RuleOutcome:

@@ -22,7 +22,7 @@ from labpipe.records.condition_matrix import ConditionMatrices, ConditionMatrix
 from labpipe.records.identification import Failed, RuleOutcome
 from labpipe.records.setting_values import COEFFICIENT_UNITS
 from labpipe.registry import nearest
-from labpipe.stages.judging_comparisons import CompareNumber
+from labpipe.stages.judging_numbers import CompareNumber
 from labpipe.stages.work import Work
 
 MATRIX_PREFIX = "matrix."

@@ -68,7 +68,7 @@ def test_a_failed_rule_and_no_rules_at_all() -> None:
     failed = verdict_sections(replace(RESULT, outcomes=(HOLDS, FAILS)))
     assert words(failed)["Verdict"][0] == ("NOT ACCEPTED: 1 of 2 rules fail. No warnings.", "failed")
     (table,) = (block for block in failed[0].blocks if isinstance(block, Table))
-    assert table.rows[1] == ("expect", "direct.k 1 kN/m", "none", "FAILS")
+    assert table.rows[1] == ("expect", "direct.k 1 kN/m", "nothing", "FAILS")
     assert words(verdict_sections(replace(RESULT, outcomes=())))["Verdict"][0][1] == "note"
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
+from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.writing import output_folder
 from labpipe.config.pipeline import load_pipeline
 from labpipe.errors import ConfigError, LabpipeError
@@ -148,6 +149,53 @@ def test_the_value_shown_is_the_first_that_fails(lab: Path) -> None:
     assert outcome.value == pytest.approx(STIFF, rel=1e-3)
     (outcome,) = judged(lab, accept={"direct.k": ">= 1 kN/m"})
     assert outcome.value == pytest.approx(SOFT, rel=1e-3)
+
+
+# The truth of LINES in the unit of each rule: sqrt(1e5) / (2 pi) = 50.32921 Hz = 316.2278 rad/s, 20 / (2 sqrt(1e5)) = 0.03162278.
+SHOWN = [
+    ("one.k", ">= 99.9 kN/m", 100.0, "kN/m"),
+    ("one.k", "< 100.1 N/mm", 100.0, "N/mm"),
+    ("one.k", "1e5 N/m +- 10 N/m", 1e5, "N/m"),
+    ("one.k", "> 0", 100.0, "kN/m"),
+    ("one.f_n", "3019.75 rpm +- 1 rpm", 3019.752, "rpm"),
+    ("one.f_n", ">= 300 rad/s", 316.2278, "rad/s"),
+    ("one.zeta", "3.16228 % +- 0.01 %", 3.162278, "%"),
+    ("one.zeta", "<= 0.05", 0.03162278, ""),
+    ("one.gof", ">= 99 %", 100.0, "%"),
+    ("one.lines", "101", 101.0, ""),
+    ("curve[90 Hz].k", "400 kN/m +- 1 %", 400.0, "kN/m"),
+]
+
+
+@pytest.mark.parametrize(("address", "text", "number", "unit"), SHOWN)
+def test_the_value_is_shown_in_the_unit_of_the_rule(
+    shown: dict[str, RuleOutcome], address: str, text: str, number: float, unit: str
+) -> None:
+    outcome = shown[f"{address} {text}"]
+    value, _, shown_unit = outcome.found.partition(" ")
+    assert (float(value), shown_unit) == (pytest.approx(number, rel=2e-5), unit)
+
+
+@pytest.fixture(scope="module")
+def shown(lab: Path) -> dict[str, RuleOutcome]:
+    """The rules of SHOWN, judged in one run and read back from its file."""
+    rules: dict[str, list[str]] = {}
+    for address, text, _, _ in SHOWN:
+        rules.setdefault(address, []).append(text)
+    judged(lab, expect=rules)
+    return {outcome.rule: outcome for outcome in read_identification(lab / "out/identification.json").outcomes}
+
+
+def test_readers_of_earlier_results_find_no_further_key_in_a_rule(lab: Path) -> None:
+    """A reader before the values in the rules' units takes rule, value, passed; a result without them shows the SI value."""
+    judged(lab, expect={"one.k": "> 1 kN/m", "one.warnings": "not clipped"})
+    path = lab / "out/identification.json"
+    whole = json.loads(path.read_text("utf-8"))
+    assert all(set(entry) == {"rule", "value", "passed"} for entry in whole["expect"])
+    del whole["found"]
+    path.write_text(json.dumps(whole), "utf-8")
+    number, codes = read_identification(path).outcomes
+    assert number.found == "100000" and codes.found == codes.value
 
 
 def test_codes_of_warnings_are_shown(lab: Path) -> None:

@@ -119,6 +119,23 @@ def ruled(result: RunUpResult, address: str, text: str) -> tuple[object, bool]:
     return outcome.value, outcome.passed
 
 
+def test_a_speed_and_its_interval_are_shown_in_the_unit_of_the_rule(whole: RunUpResult) -> None:
+    """The records hold angular speeds: Omega 30 / pi is in rpm."""
+    amount = next(method for method in whole.methods if method.name == "joint").prediction("held-out").critical_speed
+    rules = read_rules(
+        "expect",
+        Marked(
+            {f"run_ups.joint[held-out].critical_speed{end}": Marked("1740 rpm", "here", text="1740 rpm") for end in ("", ".covers")}, "here"
+        ),
+        Faults(),
+        ("run_ups",),
+    )
+    speed, interval = (outcome.found for outcome in judge(rules, (), {"run_ups": whole}))
+    rpm = 30 / np.pi
+    assert speed == f"{rpm * amount.value:.6g} rpm"
+    assert interval == f"{rpm * amount.ci95[0]:.6g} rpm to {rpm * amount.ci95[1]:.6g} rpm"
+
+
 @pytest.mark.parametrize(
     ("address", "text", "passed"),
     [

@@ -24,7 +24,7 @@ from labpipe.stages.work import Work
 
 CRITICALLY_DAMPED = 2.5
 # Holds a number against a rule: (rule, number, its SI unit) -> what was found, and whether the rule holds.
-Compare = Callable[[Rule, float | None, str], tuple[float | None, bool]]
+Compare = Callable[[Rule, float | None, str], tuple[float | None, bool, str]]
 LEAST, KEPT = "least", "kept"
 
 

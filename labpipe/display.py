@@ -1,0 +1,119 @@
+"""Values with their uncertainty and unit as people read them (JCGM 100:2008, 7.2.6): THE home of every number that is shown.
+
+The uncertainty has two significant digits, the value is rounded to the same place, both share a prefix and a power of ten. What programs
+read (JSON, CSV) stays in SI at full precision.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from labpipe.quantities import display_unit, to_display
+
+# Significant digits of a number without an uncertainty, and the most that a value has with one.
+PLAIN_DIGITS, MOST_DIGITS = 6, 12
+NOT_DETERMINED = "not determined"
+# Sizes in the usual unit for which it stays; beyond them another prefix is chosen.
+USUAL = (0.1, 1e4)
+# Sizes that are written without a power of ten.
+WITHOUT_POWER = (1e-4, 1e6)
+# Units of one dimension, the smallest first.
+PREFIXED = {
+    "N/m": ("N/m", "kN/m", "MN/m", "GN/m"),
+    "N.s/m": ("N.s/m", "kN.s/m", "MN.s/m"),
+    "m": ("nm", "um", "mm", "m"),
+    "s": ("us", "ms", "s"),
+    "kg": ("g", "kg", "t"),
+    "N": ("mN", "N", "kN", "MN"),
+    "Pa": ("Pa", "kPa", "MPa", "GPa"),
+    "Pa.s": ("mPa.s", "Pa.s"),
+}
+
+
+def shown_unit(si_unit: str, *sizes: float | None) -> str:
+    """The unit for amounts of these *sizes* [SI]: of value and uncertainty, or of a whole column; the largest decides."""
+    usual = display_unit(si_unit)
+    largest = max((abs(size) for size in sizes if size is not None and math.isfinite(size)), default=0.0)
+    units = PREFIXED.get(si_unit, ())
+    if not units or largest == 0.0 or USUAL[0] <= to_display(largest, usual) < USUAL[1]:
+        return usual
+    return next((unit for unit in reversed(units) if to_display(largest, unit) >= 1.0), units[0])
+
+
+def unit_label(unit: str) -> str:
+    """The unit behind a number; a plain number has none."""
+    return "" if unit == "1" else unit
+
+
+def difference_in(amount: float, unit: str) -> float:
+    """A difference [SI], such as an uncertainty, in a unit that may have an offset."""
+    return to_display(amount, unit) - to_display(0.0, unit)
+
+
+@dataclass(frozen=True)
+class _Place:
+    """The last decimal of the numbers in front of a common power of ten."""
+
+    decimals: int
+    power: int
+
+    def text(self, number: float, decimals: int | None = None) -> str:
+        return self.mantissa(number, decimals) + (f"e{self.power}" if self.power and math.isfinite(number) else "")
+
+    def mantissa(self, number: float, decimals: int | None = None) -> str:
+        if not math.isfinite(number):
+            return NOT_DETERMINED
+        decimals = self.decimals if decimals is None else decimals
+        # Dividing by a power that is exact keeps the digits of the decimal number; zero is added since -0.0 is no result.
+        scaled = number / 10.0**self.power if self.power >= 0 else number * 10.0**-self.power
+        return f"{round(scaled, decimals) + 0.0:.{max(decimals, 0)}f}"
+
+
+def _exponent(number: float) -> int:
+    """The power of ten of the first of two significant digits: 0.0996 is 0.10, so -1."""
+    return int(f"{abs(number):.1e}".partition("e")[2])
+
+
+def _place(value: float, error: float) -> _Place:
+    size = max(abs(value), abs(error)) if math.isfinite(value) else abs(error)
+    power = 0 if WITHOUT_POWER[0] <= size < WITHOUT_POWER[1] else math.floor(math.log10(size))
+    return _Place(1 - _exponent(error) + power, power)
+
+
+def written(value: float, error: float | None, *others: float) -> tuple[str, ...]:
+    """Value, uncertainty and *others* on the scale of the value (ends of an interval), all to the uncertainty's second digit.
+
+    Without an uncertainty, or with none above zero, numbers have six significant digits and the uncertainty is '' or '0'; what is not
+    finite is 'not determined'. A value that is known beyond twelve digits has twelve, and its uncertainty a power of its own.
+    """
+    if error is None or error == 0.0 or not math.isfinite(error):
+        doubt = "" if error is None else "0" if error == 0.0 else NOT_DETERMINED
+        return (number(value), doubt, *(number(other) for other in others))
+    place = _place(value, error)
+    digits = 1 + place.decimals - place.power + (math.floor(math.log10(abs(value))) if value and math.isfinite(value) else 0)
+    if digits > MOST_DIGITS:
+        return (number(value, MOST_DIGITS), f"{error:.1e}", *(number(other, MOST_DIGITS) for other in others))
+    return (place.text(value), place.text(abs(error)), *(place.text(other) for other in others))
+
+
+def number(value: float, digits: int = PLAIN_DIGITS) -> str:
+    """A number without an uncertainty."""
+    return f"{value:.{digits}g}" if math.isfinite(value) else NOT_DETERMINED
+
+
+def with_error(value: float, error: float | None, unit: str = "", sign: str = "±") -> str:
+    """One text, value and uncertainty in *unit*: '134.4981 ± 0.0087 kN/m', '(1.234 ± 0.011)e-7'."""
+    value_text, error_text = written(value, error)
+    if error_text and "e" in error_text and error_text.partition("e")[2] == value_text.partition("e")[2]:
+        mantissa, _, power = value_text.partition("e")
+        joined = f"({mantissa} {sign} {error_text.partition('e')[0]})e{power}"
+    else:
+        joined = f"{value_text} {sign} {error_text}" if error_text else value_text
+    return f"{joined} {unit_label(unit)}".rstrip()
+
+
+def amount_text(value: float, error: float | None, si_unit: str, sign: str = "±") -> str:
+    """One text for a value and its uncertainty in SI, with the unit that suits both."""
+    unit = shown_unit(si_unit, value, error)
+    return with_error(to_display(value, unit), None if error is None else difference_in(error, unit), unit, sign)
