@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from labpipe.identify.settings import FitSettings
@@ -70,9 +69,9 @@ CASES = (
 )
 
 
-def rates(case: Case) -> tuple[int, int]:
+def rates(case: Case, n_run: int) -> tuple[int, int]:
     """Runs with the code, of sound and of faulty ones."""
-    return tuple(sum(case.code in case.run(seed, **asked) for seed in range(case.n_run)) for asked in (case.sound, case.faulty))  # type: ignore[return-value]
+    return tuple(sum(case.code in case.run(seed, **asked) for seed in range(n_run)) for asked in (case.sound, case.faulty))  # type: ignore[return-value]
 
 
 def on_page() -> dict[tuple[str, str], tuple[int, int, int]]:
@@ -84,12 +83,18 @@ def on_page() -> dict[tuple[str, str], tuple[int, int, int]]:
 @pytest.mark.long
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.code}, {case.fault}")
 def test_a_warning_comes_with_its_fault_and_not_without(case: Case) -> None:
-    """At most 5 % of sound runs, and one more by chance; at least 90 % of faulty ones."""
-    sound, faulty = rates(case)
-    assert sound <= round(0.05 * case.n_run) + 1
-    assert faulty >= 0.9 * case.n_run
-    # Other processors round otherwise, which may move one run over a limit.
-    assert np.max(np.abs(np.subtract(on_page()[case.code, case.fault], (sound, faulty, case.n_run)))) <= 1
+    """At most 5 % of sound runs, and one more by chance; at least 90 % of faulty ones. The first half of the page's runs is repeated here,
+    the whole of them by running this file.
+    """
+    n_run = case.n_run // 2
+    sound, faulty = rates(case, n_run)
+    assert sound <= round(0.05 * n_run) + 1
+    assert faulty >= 0.9 * n_run - 1
+    page_sound, page_faulty, page_run = on_page()[case.code, case.fault]
+    assert page_run == case.n_run
+    # The other half can add what the page has more; other processors round otherwise, which may move one run over a limit.
+    assert -1 <= page_sound - sound <= n_run + 1
+    assert -1 <= page_faulty - faulty <= n_run + 1
 
 
 def test_the_page_has_every_case() -> None:
@@ -98,5 +103,5 @@ def test_the_page_has_every_case() -> None:
 
 if __name__ == "__main__":
     for row in CASES:
-        without, with_fault = rates(row)
+        without, with_fault = rates(row, row.n_run)
         print(f"| `{row.code}` | {row.fault} | {without} of {row.n_run} | {with_fault} of {row.n_run} |", flush=True)
