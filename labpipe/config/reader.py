@@ -18,6 +18,11 @@ from labpipe.records.settings import Setting, settings_of, takes_doubt
 
 Owner = TypeVar("Owner")
 
+# Kinds of settings that may be given in the long form of a number with its doubt, and the entries of that form.
+LONG_KINDS = ("value", "mass", "uncertain", "text")
+SIZES = ("std", "limits", "expanded")
+LONG_FORM = ("value", *SIZES, "shape", "k", "dof", "source")
+
 # Placeholder of an entry that the user must fill in; see stages/scaffold.py.
 DECIDE = "DECIDE"
 
@@ -37,8 +42,9 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
     for name, (setting, required) in settings.items():
         count = len(faults)
         if name in entries:
-            read = _read_doubtful if takes_doubt(owner, setting) and is_doubtful(entries[name].text) else read_setting
-            fields[name] = read(entries[name], setting, join(key, name), faults)
+            node_of = _in_one_line(entries[name], setting)
+            read = _read_doubtful if takes_doubt(owner, setting) and is_doubtful(node_of.text) else read_setting
+            fields[name] = read(node_of, setting, join(key, name), faults)
             if setting.into:
                 fields[setting.into] = _content(entries[name], fields[name], setting, join(key, name), faults)
         elif required and name not in presets:
@@ -61,6 +67,20 @@ def _instance(owner: type[Owner], fields: dict[str, Any], node: Marked, key: str
             return None
         faults.add_of_field(error, node, key)
         return None
+
+
+def _in_one_line(node: Marked, setting: Setting) -> Marked:
+    """A number in its long form {value, std | limits | expanded, shape, k, dof, source} as the text that stands for it."""
+    if setting.kind not in LONG_KINDS or not isinstance(node.content, dict) or "value" not in node.content:
+        return node
+    parts = {name: part.text for name, part in node.content.items()}
+    size = next((parts[name] for name in SIZES if name in parts), "")
+    shape = parts.get("shape", "rectangular" if "limits" in parts else "")
+    expanded = [f"k={parts.get('k', '2')}"] if "expanded" in parts or "k" in parts else []
+    qualities = [*([shape] if shape else []), *expanded, *(f"{name}={parts[name]}" for name in ("dof", "source") if name in parts)]
+    unknown = [f"{name}={parts[name]}" for name in parts if name not in LONG_FORM]
+    text = f"{parts['value']} +- {size} ({', '.join([*qualities, *unknown])})" if qualities or unknown else f"{parts['value']} +- {size}"
+    return Marked(text, node.where, node.key_where, text)
 
 
 def _read_doubtful(node: Marked, setting: Setting, key: str, faults: Faults) -> str | None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.distributions import normal_quantile, student_quantile
 from labpipe.identify.derived import BandModel
 from labpipe.identify.instrumental import instrument_step
 from labpipe.identify.leakage import expected
@@ -29,7 +30,7 @@ from labpipe.identify.weights import equal_weights, has_noise, whitener
 from labpipe.records.budget import Budget
 from labpipe.records.doubt import Doubt, doubt_of
 from labpipe.records.identification import Fit
-from labpipe.records.parameter import Parameter
+from labpipe.records.parameter import Contribution, Parameter
 from labpipe.records.response import Port
 
 # Errors of sources are tried at this share of their standard uncertainty, so that slopes are those at the estimate.
@@ -83,6 +84,29 @@ def with_given_mass(fit: Fit, settings: FitSettings) -> Fit:
     budget = Budget(names, random, float(fit.dof), (doubt_of(number, f"mass {number.value:g} kg", "kg"),), changes[None])
     known = np.any(changes[np.isfinite(random)])
     return replace(fit, parameters=with_systematic(fit.parameters, budget), budget=budget) if known else fit
+
+
+def with_contributions(fit: Fit, coverage: float) -> Fit:
+    """The fit with combined and expanded uncertainty of every parameter that given numbers make doubtful, and with its sources.
+
+    *coverage* [1]: probability of the expanded uncertainty, by Student's t with the effective degrees of freedom.
+    """
+    budget = fit.budget
+    if budget is None:
+        return fit
+    stated = []
+    for parameter in fit.parameters:
+        if parameter.systematic is None:
+            stated.append(parameter)
+            continue
+        column = budget.names.index(parameter.name)
+        combined, dof = float(budget.combined[column]), float(budget.dof[column])
+        level = (1 + coverage) / 2
+        factor = student_quantile(level, dof) if np.isfinite(dof) else normal_quantile(level)
+        shares = budget.shares(parameter.name).items()
+        contributions = tuple(Contribution(source, combined * float(np.sqrt(share)), share) for source, share in shares)
+        stated.append(replace(parameter, combined=combined, expanded=factor * combined, coverage_factor=factor, budget=contributions))
+    return replace(fit, parameters=tuple(stated))
 
 
 # From a case and an error of a source to the setup and the data with that error.

@@ -11,7 +11,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.identify.base_motion import form_view
 from labpipe.identify.bootstrap import bootstrapped
-from labpipe.identify.budget import Case, budget_of, with_given_mass
+from labpipe.identify.budget import Case, budget_of, with_contributions, with_given_mass
 from labpipe.identify.comparison import candidates, comparison_findings, comparison_notes
 from labpipe.identify.constraints import constrained
 from labpipe.identify.dense_curve import drawn_densely
@@ -63,10 +63,11 @@ def identify(measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings
     check_kind(settings, _kind_of(measured))
     if isinstance(measured, FrequencyResponse):
         form_view(measured.form, settings)
-    if settings.kind.fit is fit_linear:
-        return fit_linear(measured, settings, judging=judging)  # type: ignore[arg-type]
-    fits = settings.kind.fit(measured, settings)
-    return tuple(with_given_mass(fit, settings) for fit in fits) if settings.kind.times_mass else fits
+    linear = settings.kind.fit is fit_linear
+    fits = fit_linear(measured, settings, judging=judging) if linear else settings.kind.fit(measured, settings)  # type: ignore[arg-type]
+    if settings.kind.times_mass:
+        fits = tuple(with_given_mass(fit, settings) for fit in fits)
+    return tuple(with_contributions(fit, settings.coverage) for fit in fits)
 
 
 def _kind_of(measured: FrequencyResponse | FreeDecays | ChannelSpectra) -> str:

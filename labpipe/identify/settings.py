@@ -89,6 +89,7 @@ class FitSettings(Settings):
     tied: tuple[tuple[str, ...], ...] = setting("groups", "lists of coefficients that have one value", default=())
     weight: str = setting("choice", "ls, iv, amplitude: all lines weigh alike, or by their noise", choices=WEIGHTS, default="none")
     bootstrap: int = setting("integer", "repeats of the fit on resampled noise, for intervals beyond first order", default=0)
+    coverage: float = setting("value", "probability of expanded uncertainties", unit="1", default=0.95)
     monte_carlo: int = setting("integer", "draws of noise and of all numbers with a doubt, as a check of the budget", default=0)
     compare: bool = setting("flag", "hold the model against simpler and richer ones", default=False)
     test: tuple[str, ...] = setting("names", "tests that are fitted; default: all", default=())
@@ -98,6 +99,8 @@ class FitSettings(Settings):
 
     def __post_init__(self) -> None:
         self._check_bands()
+        if not 0 < self.coverage < 1:
+            raise ConfigError("'coverage' must lie between 0 and 100 %", field="coverage")
         if self.weight != "none" and self.estimator == "ml":
             raise ConfigError("'weight' is not for ml, which always weighs by the noise", hint="leave it out")
         if self.damping == "proportional" and self.estimator != "ml":

@@ -6,6 +6,15 @@ from dataclasses import KW_ONLY, dataclass
 
 
 @dataclass(frozen=True)
+class Contribution:
+    """Part of a source in the doubt of a parameter: *contribution* as a standard uncertainty, *share* of the variance [1]."""
+
+    source: str
+    contribution: float
+    share: float
+
+
+@dataclass(frozen=True)
 class Parameter:
     """One estimated or derived parameter in SI units.
 
@@ -13,7 +22,8 @@ class Parameter:
     two-sided 95 % Student quantile. *vif*: variance inflation factor. *derived*: computed from the others (f_n, zeta, ...).
     *std_error* is what noise alone leaves; *std_error_inflated*: with what else the residual shows, where it is not noise, and with the
     doubt of given numbers. *ci95*, *t_ratio* and *significant* are by the latter then. *systematic*: the part of it that stems from given
-    numbers, where that is known by itself.
+    numbers, where that is known by itself; then there are the *combined* standard uncertainty, the *expanded* one, which is it times
+    *coverage_factor*, and the *budget* of all sources, noise among them, the largest first.
     """
 
     name: str
@@ -29,6 +39,10 @@ class Parameter:
     at_bound: bool = False
     std_error_inflated: float | None = None
     systematic: float | None = None
+    combined: float | None = None
+    expanded: float | None = None
+    coverage_factor: float | None = None
+    budget: tuple[Contribution, ...] = ()
 
     @property
     def noise_ci95(self) -> tuple[float, float] | None:

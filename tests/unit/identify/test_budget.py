@@ -191,3 +191,15 @@ def test_a_ring_down_s_stiffness_takes_the_doubt_of_its_mass() -> None:
     assert k.systematic == pytest.approx(0.01 * k.value)
     assert k.full_error == pytest.approx(np.hypot(0.01 * k.value, k.std_error))
     assert f_n.systematic is None and f_n.std_error_inflated is None
+
+
+def test_parameters_state_their_parts(rng) -> None:
+    """combined, expanded = coverage factor times combined, and every source with contribution and share; std_error stays that of noise."""
+    (fit,) = identify(a_response(rng), settings("ml", mass="0.79 kg +- 0.5 %", coverage=0.99))
+    k = fit.parameter("k")
+    assert k.combined == pytest.approx(np.hypot(k.std_error, k.systematic))
+    assert k.coverage_factor == pytest.approx(2.576, abs=0.02)
+    assert k.expanded == pytest.approx(k.coverage_factor * k.combined)
+    assert sum(part.share for part in k.budget) == pytest.approx(1.0)
+    assert np.hypot.reduce([part.contribution for part in k.budget]) == pytest.approx(k.combined)
+    assert k.budget[0].source == "mass 0.79 kg"
