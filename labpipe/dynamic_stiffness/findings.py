@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from labpipe.dynamic_stiffness.estimate import Estimate, Noise
@@ -14,6 +16,8 @@ from labpipe.records.dynamic_stiffness import GivenDoubt
 from labpipe.records.finding import Finding, note
 from labpipe.records.identification import Parameter
 
+# Ends of the names of coefficients: force in the first direction per motion in the second.
+AXES = ("xx", "xy", "yx", "yy")
 # Standard errors of noise beyond which the shaft is said to move, and the share of the relative motion from which it matters.
 SEEN, MOVES = 3.0, 0.002
 # Standard deviations of chi-square below its mean beyond which the residual is too small.
@@ -22,6 +26,19 @@ SURE = 5.0
 CANCELS, CANCELLED = 1e-6, "nothing, since the baseline was measured with the same number and takes its error back"
 # Degrees of freedom of the covariance below which the estimates lose more than a tenth to it.
 FEW_DOF = 13
+
+
+def remedy(group: Sequence[str]) -> str:
+    """What separates the parameters of a collinear group: forces of another pattern, where both directions of the motion are in it."""
+    ends = [name.partition("_")[2][:2] for name in group]
+    motions = {end[1] for end in ends if end in AXES}
+    if len(motions) > 1:
+        return (
+            "let the forces act in two ways, since x and y move in proportion here: a recording with the force in x and one in y, two "
+            "with both of one sign and of opposite signs, or one with every other line in x and in y (zipper); or set fewer coefficients "
+            "free, `symmetry: seal`"
+        )
+    return "widen the band, so that K and -w^2 M differ in their course over it, or fit a form with fewer coefficients, `form: kc`"
 
 
 def mismatch_factor(found: Estimate) -> float:

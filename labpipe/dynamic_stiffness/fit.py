@@ -22,6 +22,7 @@ from labpipe.dynamic_stiffness.findings import (
     motion_findings,
     noise_findings,
     physical_findings,
+    remedy,
     whirl_findings,
 )
 from labpipe.dynamic_stiffness.forms import BANDS, FORMS, Form, StiffnessModel, banded
@@ -219,7 +220,7 @@ def _reported(settings: FitSettings, balance: Balance, solved: Solved, band: tup
         iterations=found.steps,
         amplification=solved.amplification,
     )
-    warnings: list[Finding] = estimate_findings(as_estimate, names, balance.omega.size, found.model.units)
+    warnings: list[Finding] = estimate_findings(as_estimate, names, balance.omega.size, found.model.units, remedy)
     if found.model.n_shape:
         # What is common to two terms of such a form is told by their correlation and intervals, which hold; the lines are no fault.
         warnings = [finding for finding in warnings if finding.code != "collinear"]

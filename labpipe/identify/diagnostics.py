@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -33,13 +33,28 @@ LOW_GOF = 0.5
 LOW_SNR = 10.0
 
 
-def estimate_findings(estimate: Estimate, names: Sequence[str], n_line: int, units: Sequence[str] = ()) -> list[Finding]:
-    """Warnings on the estimate: convergence, collinearity, few lines. Its residual is judged in `mismatch`."""
+# From the names of parameters that the data cannot tell apart to what would.
+Remedy = Callable[[Sequence[str]], str]
+
+
+def remedy(group: Sequence[str]) -> str:
+    """Remedy that separates the parameters of a collinear group fitted to a frequency response."""
+    if any(name.split("_")[-1] in ("xy", "yx") for name in group):
+        return "measure a second, independent force direction, or fit the model rotor-2dof-direct"
+    if "m" in group:
+        return "give the mass if it is known, or widen the band to both sides of the resonance"
+    return "widen the band, measure a second, independent force direction, or fit a model with fewer parameters"
+
+
+def estimate_findings(
+    estimate: Estimate, names: Sequence[str], n_line: int, units: Sequence[str] = (), cure: Remedy = remedy
+) -> list[Finding]:
+    """Warnings on the estimate: convergence, collinearity with its *cure*, few lines. Its residual is judged in `mismatch`."""
     warnings: list[Finding] = []
     if not estimate.converged:
         message = f"the estimator did not converge in {estimate.iterations} iterations; its numbers are not a result"
         warnings.append(Finding("no-convergence", message))
-    warnings.extend(_collinear(estimate, names, units))
+    warnings.extend(_collinear(estimate, names, units, cure))
     n_equation = estimate.dof + len(names)
     if estimate.dof < FEW_DOF or n_equation < EQUATIONS_PER_PARAMETER * len(names):
         message = f"{n_line} lines give {n_equation} equations for {len(names)} parameters; widen the band or measure with finer spacing"
@@ -47,7 +62,7 @@ def estimate_findings(estimate: Estimate, names: Sequence[str], n_line: int, uni
     return warnings
 
 
-def _collinear(estimate: Estimate, names: Sequence[str], units: Sequence[str]) -> list[Finding]:
+def _collinear(estimate: Estimate, names: Sequence[str], units: Sequence[str], cure: Remedy) -> list[Finding]:
     """Parameters that are not separately identifiable, by Belsley's variance proportions of the weak directions.
 
     Correlated columns alone are harmless: stiffness and mass of a resonance have similar columns but small errors. The warning requires
@@ -62,11 +77,13 @@ def _collinear(estimate: Estimate, names: Sequence[str], units: Sequence[str]) -
     if growth is not None and growth < HARMFUL_GROWTH:
         return []
     amplified = (
-        f" A systematic error of 1 % in the FRF can become {_rough(growth)} % in them, which no standard error shows." if growth else ""
+        f" A systematic error of 1 % in what was measured can become {_rough(growth)} % in them, which no standard error shows."
+        if growth
+        else ""
     )
     message = (
         f"the excitation does not tell these parameters apart: {', '.join(group)} (condition number {_rough(condition)}, limit "
-        f"{COLLINEAR_CONDITION:g}).{amplified} Their values and signs are unreliable, however good the fit. Remedy: {_remedy(group)}."
+        f"{COLLINEAR_CONDITION:g}).{amplified} Their values and signs are unreliable, however good the fit. Remedy: {cure(group)}."
     )
     return [Finding("collinear", message)]
 
@@ -86,15 +103,6 @@ def _growth(estimate: Estimate, names: Sequence[str], units: Sequence[str], grou
         for name, unit, amplification in zip(names, units, estimate.amplification, strict=True)
         if name in group
     )
-
-
-def _remedy(group: Sequence[str]) -> str:
-    """Remedy that separates the parameters of a collinear group."""
-    if any(name.split("_")[-1] in ("xy", "yx") for name in group):
-        return "measure a second, independent force direction, or fit the model rotor-2dof-direct"
-    if "m" in group:
-        return "give the mass if it is known, or widen the band to both sides of the resonance"
-    return "widen the band, measure a second, independent force direction, or fit a model with fewer parameters"
 
 
 def collinear_groups(scaled_design: FloatArray, names: Sequence[str]) -> list[list[str]]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from labpipe.artefacts.fit_entry import fit_entry, read_fit
+from labpipe.dynamic_stiffness.findings import remedy
 from labpipe.dynamic_stiffness.settings import DynamicStiffnessSettings
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.fitting import identify
@@ -408,3 +409,28 @@ def test_a_common_gain_error_of_the_probes_scales_all_coefficients() -> None:
     assert np.unique(np.sign(doubt.changes[0][main] * values(fit)[main])).size == 1
     # A scale of everything is no fault of the form: chi-square stays.
     assert fit.gof.chi2_reduced == pytest.approx(fitted(spectra, **GIVEN).gof.chi2_reduced, rel=1e-3)
+
+
+def test_forces_of_one_pattern_are_told_what_separates_the_directions() -> None:
+    """One run with the force in x: x and y move in the proportion that H gives them, so that no column of H is known by itself."""
+    both = replace(EVEN, excitation="alternating")
+    whole = drawn(both)
+    first = replace(whole, vectors=whole.vectors[:, :1], covariance=whole.covariance[:, :1], runs=whole.runs[:1])
+    (finding,) = [finding for finding in fitted(first, form="kcm", **GIVEN).findings if finding.code == "collinear"]
+    assert "let the forces act in two ways" in finding.message and "zipper" in finding.message
+    assert "rotor-2dof-direct" not in finding.message and "FRF" not in finding.message
+    assert "collinear" not in {finding.code for finding in fitted(whole, form="kcm", **GIVEN).findings}
+
+
+@pytest.mark.parametrize(
+    ("group", "said"),
+    [
+        (["k_xx", "m_xx"], "widen the band"),
+        (["k_xy", "k_yy", "m_xy"], "widen the band"),
+        (["k_xx", "k_xy"], "let the forces act in two ways"),
+        (["c_yx", "c_yy", "tau"], "let the forces act in two ways"),
+    ],
+)
+def test_the_remedy_follows_the_motions_of_a_group(group: list[str], said: str) -> None:
+    """The second letter is the direction of the motion: terms of both are mixed by the forces, terms of one by the band."""
+    assert remedy(group).startswith(said)

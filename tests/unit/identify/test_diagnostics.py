@@ -142,7 +142,7 @@ def test_growth_of_errors_does_not_depend_on_units(symmetric_response, estimator
         (fit,) = identify(scaled, FitSettings("rotor-2dof", mass=0.92 / scale, estimator=estimator))
         (finding,) = [finding for finding in fit.findings if finding.code == "collinear"]
         conditions.append(fit.condition_number)
-        growths.append(stated(finding.message, "systematic error of 1 % in the FRF can become"))
+        growths.append(stated(finding.message, "systematic error of 1 % in what was measured can become"))
     assert conditions[1] == pytest.approx(conditions[0], rel=100 * np.finfo(float).eps * conditions[0] ** 2)
     # Powers of ten: two numbers that differ by rounding may stand on both sides of one edge.
     assert growths[0] > 1e3 and 0.1 <= growths[1] / growths[0] <= 10
