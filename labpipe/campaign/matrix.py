@@ -16,6 +16,7 @@ from labpipe.campaign.equilibrium_path import equilibrium_paths
 from labpipe.campaign.levels import levels_of
 from labpipe.campaign.matrix_settings import MatrixSettings
 from labpipe.campaign.repeats import repeated
+from labpipe.campaign.validity import amplitude_statement
 from labpipe.errors import ConfigError, FitError
 from labpipe.quantities import UnitError, si_amount
 from labpipe.records.condition_matrix import Beside, ConditionAxis, ConditionMatrix, MatrixPoint, Repeated
@@ -164,7 +165,9 @@ def _judged(matrix: ConditionMatrix, settings: MatrixSettings) -> ConditionMatri
     statement += f", {len(matrix.missing)} combinations without a test" if matrix.missing else ""
     if held:
         statement += f"; the theory lies in {sum(held)} of {len(held)} 95 % intervals"
-    return replace(matrix, amounts=tuple(amounts), findings=_repeats_findings(matrix, apart), statement=f"{statement}.")
+    amplitude = amplitude_statement(matrix, settings.level)
+    whole = f"{statement}.{f' {amplitude}.' if amplitude else ''}"
+    return replace(matrix, amounts=tuple(amounts), findings=_repeats_findings(matrix, apart), statement=whole)
 
 
 def _largest_error(matrix: ConditionMatrix, name: str) -> Parameter:
