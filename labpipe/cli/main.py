@@ -33,6 +33,7 @@ COMMANDS = {
     "bearing": "Stiffness and damping of a bearing model at its load and speed.",
     "study": "Monte Carlo of a pipeline on a virtual rig: bias, coverage, success per estimator.",
     "simulate": "Recordings of a virtual rig with known truth.",
+    "plan": "The excitation that tells the wanted coefficients best, with its prediction.",
     "excite": "Test signals: Schroeder, random-phase, optimised multisine, odd lines.",
     "calibrate": "Sensor, actuator and stiffness calibration fits.",
     "export": "Write an artefact as CSV or Parquet.",

@@ -15,8 +15,11 @@ from labpipe.artefacts.writing import output_file
 from labpipe.errors import ConfigError
 
 
-def write_signal(path: Path, samples: FloatArray, sample_rate: float) -> None:
-    """Write *samples* (n_sample,) [V] in the format of the suffix; a WAV file is scaled to full range. ConfigError for other suffixes."""
+def write_signal(path: Path, samples: FloatArray, sample_rate: float, column: str = "u [V]") -> None:
+    """Write *samples* (n_sample,) [V], or as the title of the *column* says, in the format of the suffix; ConfigError for other suffixes.
+
+    A WAV file is scaled to full range.
+    """
     suffix = path.suffix.lower()
     device = path.exists() and not path.is_file() and not path.is_dir()
     if suffix not in (".csv", ".parquet", ".wav") and not device:
@@ -25,7 +28,7 @@ def write_signal(path: Path, samples: FloatArray, sample_rate: float) -> None:
         if suffix == ".wav":
             _write_wav(target, samples, sample_rate)
             return
-        table = pa.table({"t [s]": np.arange(samples.size) / sample_rate, "u [V]": samples})
+        table = pa.table({"t [s]": np.arange(samples.size) / sample_rate, column: samples})
         if suffix == ".parquet":
             pq.write_table(table, target)
         else:

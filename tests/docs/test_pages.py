@@ -71,14 +71,18 @@ def test_shell_commands_are_known(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_yaml_shown_has_the_keys_that_are_read(page: Path, tmp_path: Path) -> None:
-    """Keys of a pipeline; a block with channels is a whole rig file, which is read."""
+    """Keys of a pipeline; a block with channels is a whole rig file, one with a plan a whole plan file, which are read."""
     from labpipe.config.pipeline import section_names
+    from labpipe.config.plan import load_plan
     from labpipe.config.rig import load_rig
 
     for block in blocks(page.read_text(encoding="utf-8"), "yaml"):
         if "channels" in yaml.safe_load(block):
             (tmp_path / "rig.yaml").write_text(block, encoding="utf-8")
             assert load_rig(tmp_path / "rig.yaml").all_channels
+        elif "plan" in yaml.safe_load(block):
+            (tmp_path / "plan.yaml").write_text(block, encoding="utf-8")
+            assert load_plan(tmp_path / "plan.yaml").settings.expected
         else:
             assert set(yaml.safe_load(block)) <= set(section_names()), block
 

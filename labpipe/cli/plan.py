@@ -1,0 +1,33 @@
+"""labpipe plan PLAN -o DIR"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from labpipe.artefacts.writing import output_folder
+from labpipe.cli import options
+from labpipe.config.plan import load_plan
+from labpipe.report.plan import goal_sentence, sentence
+from labpipe.stages.plan import plan_files
+
+
+@click.command()
+@click.argument("plan_path", metavar="PLAN", type=options.PATH)
+@options.out_folder
+@options.overrides
+@options.quiet
+@options.verbose
+def plan(plan_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> None:
+    """Plan the test of a PLAN file: signals for the shakers, predicted errors (plan.json, report.html), and the pipeline for the test."""
+    file = load_plan(plan_path, overrides)
+    options.teller(quiet, verbose)(f"plan      {file.title}")
+    with output_folder(output) as folder:
+        planned, names = plan_files(file, folder)
+    if quiet:
+        return
+    for line in (sentence(planned), goal_sentence(planned), *planned.notes):
+        if line:
+            click.echo(line)
+    click.echo(f"written to {output}: {', '.join(names)}")

@@ -1,0 +1,141 @@
+"""What tests of a given length tell once every signal is as large as the limits allow: predicted standard errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.errors import ConfigError
+from labpipe.planner.criteria import A, D
+from labpipe.planner.designs import optimum
+from labpipe.planner.information import Noise, relative_errors, sensitivities, vector_information
+from labpipe.planner.model import PlannedModel
+from labpipe.planner.schemes import Multisines
+from labpipe.signals.least_peak import least_peak_phases, peaks
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Largest force of a shaker [N] and displacement of a probe [m], 0-to-peak; of the crest factor [1] of a force; None: no limit."""
+
+    force: float
+    displacement: float | None = None
+    crest_factor: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("force", "displacement", "crest_factor"):
+            value = getattr(self, name)
+            if value is not None and value <= 0:
+                raise ConfigError(f"'{name}' must be positive", field=name)
+        if self.crest_factor is not None and self.crest_factor < np.sqrt(2):
+            raise ConfigError("no periodic signal has a crest factor below that of a sine, 1.41", field="crest_factor")
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Model, noise, limits and directions of the shakers (n_shaker, n_dof) [1], with their names; *spacing* of the lines [Hz]."""
+
+    model: PlannedModel
+    noise: Noise
+    limits: Limits
+    directions: ComplexArray
+    shakers: tuple[str, ...]
+    spacing: float
+
+    def omega(self, test: Multisines) -> FloatArray:
+        """Angular frequencies (n_line,) [rad/s] of a test's lines."""
+        return np.asarray(2 * np.pi * self.spacing * test.lines)
+
+    def over_limits(self, test: Multisines) -> ComplexArray:
+        """Amplitudes of all limited signals over their limits, by shaker, (n_line, n_shaker, n_signal) [1]: forces, then probes."""
+        running = running_shakers(test)
+        unit = np.eye(len(self.shakers))[:, running] / self.limits.force
+        parts = [test.forces[:, :, None] * unit]
+        if self.limits.displacement is not None:
+            moved = np.einsum("lij,sj->lsi", self.model.receptance(self.omega(test)), self.directions)
+            parts.append(test.forces[:, :, None] * moved / self.limits.displacement)
+        return np.concatenate(parts, axis=2)
+
+    def rate(self, test: Multisines) -> FloatArray:
+        """Information per second, (n_coefficient, n_coefficient) [1/s], of relative coefficients."""
+        forces = test.forces @ self.directions
+        return np.asarray(vector_information(sensitivities(self.model, self.noise, self.omega(test)), forces).sum(axis=0))
+
+
+def running_shakers(test: Multisines) -> BoolArray:
+    """The shakers (n_shaker,) [1] that have a force in a test."""
+    return np.any(np.abs(test.forces) > 0, axis=0)
+
+
+def as_large_as_allowed(rig: Rig, test: Multisines, *, random_starts: int = 0, optimised: bool = True) -> Multisines:
+    """The test with phases of least peak, unless they are not to be *optimised*, and every force as large as the limits allow.
+
+    Without *random_starts* the phases are a first look.
+    """
+    running = running_shakers(test)
+    # The shakers have limits of their own: those that a design pushes less are not to be the reason for larger phases.
+    rms = np.where(running, np.sqrt(np.sum(np.abs(test.forces) ** 2, axis=0)), 1.0)
+    test = test.scaled(np.where(running, rig.limits.force / rms, 0.0))
+    if optimised:
+        gains = rig.over_limits(test)[:, running]
+        phases = np.zeros(test.forces.shape)
+        phases[:, running] = least_peak_phases(test.lines, gains, test.groups, random_starts=random_starts, quick=not random_starts)
+        test = test.turned(phases)
+    largest = np.where(running, peaks(test.lines, test.forces), 1.0)
+    test = test.scaled(rig.limits.force / largest)
+    return test.scaled(1 / max(float(peaks(test.lines, rig.over_limits(test).sum(axis=1)).max()), 1.0))
+
+
+def crest_factors(test: Multisines) -> FloatArray:
+    """Peak over rms (n_running,) [1] of the force of every shaker that runs."""
+    forces = test.forces[:, running_shakers(test)]
+    return np.asarray(peaks(test.lines, forces) / np.sqrt(np.sum(np.abs(forces) ** 2, axis=0) / 2))
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Tests with their shares of the time (n_test,) [1], and what they tell per second: information (n, n) [1/s], relative."""
+
+    tests: tuple[Multisines, ...]
+    shares: FloatArray
+    information: FloatArray
+
+    def errors(self, duration: float) -> FloatArray:
+        """Relative standard errors (n_coefficient,) [1] of *duration* [s] of data, the noise being known."""
+        return relative_errors(self.information * duration)
+
+
+def equal_times(rig: Rig, tests: Sequence[Multisines]) -> Campaign:
+    """The tests with the same time each."""
+    rates = np.stack([rig.rate(test) for test in tests])
+    return Campaign(tuple(tests), np.full(len(rates), 1 / len(rates)), rates.mean(axis=0))
+
+
+def campaign(rig: Rig, tests: Sequence[Multisines], criterion: str, goals: FloatArray) -> Campaign:
+    """The tests with the best division of the time among them; goals (n_coefficient,) [1]: as in `score`."""
+    rates = np.stack([rig.rate(test) for test in tests])
+    if len(rates) == 1:
+        return equal_times(rig, tests)
+    wanted = np.isfinite(goals)
+    weight = 1 / np.where(wanted, goals, 1.0)
+    design = optimum(criterion, rates / np.outer(weight, weight), wanted)
+    shares = np.maximum(design.shares, 0.02)
+    shares = shares / shares.sum()
+    return Campaign(tuple(tests), shares, np.tensordot(shares, rates, 1))
+
+
+def score(information: FloatArray, criterion: str, goals: FloatArray) -> float:
+    """How poor information (n, n) [1/s] is: errors over goals (n_coefficient,) [1], infinite where a coefficient is not wanted, at 1 s.
+
+    minimax: the largest; A: the root of the sum of squares; D: det(I)^(-1/2n) of all. Smaller is better.
+    """
+    errors = relative_errors(information)
+    if not np.all(np.isfinite(errors)):
+        return float("inf")
+    if criterion == D:
+        return float(np.exp(-np.linalg.slogdet(information)[1] / (2 * len(information))))
+    over = (errors / goals)[np.isfinite(goals)]
+    return float(np.sqrt(np.sum(over**2)) if criterion == A else over.max())

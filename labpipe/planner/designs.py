@@ -1,0 +1,149 @@
+"""Optimum designs: shares of the power on candidates, found by multiplication and polished on the few that remain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from labpipe.arrays import BoolArray, FloatArray, IntArray
+from labpipe.errors import FitError
+from labpipe.planner.criteria import MINIMAX, A, Certificate, D, certificate, variances
+
+START_STEPS = 300
+ROUNDS = 40
+ENOUGH = 0.9997
+# Candidates with less than this share of the largest do not remain.
+NEGLIGIBLE = 1e-3
+EXPONENT = {D: 1.0, A: 0.5, MINIMAX: 0.35}
+LARGEST_NORM = 25.0
+
+
+@dataclass(frozen=True)
+class Design:
+    """Shares (n_candidate,) [1] of a unit cost, their information (n, n) [1/s], and the certificate."""
+
+    shares: FloatArray
+    information: FloatArray
+    certificate: Certificate
+
+
+def optimum(criterion: str, information: FloatArray, wanted: BoolArray | None = None, floor: FloatArray | None = None) -> Design:
+    """The best shares of a unit cost among candidates *information* (n_candidate, n, n) [1/s].
+
+    wanted (n,): coefficients that A and minimax look at, by default all. *floor* (n_candidate,) [1]: shares, of sum below 1, that the
+    design has whatever else; the certificate is then among all designs with that floor. FitError where no design is regular.
+    """
+    n_candidate, n = len(information), information.shape[-1]
+    wanted = np.ones(n, bool) if wanted is None else wanted
+    floor = np.zeros(n_candidate) if floor is None else floor
+    free = 1 - float(floor.sum())
+    # With the floor inside every candidate the problem is again one of shares that sum to one.
+    whole = free * information + np.einsum("a,aij->ij", floor, information)
+    _check_regular(whole)
+    shares = _multiplied(criterion, whole, wanted)
+    found = certificate(criterion, whole, _sum(shares, whole), wanted)
+    best, best_shares = found, shares
+    for _ in range(ROUNDS):
+        if best.efficiency >= ENOUGH:
+            break
+        remaining = np.flatnonzero(shares > NEGLIGIBLE * shares.max())
+        shares = _polished(criterion, whole, wanted, np.union1d(remaining, [found.candidate]), shares)
+        found = certificate(criterion, whole, _sum(shares, whole), wanted)
+        if found.efficiency > best.efficiency:
+            best, best_shares = found, shares
+    return Design(floor + free * best_shares, _sum(best_shares, whole), best)
+
+
+def _check_regular(information: FloatArray) -> None:
+    total = information.mean(axis=0)
+    root = np.sqrt(np.diagonal(total))
+    if np.any(root == 0) or np.linalg.cond(total / np.outer(root, root)) > 1e13:
+        raise FitError("no excitation of these lines and directions determines all coefficients", hint="more lines or directions of force")
+
+
+def _sum(shares: FloatArray, information: FloatArray) -> FloatArray:
+    return np.asarray(np.tensordot(shares, information, 1))
+
+
+def _multiplied(criterion: str, information: FloatArray, wanted: BoolArray) -> FloatArray:
+    """Start by w <- w (d / f)^g; minimax by p-norms of the variances, p rising to 25."""
+    shares = np.full(len(information), 1 / len(information))
+    for step in range(START_STEPS):
+        inverse = np.linalg.inv(_sum(shares, information))
+        if criterion == D:
+            weights = inverse
+        else:
+            v = np.diagonal(inverse)
+            p = 1.0 if criterion == A else 1 + (LARGEST_NORM - 1) * step / START_STEPS
+            q = np.where(wanted, (v / v[wanted].max()) ** (p - 1), 0.0)
+            weights = inverse @ (q[:, None] * inverse)
+        d = np.einsum("ij,aij->a", weights, information)
+        shares = shares * (d / float(shares @ d)) ** EXPONENT[criterion]
+        shares /= shares.sum()
+    return shares
+
+
+def _polished(criterion: str, information: FloatArray, wanted: BoolArray, chosen: IntArray, start: FloatArray) -> FloatArray:
+    """The best shares on the *chosen* candidates by sequential quadratic programming, zero elsewhere."""
+    some = information[chosen]
+    begin = np.maximum(start[chosen], 1e-3 / chosen.size)
+    begin /= begin.sum()
+    solve = _least_largest if criterion == MINIMAX else _least_smooth
+    found = np.maximum(solve(criterion, some, wanted, begin), 0.0)
+    shares = np.zeros(len(information))
+    shares[chosen] = found / found.sum()
+    return shares
+
+
+def _least_smooth(criterion: str, information: FloatArray, wanted: BoolArray, begin: FloatArray) -> FloatArray:
+    scale = float(variances(_sum(begin, information))[wanted].sum())
+
+    def value(shares: FloatArray) -> tuple[float, FloatArray]:
+        design = _sum(np.maximum(shares, 0), information)
+        inverse = np.linalg.inv(design)
+        if criterion == D:
+            return -float(np.linalg.slogdet(design)[1]), -np.einsum("ij,aij->a", inverse, information)
+        weights = inverse @ (wanted[:, None] * inverse)
+        return float(np.diagonal(inverse)[wanted].sum()) / scale, -np.einsum("ij,aij->a", weights, information) / scale
+
+    sums = {"type": "eq", "fun": lambda shares: shares.sum() - 1, "jac": np.ones_like}
+    solved = minimize(value, begin, jac=True, method="SLSQP", bounds=[(0, 1)] * begin.size, constraints=[sums], options=_OPTIONS)
+    return np.asarray(solved.x)
+
+
+_OPTIONS = {"maxiter": 200, "ftol": 1e-12}
+
+
+def _least_largest(_criterion: str, information: FloatArray, wanted: BoolArray, begin: FloatArray) -> FloatArray:
+    """Shares and the level t of least t with v_i <= t, in logarithms: ln v_i <= t."""
+    which = np.flatnonzero(wanted)
+
+    def logarithms(unknowns: FloatArray) -> FloatArray:
+        return np.asarray(np.log(variances(_sum(np.maximum(unknowns[:-1], 0), information))[which]))
+
+    def slopes(unknowns: FloatArray) -> FloatArray:
+        inverse = np.linalg.inv(_sum(np.maximum(unknowns[:-1], 0), information))
+        told = np.einsum("ij,ajk,ki->ia", inverse[which], information, inverse[:, which])
+        return np.asarray(-told / np.diagonal(inverse)[which, None])
+
+    unit = np.append(np.zeros(begin.size), 1.0)
+    level = float(logarithms(np.append(begin, 0.0)).max())
+    below = {
+        "type": "ineq",
+        "fun": lambda unknowns: unknowns[-1] + level - logarithms(unknowns),
+        "jac": lambda unknowns: np.hstack([-slopes(unknowns), np.ones((which.size, 1))]),
+    }
+    sums: dict[str, str | Callable[[FloatArray], object]] = {
+        "type": "eq",
+        "fun": lambda unknowns: unknowns[:-1].sum() - 1,
+        "jac": lambda _unknowns: 1 - unit,
+    }
+    bounds = [(0, 1)] * begin.size + [(None, None)]
+    begun = np.append(begin, 0.0)
+    solved = minimize(
+        lambda unknowns: (unknowns[-1], unit), begun, jac=True, method="SLSQP", bounds=bounds, constraints=[below, sums], options=_OPTIONS
+    )
+    return np.asarray(solved.x[:-1])

@@ -1,0 +1,246 @@
+"""From the settings of a plan to tests, their signals and what they will tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import ceil, pi
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.errors import ConfigError
+from labpipe.planner.campaigns import Campaign, Limits, Rig, crest_factors, running_shakers, score
+from labpipe.planner.identifiability import Excitation, identifiability
+from labpipe.planner.information import Noise
+from labpipe.planner.model import AXES, MODELS, PlannedModel
+from labpipe.planner.schemes import ONE_BY_ONE, Multisines
+from labpipe.planner.search import FLAT_PHASES, Candidate, Wanted, best, flat, reference, schemes_of
+from labpipe.planner.settings import PlanSettings
+from labpipe.quantities import UnitError, parse_value
+from labpipe.records.plan import Plan, PlannedCoefficient, PlannedTest
+from labpipe.records.rig import AXIS_ANGLES
+from labpipe.registry import nearest
+from labpipe.signals.least_peak import peaks
+
+FEWEST_PERIODS = 3
+# True errors with weights from the scatter of P periods, over those with known noise: measured on simulated tests.
+WEIGHTED = {3: 1.44, 4: 1.17, 5: 1.11, 10: 1.05}
+# Beyond the last of these the excess of the variance falls with 1 / (P - 2).
+EXCESS = (WEIGHTED[10] ** 2 - 1) * 8
+MAINS_WIDTH = 0.5
+# One direction of force whose errors are more than this times those of x and then y gets a note.
+MUCH_WORSE = 2.0
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A plan with the rig it is for and the forces of its tests, phases included."""
+
+    plan: Plan
+    rig: Rig
+    tests: tuple[Multisines, ...]
+
+    def signals(self, test: int) -> dict[str, FloatArray]:
+        """Force of every running shaker of a test, by file, (n_sample,) [N]: all its periods, transient ones included."""
+        multisines, planned = self.tests[test], self.plan.tests[test]
+        n_sample = round(self.plan.period * self.plan.sample_rate)
+        angle = 2 * pi * np.outer(np.arange(n_sample) / n_sample, multisines.lines)
+        running = multisines.forces[:, running_shakers(multisines)]
+        period = np.cos(angle) @ running.real - np.sin(angle) @ running.imag
+        whole = np.tile(period, (planned.periods + planned.skip, 1))
+        return dict(zip(planned.files, whole.T, strict=True))
+
+
+def make_plan(settings: PlanSettings, expected: Mapping[str, float], title: str) -> Planned:
+    """The plan for *expected* values [SI] of the coefficients; ConfigError where the rig cannot determine them, or time is too short."""
+    model = MODELS[settings.model](expected, settings.mass)
+    rig = _rig(settings, model)
+    wanted = Wanted(settings.criterion, _goals(settings, model), settings.floor)
+    lines = planned_lines(settings)
+    _check_identifiable(rig, lines)
+    schemes = schemes_of(len(rig.shakers), settings.scheme)
+    found = best(rig, lines, wanted, schemes)
+    periods = _periods(settings, found.campaign)
+    timed = _timed(rig, found.campaign, periods)
+    flats = {phases: flat(rig, lines, ONE_BY_ONE, phases) for phases in FLAT_PHASES}
+    plan = _plan(settings, title, rig, wanted, found, timed, periods, flats, lines)
+    return Planned(plan, rig, found.campaign.tests)
+
+
+def planned_lines(settings: PlanSettings) -> IntArray:
+    """Lines (n_line,) [multiples of 1 / period] that may be excited; ConfigError where none is left."""
+    low, high = settings.band
+    lines = np.arange(max(ceil(low * settings.period - 1e-9), 1), int(high * settings.period + 1e-9) + 1)
+    frequency = lines / settings.period
+    kept = np.ones(lines.size, bool)
+    for first, last in settings.exclude:
+        kept &= (frequency < first) | (frequency > last)
+    if settings.speed is not None:
+        kept &= np.abs(frequency - settings.speed) > 1.001 / settings.period
+    if settings.mains is not None:
+        kept &= np.abs(frequency - np.maximum(np.round(frequency / settings.mains), 1) * settings.mains) > MAINS_WIDTH
+    if np.count_nonzero(kept) < 2:
+        raise ConfigError(f"{np.count_nonzero(kept)} lines are left in the band", hint="widen `band` or lengthen `period`", field="band")
+    return np.asarray(lines[kept])
+
+
+def weighting_factor(periods: int) -> float:
+    """Standard error over that with known noise, where weights come from the scatter of *periods* periods."""
+    known = sorted(WEIGHTED)
+    if periods >= known[-1]:
+        return float(np.sqrt(1 + EXCESS / (periods - 2)))
+    return float(np.interp(periods, known, [WEIGHTED[number] for number in known]))
+
+
+def _rig(settings: PlanSettings, model: PlannedModel) -> Rig:
+    names = settings.shakers or AXES[: model.n_dof]
+    if len(names) > model.n_dof:
+        raise ConfigError(f"{len(names)} shakers for {model.n_dof} directions", hint="one or two, x and y", field="shakers")
+    directions = np.array([_direction(name) for name in names]) if model.n_dof == 2 else np.ones((1, 1))
+    if len(names) == 2 and abs(np.linalg.det(directions)) < 1e-3:
+        raise ConfigError("both shakers push in one direction", hint="x and y", field="shakers")
+    if settings.noise_density is not None:
+        own = settings.noise_density
+        noise = Noise(own.force, own.displacement, own.acceleration)
+    else:
+        assert settings.noise is not None
+        sampled = settings.noise
+        noise = Noise.of_samples(sampled.force, sampled.displacement, sampled.acceleration, settings.sample_rate)
+    limits = Limits(settings.force_limit, settings.displacement_limit, settings.crest_factor)
+    return Rig(model, noise, limits, directions.astype(complex), tuple(names), 1 / settings.period)
+
+
+def _direction(name: str) -> tuple[float, float]:
+    """Unit vector of a shaker."""
+    angle = AXIS_ANGLES.get(name)
+    if angle is None:
+        try:
+            angle = parse_value(name, "rad")
+        except UnitError:
+            raise ConfigError(f"'{name}' is no direction", hint="x, y, or an angle from x such as 45 deg", field="shakers") from None
+    return (float(np.cos(angle)), float(np.sin(angle)))
+
+
+def _goals(settings: PlanSettings, model: PlannedModel) -> FloatArray:
+    """(n_coefficient,): relative errors wanted, infinite where none is; all one without goals."""
+    if not settings.goal:
+        return np.ones(len(model.names))
+    goals = np.full(len(model.names), np.inf)
+    for name, (value,) in settings.goal:
+        if name not in model.names:
+            raise ConfigError(f"the model has no coefficient {name}", hint=nearest(name, model.names), field="goal")
+        goals[model.names.index(name)] = value
+    return goals
+
+
+def _check_identifiable(rig: Rig, lines: IntArray) -> None:
+    found = identifiability(rig.model, rig.noise, Excitation.of_directions(rig.spacing * lines, rig.directions))
+    if not found.full:
+        raise ConfigError(f"with forces along {', '.join(rig.shakers)} {found.words}", hint=found.remedy, field="shakers")
+
+
+def _periods(settings: PlanSettings, found: Campaign) -> tuple[int, ...]:
+    """Whole periods of every test; ConfigError for fewer than three in one."""
+    whole = settings.duration / settings.period
+    periods = tuple(int(share * whole + 0.5) for share in found.shares)
+    if min(periods) < FEWEST_PERIODS:
+        needed = ceil(FEWEST_PERIODS / float(found.shares.min())) * settings.period
+        what = f"{settings.duration:g} s leave {min(periods)} periods for a test, the noise is known from {FEWEST_PERIODS} or more"
+        raise ConfigError(what, hint=f"a duration of {needed:g} s, or a shorter period", field="duration")
+    return periods
+
+
+def _timed(rig: Rig, found: Campaign, periods: tuple[int, ...]) -> Campaign:
+    """The campaign with the times that whole periods give."""
+    shares = np.array(periods) / sum(periods)
+    rates = np.stack([rig.rate(test) for test in found.tests])
+    return Campaign(found.tests, shares, np.tensordot(shares, rates, 1))
+
+
+def _plan(
+    settings: PlanSettings,
+    title: str,
+    rig: Rig,
+    wanted: Wanted,
+    found: Candidate,
+    timed: Campaign,
+    periods: tuple[int, ...],
+    flats: Mapping[str, Campaign],
+    lines: IntArray,
+) -> Plan:
+    duration = sum(periods) * settings.period
+    errors = timed.errors(duration)
+    factor = weighting_factor(min(periods))
+    flat_errors = flats[FLAT_PHASES[1]].errors(duration)
+    model = rig.model
+    goals = dict(settings.goal)
+    coefficients = tuple(
+        PlannedCoefficient(
+            name, unit, float(value), float(scale), float(error), float(factor * error), float(other), goals.get(name, (None,))[0]
+        )
+        for name, unit, value, scale, error, other in zip(
+            model.names, model.units, model.expected, model.scales, errors, flat_errors, strict=True
+        )
+    )
+    own = score(timed.information, wanted.criterion, wanted.goals)
+    gains = tuple((phases, score(told.information, wanted.criterion, wanted.goals) / own) for phases, told in flats.items())
+    certificate = found.certificate or reference(rig, lines, wanted).certificate
+    worst = max((factor * error / goal for error, goal in zip(errors, wanted.goals, strict=True) if np.isfinite(goal)), default=0.0)
+    return Plan(
+        title=title,
+        model=model.kind,
+        criterion=wanted.criterion,
+        scheme=found.scheme,
+        design=found.criterion,
+        floor=wanted.floor,
+        period=settings.period,
+        sample_rate=settings.sample_rate,
+        duration=duration,
+        efficiency=certificate.efficiency,
+        factor=factor,
+        coefficients=coefficients,
+        tests=tuple(_test(settings, rig, test, number) for test, number in zip(timed.tests, periods, strict=True)),
+        gains=gains,
+        needed=float(duration * worst**2) if settings.goal else None,
+        mass=settings.mass,
+        notes=_notes(rig, lines, found, wanted),
+    )
+
+
+def _test(settings: PlanSettings, rig: Rig, test: Multisines, periods: int) -> PlannedTest:
+    running = running_shakers(test)
+    forces: ComplexArray = test.forces[:, running]
+    names = tuple(name for name, runs in zip(rig.shakers, running, strict=True) if runs)
+    moved = np.einsum("lij,lj->li", rig.model.receptance(rig.omega(test)), test.forces @ rig.directions)
+    stem = "-".join(name.replace(" ", "") for name in names)
+    files = tuple(f"{stem}.csv" if len(names) == 1 else f"{stem}-{name.replace(' ', '')}.csv" for name in names)
+    return PlannedTest(
+        name=stem,
+        periods=periods,
+        skip=settings.skip,
+        shakers=names,
+        files=files,
+        frequency=tuple((rig.spacing * test.lines).tolist()),
+        amplitude=tuple(tuple(column) for column in np.abs(forces).T.tolist()),
+        phase=tuple(tuple(column) for column in np.angle(forces).T.tolist()),
+        crest_factor=tuple(crest_factors(test).tolist()),
+        peak_force=tuple(peaks(test.lines, forces).tolist()),
+        peak_displacement=tuple(peaks(test.lines, moved).tolist()),
+    )
+
+
+def _notes(rig: Rig, lines: IntArray, found: Candidate, wanted: Wanted) -> tuple[str, ...]:
+    """What the reader must know of the plan beside its numbers."""
+    notes = []
+    if wanted.floor == 0:
+        notes.append("Without a floor the plan leaves few lines: the model cannot be tested on the data. 20 % of the power is usual.")
+    if found.criterion == "flat":
+        notes.append("No design tells more than a flat spectrum within these limits: the plan is flat, with phases of least peak.")
+    if len(rig.shakers) < rig.model.n_dof:
+        both = Rig(rig.model, rig.noise, rig.limits, np.eye(2, dtype=complex), AXES, rig.spacing)
+        other = score(flat(both, lines, ONE_BY_ONE).information, wanted.criterion, wanted.goals)
+        ratio = score(found.campaign.information, wanted.criterion, wanted.goals) / other
+        if ratio > MUCH_WORSE:
+            notes.append(f"Forces along {rig.shakers[0]} alone leave errors {ratio:.2g} times those of a flat multisine in x, then in y.")
+    return tuple(notes)

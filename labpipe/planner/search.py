@@ -1,0 +1,164 @@
+"""The search for a plan: optimum designs of several criteria and costs, put on the shakers, and ranked by what they tell at the limits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import FloatArray, IntArray
+from labpipe.errors import ConfigError
+from labpipe.planner.campaigns import Campaign, Rig, as_large_as_allowed, campaign, crest_factors, equal_times, score
+from labpipe.planner.candidates import Candidates, candidates
+from labpipe.planner.criteria import CRITERIA, Certificate
+from labpipe.planner.designs import Design, optimum
+from labpipe.planner.schemes import ONE_BY_ONE, SCHEMES, Multisines
+from labpipe.signals.excitation import schroeder_phases
+
+# Shares of the displacement in the cost of a line that are tried where it is limited.
+DISPLACEMENT_SHARES = (0.0, 0.5, 1.0)
+# Candidates that are looked at closely, of those that did best at a first look.
+CLOSE = 3
+CLOSE_STARTS = 2
+# Phases of a flat multisine: as they are known, of the least crest factor, or of the least peak of forces and displacements.
+SCHROEDER, LEAST_CREST, BOTH_LIMITS = FLAT_PHASES = ("schroeder", "least crest", "both limits")
+# Steps towards shakers that do the same.
+BALANCING = 5
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """*criterion*: minimax, A or D; goals (n_coefficient,) [1]: relative standard errors, infinite for coefficients that are not wanted.
+
+    floor [1]: share of the cost on all lines alike, whatever the optimum is.
+    """
+
+    criterion: str
+    goals: FloatArray
+    floor: float = 0.2
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.floor < 1:
+            raise ConfigError(f"a floor of {100 * self.floor:g} % of the power leaves nothing to plan", hint="20 % is usual", field="floor")
+        if not np.any(np.isfinite(self.goals)):
+            raise ConfigError("no coefficient is wanted", field="goal")
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A design on the shakers: where it comes from, its power (n_line, n_shaker) [1] before scaling, and what it tells at the limits."""
+
+    criterion: str
+    displacement_share: float
+    scheme: str
+    certificate: Certificate | None
+    power: FloatArray
+    campaign: Campaign
+
+
+def flat(rig: Rig, lines: IntArray, scheme: str, phases: str = BOTH_LIMITS) -> Campaign:
+    """Equal amplitudes on all lines (n_line,) [multiples] and shakers, equal times, with the *phases* of FLAT_PHASES."""
+    tests = SCHEMES[scheme](lines, np.ones((lines.size, len(rig.shakers))), rig.shakers)
+    if phases == SCHROEDER:
+        tests = tuple(test.turned(schroeder_phases(test.lines)[:, None]) for test in tests)
+    if phases == LEAST_CREST:
+        alone = replace(rig, limits=replace(rig.limits, displacement=None))
+        tests = tuple(as_large_as_allowed(alone, test, random_starts=CLOSE_STARTS) for test in tests)
+    last = phases == BOTH_LIMITS
+    return equal_times(rig, [as_large_as_allowed(rig, test, random_starts=CLOSE_STARTS, optimised=last) for test in tests])
+
+
+def best(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> Candidate:
+    """The design that tells most at the limits, among lines (n_line,) [multiples]; ConfigError where no crest factor fits."""
+    looked = [_looked(rig, lines, wanted, source, 0) for source in _sources(rig, lines, wanted, schemes)]
+    looked.sort(key=lambda candidate: score(candidate.campaign.information, wanted.criterion, wanted.goals))
+    close = [_looked(rig, lines, wanted, source, CLOSE_STARTS) for source in looked[:CLOSE]]
+    limit = rig.limits.crest_factor
+    if limit is not None:
+        crests = [_crest(candidate) for candidate in (*close, *looked)]
+        allowed = [candidate for candidate, crest in zip((*close, *looked), crests, strict=True) if crest <= limit]
+        if not allowed:
+            hint = f"the lowest reached is {min(crests):.2f}; allow that, or a larger floor"
+            raise ConfigError(f"no design has a crest factor of {limit:g} or less", hint=hint, field="crest_factor")
+        close = allowed
+    return min(close, key=lambda candidate: score(candidate.campaign.information, wanted.criterion, wanted.goals))
+
+
+def reference(rig: Rig, lines: IntArray, wanted: Wanted) -> Design:
+    """The optimum on lines (n_line,) [multiples] at equal mean square force, floor included, for the certificate."""
+    found = candidates(rig.model, rig.noise, 2 * np.pi * rig.spacing * lines, rig.directions)
+    return _design(found, wanted, wanted.criterion, wanted.floor)
+
+
+def _design(found: Candidates, wanted: Wanted, criterion: str, floor: float) -> Design:
+    which = np.isfinite(wanted.goals)
+    weight = 1 / np.where(which, wanted.goals, 1.0)
+    flat_shares = found.cost / found.cost.sum()
+    return optimum(criterion, found.information / np.outer(weight, weight), which, floor * flat_shares)
+
+
+def _balanced(found: Candidates, wanted: Wanted, criterion: str, floor: float, n_shaker: int) -> Design:
+    """The optimum for shakers that run at once, with a limit each: the price of a shaker's force rises until all do the same."""
+    price = np.ones(n_shaker)
+    shaker = np.arange(found.line.size) % n_shaker
+    for _ in range(BALANCING):
+        factor = price[shaker]
+        priced = replace(found, cost=found.cost * factor, information=found.information / factor[:, None, None])
+        design = _design(priced, wanted, criterion, floor)
+        done = np.bincount(shaker, design.shares / factor)
+        price *= np.sqrt(np.maximum(done, 1e-3 * done.max()))
+        price /= price.mean()
+    return replace(design, shares=design.shares / factor)
+
+
+@dataclass(frozen=True)
+class _Source:
+    criterion: str
+    displacement_share: float
+    scheme: str
+    certificate: Certificate | None
+    power: FloatArray
+
+
+def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> Iterator[_Source]:
+    """Designs of every criterion and cost on every scheme; flat last."""
+    omega = 2 * np.pi * rig.spacing * lines
+    limited = rig.limits.displacement is not None
+    at_once = [scheme for scheme in schemes if scheme != ONE_BY_ONE]
+    stroke = (rig.limits.displacement or 1.0) / rig.limits.force
+    for share in DISPLACEMENT_SHARES if limited else (0.0,):
+        found = candidates(rig.model, rig.noise, omega, rig.directions, share, stroke)
+        for criterion in CRITERIA:
+            for floor in (wanted.floor, min(2 * wanted.floor, 0.9)) if criterion == wanted.criterion else (wanted.floor,):
+                if ONE_BY_ONE in schemes:
+                    design = _design(found, wanted, criterion, floor)
+                    yield _Source(criterion, share, ONE_BY_ONE, design.certificate, _power(found, design, lines))
+                if at_once:
+                    design = _balanced(found, wanted, criterion, floor, len(rig.shakers))
+                    yield from (_Source(criterion, share, name, design.certificate, _power(found, design, lines)) for name in at_once)
+    for scheme in schemes:
+        yield _Source("flat", 0.0, scheme, None, np.ones((lines.size, len(rig.shakers))))
+
+
+def _power(found: Candidates, design: Design, lines: IntArray) -> FloatArray:
+    """(n_line, n_shaker)."""
+    return found.power(design.shares).reshape(lines.size, -1)
+
+
+def _looked(rig: Rig, lines: IntArray, wanted: Wanted, source: _Source | Candidate, random_starts: int) -> Candidate:
+    tests: tuple[Multisines, ...] = SCHEMES[source.scheme](lines, source.power, rig.shakers)
+    large = [as_large_as_allowed(rig, test, random_starts=random_starts) for test in tests]
+    told = campaign(rig, large, wanted.criterion, wanted.goals)
+    return Candidate(source.criterion, source.displacement_share, source.scheme, source.certificate, source.power, told)
+
+
+def _crest(candidate: Candidate) -> float:
+    return max(float(crest_factors(test).max()) for test in candidate.campaign.tests)
+
+
+def schemes_of(n_shaker: int, wanted: str) -> tuple[str, ...]:
+    """The schemes to try for a wanted one, or `best`; a single shaker knows one."""
+    if n_shaker < 2:
+        return (ONE_BY_ONE,)
+    return tuple(SCHEMES) if wanted == "best" else (wanted,)

@@ -1,0 +1,84 @@
+"""The ``plan:`` section of a plan file: model, noise, limits and goal of a test that is to be planned."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+
+from labpipe.errors import ConfigError
+from labpipe.planner.criteria import CRITERIA, MINIMAX
+from labpipe.planner.model import MODELS
+from labpipe.planner.schemes import SCHEMES
+from labpipe.records.settings import Settings, setting
+
+BEST = "best"
+
+
+@dataclass(frozen=True)
+class NoiseSettings(Settings):
+    """Standard deviations of the sensors' noise per sample, at the sampling rate of the plan."""
+
+    force: float = setting("value", "of the force", unit="N", default=0.0)
+    displacement: float = setting("value", "of the displacement", unit="m", default=0.0)
+    acceleration: float = setting("value", "of the acceleration", unit="m/s^2", default=0.0)
+
+
+@dataclass(frozen=True)
+class DensitySettings(Settings):
+    """One-sided densities of the sensors' noise."""
+
+    force: float = setting("value", "of the force", unit="N/Hz^0.5", default=0.0)
+    displacement: float = setting("value", "of the displacement", unit="m/Hz^0.5", default=0.0)
+    acceleration: float = setting("value", "of the acceleration", unit="m/(s^2.Hz^0.5)", default=0.0)
+
+
+@dataclass(frozen=True)
+class PlanSettings(Settings):
+    """What is to be determined, with which rig, within which limits."""
+
+    model: str = setting("choice", "what will be identified", choices=tuple(MODELS))
+    _: KW_ONLY
+    band: tuple[float, float] = setting("band", "frequencies that may be excited", unit="Hz")
+    period: float = setting("value", "length of one period; lines lie 1 / period apart", unit="s")
+    sample_rate: float = setting("value", "of signals and recordings", unit="Hz")
+    duration: float = setting("value", "of all measured periods together", unit="s")
+    force_limit: float = setting("value", "largest force of a shaker, 0-to-peak", unit="N")
+    displacement_limit: float | None = setting("value", "largest displacement in x or y, 0-to-peak; default: none", unit="m", default=None)
+    crest_factor: float | None = setting("value", "largest peak over rms of a force; default: any", unit="1", default=None)
+    expected: tuple[tuple[str, float], ...] = setting("coefficients", "expected values, by name", default=())
+    earlier: str = setting("file", "identification.json whose values are expected where `expected` has none", default="")
+    fit: str = setting("text", "the fit of `earlier`; default: its only one", default="")
+    mass: float | None = setting("value", "known mass that moves; dynamic-stiffness: of the stator", unit="kg", default=None)
+    noise: NoiseSettings | None = setting("section", "noise of the sensors per sample", section=NoiseSettings, default=None)
+    noise_density: DensitySettings | None = setting("section", "or its density", section=DensitySettings, default=None)
+    goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
+        "series", "relative standard errors that are wanted: {k_xx: 2 %}; default: all alike", unit="1", default=()
+    )
+    criterion: str = setting("choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX)
+    floor: float = setting("value", "share of the power on all lines alike, for a test of the model", unit="1", default=0.2)
+    shakers: tuple[str, ...] = setting("names", "directions of force: x, y, or angles such as 45 deg; default: x and y", default=())
+    scheme: str = setting("choice", "how two shakers run; default: what tells most", choices=(BEST, *SCHEMES), default=BEST)
+    exclude: tuple[tuple[float, float], ...] = setting("bands", "frequencies that are not excited", unit="Hz", default=())
+    speed: float | None = setting("value", "speed of the shaft, whose 1x line and neighbours are left out", unit="Hz", default=None)
+    mains: float | None = setting("value", "mains frequency, whose multiples are left out", unit="Hz", default=None)
+    skip: int = setting("integer", "transient periods before the measured ones, in every test", default=1)
+
+    def __post_init__(self) -> None:
+        for name in ("period", "sample_rate", "duration", "force_limit", "displacement_limit", "mass", "speed", "mains"):
+            value = getattr(self, name)
+            if value is not None and value <= 0:
+                raise ConfigError(f"'{name}' must be positive", field=name)
+        if (self.noise is None) == (self.noise_density is None):
+            raise ConfigError(
+                "one of 'noise' and 'noise_density' is needed", hint="noise: {force: 20 mN, displacement: 0.3 um}", field="noise"
+            )
+        if not self.expected and not self.earlier:
+            raise ConfigError(
+                "nothing is expected", hint="expected: {k_xx: 180 kN/m, ...}, or earlier: identification.json", field="expected"
+            )
+        for name, values in self.goal:
+            if len(values) != 1 or values[0] <= 0:
+                raise ConfigError(f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal")
+        if 2 * self.band[1] >= self.sample_rate:
+            raise ConfigError(f"{self.band[1]:g} Hz needs more than {2 * self.band[1]:g} Hz of sampling rate", field="sample_rate")
+        if abs(self.sample_rate * self.period - round(self.sample_rate * self.period)) > 1e-6:
+            raise ConfigError("a period holds no whole number of samples", hint="change `period` or `sample_rate`", field="period")

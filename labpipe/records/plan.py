@@ -1,0 +1,73 @@
+"""A planned test: what is to be applied, and what it will tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class PlannedCoefficient:
+    """A coefficient [SI *unit*] with its *expected* value and predicted standard errors, all relative to *scale*, its expected size.
+
+    error: with the noise known; error_weighted: with weights from the scatter of the periods; flat: of a flat multisine of equal peak and
+    time. goal: the relative error that is wanted, None for none.
+    """
+
+    name: str
+    unit: str
+    expected: float
+    scale: float
+    error: float
+    error_weighted: float
+    flat: float
+    goal: float | None = None
+
+
+@dataclass(frozen=True)
+class PlannedTest:
+    """One run of the shakers: *periods* periods are used after *skip* are dropped.
+
+    frequency (n_line,) [Hz]; amplitude and phase [N, rad]: by shaker, each (n_line,); crest_factor, peak_force [1, N] by shaker;
+    peak_displacement [m] by probe; files: of the signals, by shaker.
+    """
+
+    name: str
+    periods: int
+    skip: int
+    shakers: tuple[str, ...]
+    files: tuple[str, ...]
+    frequency: tuple[float, ...]
+    amplitude: tuple[tuple[float, ...], ...]
+    phase: tuple[tuple[float, ...], ...]
+    crest_factor: tuple[float, ...]
+    peak_force: tuple[float, ...]
+    peak_displacement: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The planned tests and their prediction.
+
+    period [s], sample_rate [Hz], duration [s] of all measured periods; needed [s]: duration that meets all goals, None without goals;
+    efficiency [1]: the least that the underlying design has against the best of its kind at equal mean square force; factor [1]: of the
+    standard errors where weights come from the scatter of the periods; gain [1]: of the largest error over goal (or of all, without
+    goals), by the flat multisine it is compared with: its name and the ratio.
+    """
+
+    title: str
+    model: str
+    criterion: str
+    scheme: str
+    design: str
+    floor: float
+    period: float
+    sample_rate: float
+    duration: float
+    efficiency: float
+    factor: float
+    coefficients: tuple[PlannedCoefficient, ...]
+    tests: tuple[PlannedTest, ...]
+    gains: tuple[tuple[str, float], ...]
+    needed: float | None = None
+    mass: float | None = None
+    notes: tuple[str, ...] = field(default=())

@@ -1,0 +1,143 @@
+"""A planned test as people read it: the spectrum, what it will tell beside a flat one, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from labpipe.records.plan import Plan, PlannedCoefficient, PlannedTest
+from labpipe.report.chart import Axis, Panel, dots, look, stacked
+from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
+from labpipe.report.wording import unit_text
+
+HEADER = ("coefficient", "expected", "goal", "std. error, noise known", "std. error, weights from the periods", "flat multisine", "gain")
+TEST_HEADER = ("test", "shaker", "file", "lines", "periods", "skipped", "crest factor", "peak force [N]", "peak displacement [um]")
+SCHEMES = {
+    "one by one": "one shaker after the other",
+    "together": "both shakers at once, in phase on a line and in antiphase on its neighbour",
+    "interleaved": "both shakers at once, each on every other line",
+}
+FLATS = {
+    "schroeder": "with Schroeder's phases",
+    "least crest": "with phases of least crest factor",
+    "both limits": "with phases for the limits of force and displacement",
+}
+CRITERIA = {"minimax": "the largest error", "A": "the root of the sum of squared errors", "D": "the volume of the errors' ellipsoid"}
+
+
+def plan_document(plan: Plan, version: str) -> Document:
+    """The report of a plan."""
+    sections = (
+        Section("Plan", tuple(_verdict(plan))),
+        Section("Predicted errors", (_coefficients(plan), Paragraph(_explained(plan)))),
+        Section("Excitation", (_tests(plan), _spectrum(plan))),
+    )
+    return Document(plan.title, f"Test plan, labpipe {version}", sections, to_sign=False)
+
+
+def sentence(plan: Plan) -> str:
+    """What the plan does, in a sentence."""
+    worst = max(plan.coefficients, key=_over_goal)
+    tests = ", ".join(f"{test.name} {test.periods} periods" for test in plan.tests)
+    gain = dict(plan.gains)["least crest"]
+    return (
+        f"{plan.duration:g} s of data ({tests} of {plan.period:g} s, {SCHEMES[plan.scheme]}) determine {worst.name}, the least certain, to "
+        f"{per_cent(worst.error_weighted)}: {gain:.2f} times better by {CRITERIA[plan.criterion]} than a flat multisine of the same peak "
+        "and time."
+    )
+
+
+def goal_sentence(plan: Plan) -> str:
+    """Whether the goals are met, and the time they need; empty without goals."""
+    if plan.needed is None:
+        return ""
+    reached = "The goals are met" if plan.needed <= plan.duration else "The goals are NOT met"
+    return f"{reached}: they need {_time(plan.needed)} of data, {_time(plan.duration)} are planned."
+
+
+def per_cent(share: float) -> str:
+    """A relative error in per cent."""
+    return f"{100 * share:.2g} %"
+
+
+def _verdict(plan: Plan) -> Iterator[Block]:
+    yield Paragraph(sentence(plan))
+    if plan.needed is not None:
+        yield Paragraph(goal_sentence(plan), "passed" if plan.needed <= plan.duration else "failed")
+    yield from (Paragraph(note, "note") for note in plan.notes)
+    yield Paragraph(
+        f"Certificate: the design behind the plan has an efficiency of at least {100 * plan.efficiency:.2f} % among all spectra along the "
+        f"shakers of equal cost and the same floor ({100 * plan.floor:g} % of the power on all lines alike), by the equivalence theorem. "
+        f"Of {_designs(plan)} it is the one that tells most at the limits of the rig."
+    )
+    rows = tuple((FLATS[name], f"{gain:.2f}") for name, gain in plan.gains)
+    yield Table(("flat multisine, one shaker after the other", "its error over the plan's"), rows, "Gain at equal peak and time", (1,))
+
+
+def _designs(plan: Plan) -> str:
+    return "the optimum designs by three criteria" if plan.design != "flat" else "the optimum designs and a flat spectrum"
+
+
+def _coefficients(plan: Plan) -> Table:
+    rows = tuple(
+        (
+            c.name,
+            f"{c.expected:.5g} {unit_text(c.unit)}",
+            "" if c.goal is None else per_cent(c.goal),
+            per_cent(c.error),
+            per_cent(c.error_weighted),
+            per_cent(c.flat),
+            f"{c.flat / c.error:.2f}",
+        )
+        for c in plan.coefficients
+    )
+    return Table(HEADER, rows, "Relative standard errors, at the expected values", (1, 2, 3, 4, 5, 6))
+
+
+def _explained(plan: Plan) -> str:
+    return (
+        "The prediction is the Cramer-Rao bound of errors in variables, with white noise in all sensors. The noise is not known before the "
+        f"test: weights from the scatter of {min(test.periods for test in plan.tests)} periods make the errors {plan.factor:.2f} times as "
+        "large. Errors are relative to the expected size, of coefficients that are nearly zero to 1 % of the largest of their kind. The "
+        "prediction holds where the rig is as expected: plan again with `earlier:` after a short flat test, if it may not be."
+    )
+
+
+def _tests(plan: Plan) -> Table:
+    return Table(TEST_HEADER, tuple(row for test in plan.tests for row in _rows(test)), "Signals", tuple(range(3, 9)))
+
+
+def _rows(test: PlannedTest) -> Iterator[tuple[str, ...]]:
+    moved = " / ".join(f"{1e6 * peak:.3g}" for peak in test.peak_displacement)
+    for shaker, file, crest, peak in zip(test.shakers, test.files, test.crest_factor, test.peak_force, strict=True):
+        yield (
+            test.name,
+            shaker,
+            file,
+            str(len(test.frequency)),
+            str(test.periods),
+            str(test.skip),
+            f"{crest:.3f}",
+            f"{peak:.4g}",
+            moved,
+        )
+
+
+def _spectrum(plan: Plan) -> Figure:
+    panels = []
+    for test in plan.tests:
+        series = []
+        for number, (shaker, amplitude) in enumerate(zip(test.shakers, test.amplitude, strict=True)):
+            shown = [(f, a) for f, a in zip(test.frequency, amplitude, strict=True) if a > 0]
+            colour, _ = look(number)
+            series.append(dots(shaker, [f for f, _ in shown], [a for _, a in shown], colour, marker="."))
+        panels.append(Panel(Axis("frequency", "Hz"), Axis(f"force, {test.name}", "N", logarithmic=True), tuple(series)))
+    caption = "Amplitude of every line, 0-to-peak, by shaker; tests below each other."
+    return Figure(stacked(panels, 2.8 * len(panels)), caption, f"Force spectrum of the plan {plan.title}")
+
+
+def _over_goal(coefficient: PlannedCoefficient) -> float:
+    return coefficient.error / (coefficient.goal or 1.0)
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds / 60:.3g} min" if seconds >= 120 else f"{seconds:.3g} s"

@@ -1,0 +1,151 @@
+"""labpipe plan as a user meets it: files, prediction, refusals, and a test carried out as planned on a simulated rig."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pc
+import pytest
+import yaml
+
+from labpipe.artefacts.plan_file import read_plan
+from labpipe.artefacts.typed_json import entry_of
+from labpipe.errors import DataError
+from labpipe.planner.model import MODELS
+from labpipe.records.plan import Plan
+from tests.conftest import Command
+
+PEDESTAL = {
+    "model": "sdof",
+    "mass": "0.79 kg",
+    "expected": {"k": "134.5 kN/m", "c": "3.682 N.s/m"},
+    "noise": {"force": "20 mN", "displacement": "0.3 um"},
+    "sample_rate": "1 kHz",
+    "band": "60-72 Hz",
+    "period": "2 s",
+    "force_limit": "1 N",
+    "duration": "40 s",
+}
+ROTOR = {
+    "model": "rotor-2dof",
+    "mass": "0.92 kg",
+    "expected": {
+        **{"k_xx": "180 kN/m", "k_xy": "25 kN/m", "k_yx": "-18 kN/m", "k_yy": "210 kN/m"},
+        **{"c_xx": "120 N.s/m", "c_xy": "15 N.s/m", "c_yx": "-10 N.s/m", "c_yy": "150 N.s/m"},
+    },
+    "noise": {"force": "20 mN", "displacement": "0.3 um"},
+    "sample_rate": "1 kHz",
+    "band": "40-100 Hz",
+    "period": "0.5 s",
+    "force_limit": "1 N",
+    "duration": "20 s",
+    "floor": "40 %",
+}
+
+
+def _write(folder: Path, entries: dict[str, object]) -> Path:
+    path = folder / "plan.yaml"
+    path.write_text(yaml.safe_dump({"title": "Planned", "plan": entries}), encoding="utf-8")
+    return path
+
+
+def _carry_out(plan: Plan, folder: Path, seed: int) -> None:
+    """Recordings of the plan's signal files on the expected rig, in its steady state, with the noise that the plan assumes."""
+    expected = {c.name: c.expected for c in plan.coefficients}
+    model = MODELS[plan.model](expected, plan.mass)
+    rng = np.random.default_rng(seed)
+    (folder / "recordings").mkdir()
+    for test in plan.tests:
+        applied = [pc.read_csv(folder / name)["f [N]"].to_numpy() for name in test.files]
+        n_sample = applied[0].size
+        forces = np.zeros((model.n_dof, n_sample))
+        for shaker, signal in zip(test.shakers, applied, strict=True):
+            forces[("x", "y").index(shaker)] = signal
+        frequency = np.fft.rfftfreq(n_sample, 1 / plan.sample_rate)
+        moved = np.fft.irfft(np.einsum("lij,jl->il", model.receptance(2 * np.pi * frequency), np.fft.rfft(forces)), n_sample)
+        names = ["f"] if len(test.shakers) == 1 else ["f_1", "f_2"]
+        columns = {f"{name} [N]": signal + 0.02 * rng.normal(size=n_sample) for name, signal in zip(names, applied, strict=True)}
+        columns |= {f"{axis} [m]": row + 0.3e-6 * rng.normal(size=n_sample) for axis, row in zip("xy"[: model.n_dof], moved, strict=True)}
+        pc.write_csv(pa.table(columns), folder / "recordings" / f"{test.name}.csv")
+
+
+@pytest.mark.parametrize(
+    ("entries", "scheme"),
+    [
+        pytest.param(PEDESTAL, "one by one", marks=pytest.mark.long),
+        pytest.param(ROTOR, "one by one", marks=pytest.mark.long),
+        (ROTOR, "interleaved"),
+        pytest.param(ROTOR, "together", marks=pytest.mark.long),
+    ],
+)
+def test_a_test_carried_out_as_planned(labpipe: Command, tmp_path: Path, entries: dict[str, object], scheme: str) -> None:
+    # The truth is what was expected; the stated errors are those predicted, the noise being estimated from the periods.
+    folder = tmp_path / "planned"
+    ended = labpipe("plan", _write(tmp_path, {**entries, "scheme": scheme}), "-o", folder)
+    assert ended.code == 0, ended.err
+    plan = read_plan(folder / "plan.json")
+    assert plan.scheme == scheme
+    _carry_out(plan, folder, 7)
+    ended = labpipe("run", folder / "pipeline.yaml", "-o", tmp_path / "out")
+    assert ended.code == 0, ended.err
+    (fit,) = json.loads((tmp_path / "out" / "identification.json").read_text("utf-8"))["fits"]
+    found = {p["name"]: p for p in fit["parameters"]}
+    for c in plan.coefficients:
+        assert abs(found[c.name]["value"] - c.expected) < 4.5 * c.error_weighted * c.scale
+        assert found[c.name]["std_error"] == pytest.approx(c.error * c.scale, rel=0.3)
+
+
+def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
+    path = _write(tmp_path, {**PEDESTAL, "goal": {"c": "0.01 %"}, "displacement_limit": "20 um"})
+    ended = labpipe("plan", path, "-o", tmp_path / "out")
+    assert ended.code == 0, ended.err
+    assert "The goals are NOT met: they need" in ended.out
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["pipeline.yaml", "plan.json", "report.html", "rig.yaml", "x.csv"]
+    plan = read_plan(tmp_path / "out" / "plan.json")
+    (test,) = plan.tests
+    signal = pc.read_csv(tmp_path / "out" / "x.csv")["f [N]"].to_numpy()
+    assert signal.size == (test.periods + test.skip) * 2000
+    assert np.abs(signal).max() <= test.peak_force[0] * (1 + 1e-6) <= 1.0 + 2e-6
+    assert test.peak_displacement[0] <= 20e-6 * (1 + 1e-6)
+    assert plan.efficiency >= 0.999
+    assert plan.duration == 40.0
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert "Certificate" in page and "goals are NOT met" in page
+    assert entry_of(read_plan(tmp_path / "out" / "plan.json")) == entry_of(plan)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"shakers": ["45 deg"]}, "determines 4 of 8 coefficients"),
+        ({"shakers": ["up"]}, "'up' is no direction"),
+        ({"duration": "0.5 s", "band": "60-80 Hz"}, "a duration of"),
+        ({"goal": {"k_zz": "2 %"}}, "the model has no coefficient k_zz"),
+        ({"mass": "0.92 N"}, "wrong dimension"),
+        ({"band": "600-700 Hz"}, "needs more than 1400 Hz of sampling rate"),
+        ({"noise": {}}, "no sensor has noise"),
+        ({"noise_density": {"force": "1 mN/Hz^0.5"}}, "one of 'noise' and 'noise_density'"),
+        ({"floor": "100 %"}, "leaves nothing to plan"),
+        ({"expected": {"k_xx": "1 N/m"}}, "no value is expected for k_xy"),
+        ({"earlier": "none.json"}, "no such file"),
+        ({"speeed": "50 Hz"}, "did you mean 'speed'"),
+    ],
+)
+def test_refusals_name_place_and_remedy(labpipe: Command, tmp_path: Path, changes: dict[str, object], message: str) -> None:
+    alike = {**ROTOR["expected"], "k_yy": "180 kN/m", "k_xy": "0 N/m", "k_yx": "0 N/m", "c_yy": "120 N.s/m", "c_xy": "0 N.s/m"}
+    entries = {**ROTOR, "expected": {**alike, "c_yx": "0 N.s/m"}, "period": "0.25 s", "scheme": "interleaved", **changes}
+    ended = labpipe("plan", _write(tmp_path, entries), "-o", tmp_path / "out")
+    assert ended.code == 2
+    assert message in ended.err and "plan.yaml" in ended.err and "Traceback" not in ended.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_another_file_is_no_plan(tmp_path: Path) -> None:
+    (tmp_path / "plan.json").write_text('{"schema": "labpipe/identification/1"}', encoding="utf-8")
+    with pytest.raises(DataError, match="is not a readable plan"):
+        read_plan(tmp_path / "plan.json")
+    with pytest.raises(DataError, match="run `labpipe plan` first"):
+        read_plan(tmp_path / "none.json")
