@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from labpipe.quantities import display_unit, to_display
+from labpipe.quantities import PREFIXED, display_unit, to_display
 
 # Significant digits of a number without an uncertainty, and the most that a value has with one.
 PLAIN_DIGITS, MOST_DIGITS = 6, 12
@@ -19,23 +19,21 @@ USUAL = (0.1, 1e4)
 # Sizes that are written without a power of ten.
 WITHOUT_POWER = (1e-4, 1e6)
 # Units of one dimension, the smallest first.
-PREFIXED = {
-    "N/m": ("N/m", "kN/m", "MN/m", "GN/m"),
-    "N.s/m": ("N.s/m", "kN.s/m", "MN.s/m"),
+LADDERS = {
+    **PREFIXED,
     "m": ("nm", "um", "mm", "m"),
     "s": ("us", "ms", "s"),
     "kg": ("g", "kg", "t"),
-    "N": ("mN", "N", "kN", "MN"),
     "Pa": ("Pa", "kPa", "MPa", "GPa"),
     "Pa.s": ("mPa.s", "Pa.s"),
 }
 
 
 def shown_unit(si_unit: str, *sizes: float | None) -> str:
-    """The unit for amounts of these *sizes* [SI]: of value and uncertainty, or of a whole column; the largest decides."""
+    """The unit for amounts of these *sizes* [SI]: of value and uncertainty; the largest decides."""
     usual = display_unit(si_unit)
     largest = max((abs(size) for size in sizes if size is not None and math.isfinite(size)), default=0.0)
-    units = PREFIXED.get(si_unit, ())
+    units = LADDERS.get(si_unit, ())
     if not units or largest == 0.0 or USUAL[0] <= to_display(largest, usual) < USUAL[1]:
         return usual
     return next((unit for unit in reversed(units) if to_display(largest, unit) >= 1.0), units[0])
@@ -75,8 +73,8 @@ def _exponent(number: float) -> int:
     return int(f"{abs(number):.1e}".partition("e")[2])
 
 
-def _place(value: float, error: float) -> _Place:
-    size = max(abs(value), abs(error)) if math.isfinite(value) else abs(error)
+def _place(error: float, *numbers: float) -> _Place:
+    size = max(abs(one) for one in (error, *numbers) if math.isfinite(one))
     power = 0 if WITHOUT_POWER[0] <= size < WITHOUT_POWER[1] else math.floor(math.log10(size))
     return _Place(1 - _exponent(error) + power, power)
 
@@ -90,11 +88,18 @@ def written(value: float, error: float | None, *others: float) -> tuple[str, ...
     if error is None or error == 0.0 or not math.isfinite(error):
         doubt = "" if error is None else "0" if error == 0.0 else NOT_DETERMINED
         return (number(value), doubt, *(number(other) for other in others))
-    place = _place(value, error)
+    place = _place(error, value, *others)
     digits = 1 + place.decimals - place.power + (math.floor(math.log10(abs(value))) if value and math.isfinite(value) else 0)
     if digits > MOST_DIGITS:
-        return (number(value, MOST_DIGITS), f"{error:.1e}", *(number(other, MOST_DIGITS) for other in others))
+        return (number(value, MOST_DIGITS), _place(error).text(abs(error)), *(number(other, MOST_DIGITS) for other in others))
     return (place.text(value), place.text(abs(error)), *(place.text(other) for other in others))
+
+
+def two_digits(error: float, beside: float = 0.0) -> str:
+    """An uncertainty by itself, with the power of ten of the value *beside* which it stands."""
+    if error == 0.0 or not math.isfinite(error):
+        return written(0.0, error)[1]
+    return _place(error, beside).text(abs(error))
 
 
 def number(value: float, digits: int = PLAIN_DIGITS) -> str:
@@ -111,6 +116,12 @@ def with_error(value: float, error: float | None, unit: str = "", sign: str = "Â
     else:
         joined = f"{value_text} {sign} {error_text}" if error_text else value_text
     return f"{joined} {unit_label(unit)}".rstrip()
+
+
+def change_text(value: float, error: float, unit: str) -> str:
+    """A change with its sign: '+3.00 +- 0.28 %'."""
+    text = with_error(value, error, unit, "+-")
+    return text if value < 0 else f"+{text}"
 
 
 def amount_text(value: float, error: float | None, si_unit: str, sign: str = "Â±") -> str:

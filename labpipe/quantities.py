@@ -324,14 +324,11 @@ def to_display(value: float, display_unit: str) -> float:
     return (value - unit.offset) / unit.factor
 
 
-SOFT = 100.0
 DISPLAY_UNITS = {"N/m": "kN/m", "m": "um", "rad": "deg", "1": "1"}
 
 
-def display_unit(si_unit: str, size: float | None = None) -> str:
-    """The display unit of values in *si_unit*; soft springs, of a *size* below 100 N/m, stay in N/m."""
-    if si_unit == "N/m" and size is not None and abs(size) < SOFT:
-        return si_unit
+def display_unit(si_unit: str) -> str:
+    """The usual display unit of values in *si_unit*."""
     return DISPLAY_UNITS.get(si_unit, si_unit)
 
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import click
 
-from labpipe.quantities import display_unit, to_display
+from labpipe.display import difference_in, shown_unit, unit_label, written
+from labpipe.quantities import to_display
 
 
 def echo_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> None:
@@ -18,8 +19,9 @@ def echo_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequ
         click.echo("  ".join(cells).rstrip())
 
 
-def value_cells(value: float, std_error: float | None, unit: str) -> tuple[str, str, str]:
-    """A value, its standard error and its unit in display units."""
-    displayed = display_unit(unit, value)
-    error = "" if std_error is None else f"{to_display(std_error, displayed):.2g}"
-    return f"{to_display(value, displayed):.6g}", error, "" if displayed == "1" else displayed
+def value_cells(value: float, std_error: float | None, unit: str, shown: str = "") -> tuple[str, str, str]:
+    """A value, its standard error and its unit, in the unit *shown* of a whole column or else in the one that suits them."""
+    shown = shown or shown_unit(unit, value, std_error)
+    error = None if std_error is None else difference_in(std_error, shown)
+    number, doubt = written(to_display(value, shown), error)
+    return number, doubt, unit_label(shown)

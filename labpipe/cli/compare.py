@@ -11,8 +11,9 @@ from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.catalogue.differences import LEVEL, Difference, differences
 from labpipe.cli import options
 from labpipe.cli.columns import echo_table
+from labpipe.display import difference_in, shown_unit, unit_label, written
 from labpipe.formats.rows_csv import write_rows
-from labpipe.quantities import display_unit, to_display
+from labpipe.quantities import to_display
 from labpipe.records.identification import Identification
 
 
@@ -43,11 +44,11 @@ def _result(path: Path) -> Identification:
 
 
 def _cells(pair: Difference) -> tuple[str, ...]:
-    """A row in the display unit of the first value; differences have no offset (degC)."""
-    unit = display_unit(pair.unit, pair.first)
-    first, second, change = (to_display(value, unit) for value in (pair.first, pair.second, pair.second - pair.first))
-    change -= to_display(0.0, unit)
-    error = "" if pair.std_error is None else f"{to_display(pair.std_error, unit) - to_display(0.0, unit):.2g}"
+    """A row in one unit, all numbers to the place that the error of the difference supports; differences have no offset (degC)."""
+    unit = shown_unit(pair.unit, pair.first, pair.second)
+    error = None if pair.std_error is None else difference_in(pair.std_error, unit)
+    change = difference_in(pair.second - pair.first, unit)
+    difference, doubt, first, second = written(change, error, *(to_display(value, unit) for value in (pair.first, pair.second)))
     p_value = "" if pair.p_value is None else f"{pair.p_value:.2g}"
-    numbers = f"{first:.6g}", f"{second:.6g}", f"{change:.4g}", error, "" if unit == "1" else unit
+    numbers = first, second, difference, doubt, unit_label(unit)
     return pair.fit, pair.test, pair.parameter, *numbers, p_value, "differs" if pair.differs else ""

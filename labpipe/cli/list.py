@@ -13,6 +13,7 @@ from labpipe.catalogue.query import Filter, ResultRow, ValueRow, results, values
 from labpipe.cli import options
 from labpipe.cli.columns import echo_table, value_cells
 from labpipe.formats.rows_csv import write_rows
+from labpipe.quantities import readable_unit
 
 
 @click.command(name="list")
@@ -67,10 +68,19 @@ def echo_values(rows: Sequence[ValueRow]) -> None:
     names = list(dict.fromkeys(name for row in rows for name in row.conditions))
     header = ("result", "test", "fit", "band", "parameter", "value", "std. error", "unit", *names, "warnings")
     lines = []
+    units = _units(rows)
     for row in rows:
         fit = f"{row.fit} of {row.term}" if row.term else row.fit
         band = f"{row.low_hz:g}-{row.high_hz:g} Hz" if row.high_hz > row.low_hz else ""
-        cells = value_cells(row.value, row.std_error, row.unit)
+        cells = value_cells(row.value, row.std_error, row.unit, units[row.parameter, row.unit])
         conditions = [row.conditions.get(name, "") for name in names]
         lines.append((row.path.removesuffix("/identification.json"), row.test, fit, band, row.parameter, *cells, *conditions, row.warnings))
     echo_table(header, lines, right=(5, 6))
+
+
+def _units(rows: Sequence[ValueRow]) -> dict[tuple[str, str], str]:
+    """One unit for all values of a parameter."""
+    sizes: dict[tuple[str, str], list[float]] = {}
+    for row in rows:
+        sizes.setdefault((row.parameter, row.unit), []).append(row.value)
+    return {key: readable_unit(key[1], values) for key, values in sizes.items()}

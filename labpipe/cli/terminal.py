@@ -7,9 +7,9 @@ import sys
 
 import click
 
-from labpipe.quantities import display_unit, to_display
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.identification import Fit, Identification, Parameter
+from labpipe.records.text import parameter_cells
 from labpipe.sections import section
 
 MAX_BANDS = 8
@@ -57,14 +57,12 @@ def _echo_fit(fit: Fit) -> None:
 
 
 def _parameter_line(parameter: Parameter) -> str:
-    unit = display_unit(parameter.unit, parameter.value)
-    value = to_display(parameter.value, unit)
+    name, value, error, _, unit, _ = parameter_cells(parameter)
     mark = "" if parameter.significant is not False or parameter.derived else " *"
     if parameter.full_error is None:
-        return f"{parameter.name:<14}{value:>12.6g} {unit}"
-    error = to_display(parameter.full_error, unit)
+        return f"{name:<14}{value:>12} {unit}".rstrip()
     what = "standard error" if parameter.systematic is None else "combined uncertainty"
-    return f"{parameter.name:<14}{value:>12.6g} {unit:<7} +- {error:.2g} ({what}){mark}"
+    return f"{name:<14}{value:>12} +- {error:<9} {unit:<6} ({what}){mark}"
 
 
 def _echo_findings(carriers: list[tuple[Finding, ...]], what: str) -> None:

@@ -13,9 +13,10 @@ from labpipe.catalogue.trends import Series, trends
 from labpipe.cli import options
 from labpipe.cli.columns import echo_table, value_cells
 from labpipe.cli.list import row_entry
+from labpipe.display import difference_in, number, unit_label, with_error
 from labpipe.errors import DataError
 from labpipe.formats.rows_csv import write_rows
-from labpipe.quantities import display_unit, to_display
+from labpipe.quantities import readable_unit, to_display
 from labpipe.stages.report import format_of, write_campaign
 
 LEVEL = 0.05
@@ -58,13 +59,21 @@ def _echo_series(series: Series) -> None:
     # Over conditions other than time, values are expected to differ.
     outside = set(map(id, series.outside)) if series.over == DATE else set()
     rows = []
+    shown = _unit(series)
     for x, row in zip(series.condition, series.rows, strict=True):
         mark = "out of control" if id(row) in outside else row.warnings
-        rows.append((f"  {x:g} {series.condition_unit}", *value_cells(row.value, row.std_error, row.unit), row.label, row.date, mark))
+        rows.append(
+            (f"  {x:g} {series.condition_unit}", *value_cells(row.value, row.std_error, row.unit, shown), row.label, row.date, mark)
+        )
     echo_table((f"  {series.over}", series.parameter, "std. error", "unit", "test", "date", ""), rows, right=(1, 2))
     click.echo(f"  {_slope(series)}")
     if series.over == DATE:
         click.echo(f"  {_control(series)}")
+
+
+def _unit(series: Series) -> str:
+    """The unit of all values."""
+    return readable_unit(series.unit, (row.value for row in series.rows))
 
 
 def _slope(series: Series) -> str:
@@ -72,21 +81,20 @@ def _slope(series: Series) -> str:
     line = series.line
     if line is None:
         return "no trend can be computed: at least three values with standard errors at different conditions are required"
-    unit = display_unit(series.unit, float(line.values[0]))
-    slope, error = (to_display(value, unit) - to_display(0.0, unit) for value in (float(line.values[1]), line.std_error(1)))
+    unit = _unit(series)
+    slope, error = (difference_in(value, unit) for value in (float(line.values[1]), line.std_error(1)))
     reach, p_value = line.quantile * error, line.p_of(1)
     per = series.condition_unit.split(" ")[0]
     verdict = "no trend" if p_value >= LEVEL else "rising" if slope > 0 else "falling"
     scatter = "; the values scatter more than their errors, which are enlarged" if line.inflated else ""
-    unit_label = "" if unit == "1" else f" {unit}"
-    return f"slope {slope:.4g} +- {reach:.2g}{unit_label} per {per} (95 %): {verdict}, p = {p_value:.2g}{scatter}"
+    return f"slope {with_error(slope, reach, unit, '+-')} per {per} (95 %): {verdict}, p = {p_value:.2g}{scatter}"
 
 
 def _control(series: Series) -> str:
     limits = series.limits
     if limits is None:
         return "fewer than three values give no control limits"
-    unit = display_unit(series.unit, limits.centre)
+    unit = _unit(series)
     low, high = (to_display(value, unit) for value in (limits.low, limits.high))
     beyond = ", ".join(row.label for row in series.outside) or "none"
-    return f"control limits {low:.6g} to {high:.6g} {'' if unit == '1' else unit}: beyond {beyond}"
+    return f"control limits {' '.join(filter(None, (number(low), 'to', number(high), unit_label(unit))))}: beyond {beyond}"

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.display import change_text, difference_in, shown_unit
 from labpipe.distributions import f_tail
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
@@ -128,7 +129,7 @@ def _along(change: FloatArray, shape: FloatArray) -> float:
 def _of_shape(shape: _Shape, change: FloatArray, chance: _Chance) -> str:
     length = float(np.linalg.norm(shape.values))
     amount, error = _along(change, shape.values) / length, np.sqrt(chance.variance) / length
-    return f"it looks like {shape.name} changed by {100 * amount:+.2g} +- {100 * error:.1g} %"
+    return f"it looks like {shape.name} changed by {change_text(100 * amount, 100 * error, '%')}"
 
 
 def _of_parameters(jacobian: FloatArray, model: FittedModel, values: FloatArray, change: FloatArray, chance: _Chance) -> str:
@@ -138,4 +139,6 @@ def _of_parameters(jacobian: FloatArray, model: FittedModel, values: FloatArray,
     errors = np.sqrt(chance.variance * np.maximum(np.diag(inverse), np.finfo(float).tiny))
     n = int(np.argmax(np.abs(changes) / errors))
     share = f" ({100 * changes[n] / values[n]:+.2g} %)" if values[n] else ""
-    return f"its parameters changed, most of all {model.names[n]} by {changes[n]:+.3g} +- {errors[n]:.2g} {model.units[n]}{share}"
+    unit = shown_unit(model.units[n], changes[n], errors[n])
+    by = change_text(difference_in(changes[n], unit), difference_in(errors[n], unit), unit)
+    return f"its parameters changed, most of all {model.names[n]} by {by}{share}"

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import optimize
 
 from labpipe.arrays import FloatArray
+from labpipe.display import amount_text
 from labpipe.distributions import f_tail
 from labpipe.errors import FitError
 from labpipe.identify.corrections import Estimated, corrected
@@ -24,7 +25,6 @@ from labpipe.identify.regression import solve_scaled
 from labpipe.identify.setup import Setup
 from labpipe.identify.weights import equal_weights, has_noise, weight_doubt, whitener
 from labpipe.optimise.levenberg import minimise
-from labpipe.quantities import display_unit, to_display
 from labpipe.records.finding import Finding
 
 CONTRADICTED_P = 0.01
@@ -151,6 +151,4 @@ def _message(freed: _Freed, fit: _FreeFit, values: FloatArray, p_value: float, s
 
 def _amount(value: float, si_unit: str, std_error: float | None = None) -> str:
     """Value, with its standard error where there is one, in the unit in which people read it."""
-    unit = display_unit(si_unit, value)
-    error = "" if std_error is None else f" +- {to_display(std_error, unit):.2g}"
-    return f"{to_display(value, unit):.5g}{error} {unit}"
+    return amount_text(value, std_error, si_unit, "+-")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.display import change_text
 from labpipe.distributions import chi2_tail
 from labpipe.quantities import UnitError, si_amount
 from labpipe.records.dynamic_stiffness import systematic
@@ -78,7 +79,7 @@ def _difference(low: _Test, high: _Test) -> str:
     p_value = min(1.0, min([together, *p_values.values()]) * (1 + len(p_values)))
     if p_value >= AMPLITUDE_P:
         return ""
-    said = " and ".join(f"{kind} by {100 * amount:+.2g} +- {100 * error:.1g} %" for kind, (amount, error) in amounts.items())
+    said = " and ".join(f"{kind} by {change_text(100 * amount, 100 * error, '%')}" for kind, (amount, error) in amounts.items())
     return (
         f"between {low.text} (test {low.fit.test}) and {high.text} (this test) {said or 'the parameters'} changed on the whole "
         f"(p = {p_value:.2g}): the rig is not linear, and the coefficients hold for their level only. Measure at the level of use, or "

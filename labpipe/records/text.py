@@ -5,7 +5,8 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING
 
-from labpipe.quantities import display_unit, to_display
+from labpipe.display import amount_text, difference_in, shown_unit, unit_label, written
+from labpipe.quantities import to_display
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.parameter import Parameter
 
@@ -67,21 +68,16 @@ def fit_html(fit: Fit) -> str:
 
 def parameter_cells(parameter: Parameter) -> tuple[str, ...]:
     """Name, value, standard error, interval, unit and limits, in the display unit."""
-    unit = display_unit(parameter.unit, parameter.value)
+    unit = shown_unit(parameter.unit, parameter.value, parameter.full_error)
     limits = "at bound" if parameter.at_bound else "not significant" if parameter.significant is False else ""
-    error = "" if parameter.full_error is None else f"{_difference(parameter.full_error, unit):.2g}"
-    interval = "" if parameter.ci95 is None else " to ".join(f"{to_display(end, unit):.6g}" for end in parameter.ci95)
-    return (parameter.name, f"{to_display(parameter.value, unit):.6g}", error, interval, "" if unit == "1" else unit, limits)
+    error = None if parameter.full_error is None else difference_in(parameter.full_error, unit)
+    ends = () if parameter.ci95 is None else tuple(to_display(end, unit) for end in parameter.ci95)
+    value, doubt, *interval = written(to_display(parameter.value, unit), error, *ends)
+    return (parameter.name, value, doubt, " to ".join(interval), unit_label(unit), limits)
 
 
 def _with_error(parameter: Parameter) -> str:
-    _, value, error, _, unit, _ = parameter_cells(parameter)
-    return " ".join(part for part in (f"{value} +- {error}" if error else value, unit) if part)
-
-
-def _difference(amount: float, unit: str) -> float:
-    """A difference in a unit that may have an offset."""
-    return to_display(amount, unit) - to_display(0.0, unit)
+    return amount_text(parameter.value, parameter.full_error, parameter.unit, "+-")
 
 
 def response_line(response: FrequencyResponse) -> str:

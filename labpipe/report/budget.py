@@ -6,14 +6,15 @@ import math
 
 import numpy as np
 
+from labpipe.display import difference_in, shown_unit, two_digits
 from labpipe.distributions import normal_quantile, student_quantile
-from labpipe.quantities import display_unit, to_display
+from labpipe.quantities import to_display
 from labpipe.records.budget import Budget
 from labpipe.records.identification import Fit
 from labpipe.records.parameter import Parameter
 from labpipe.report.chart import PALETTE_SIZE, Axis, Panel, Series, named_ticks, outline, stacked
 from labpipe.report.document import Block, Figure, Paragraph, Table
-from labpipe.report.wording import LEGIBLE, rounded
+from labpipe.report.wording import legible, rounded
 
 HEADER = ("parameter", "value", "unit", "random", "systematic", "combined", "expanded, 95 %", "relative", "k", "ν eff")
 # Parameters with a smaller systematic share than this have no bar worth looking at.
@@ -57,19 +58,18 @@ def coverage_factor(dof: float) -> float:
 
 def _row(budget: Budget, parameter: Parameter) -> tuple[str, ...]:
     column = budget.names.index(parameter.name)
-    unit = display_unit(parameter.unit, parameter.value)
-    zero = to_display(0.0, unit)
-    random, systematic, combined = (
-        abs(to_display(float(part[column]), unit) - zero) for part in (budget.random, budget.systematic, budget.combined)
-    )
+    parts = tuple(float(part[column]) for part in (budget.random, budget.systematic, budget.combined))
+    unit = shown_unit(parameter.unit, parameter.value, parts[2])
+    value = to_display(parameter.value, unit)
+    random, systematic, combined = (difference_in(part, unit) for part in parts)
     dof = float(budget.dof[column])
     factor = coverage_factor(dof)
-    relative = f"{100 * factor * budget.combined[column] / abs(parameter.value):.2g} %" if parameter.value else ""
+    relative = f"{two_digits(100 * factor * float(budget.combined[column]) / abs(parameter.value))} %" if parameter.value else ""
     return (
         parameter.name,
-        rounded(to_display(parameter.value, unit), combined),
-        LEGIBLE.get(unit, unit),
-        *(f"{part:.2g}" for part in (random, systematic, combined, factor * combined)),
+        rounded(value, combined),
+        legible(unit),
+        *(two_digits(part, value) for part in (random, systematic, combined, factor * combined)),
         relative,
         f"{factor:.2f}",
         "known" if dof > MANY else f"{math.floor(dof)}",
@@ -124,9 +124,9 @@ def _shares_table(budget: Budget, names: list[str]) -> Table:
 def _size(std_error: float, unit: str) -> str:
     if unit == "1":
         # The noise of an earlier fit is counted in its own standard errors.
-        return "1 standard error" if std_error == 1.0 else f"{100 * std_error:.2g} %"
-    shown = {"rad": "deg", "s": "us"}.get(unit, unit)
-    return f"{to_display(std_error, shown):.2g} {shown}"
+        return "1 standard error" if std_error == 1.0 else f"{two_digits(100 * std_error)} %"
+    shown = shown_unit(unit, std_error)
+    return f"{two_digits(difference_in(std_error, shown))} {legible(shown)}"
 
 
 def _improvement(fit: Fit, budget: Budget, names: list[str]) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.campaign.bandwise import holm
 from labpipe.campaign.control import SETTLED, control_limits, from_the_rest, straight_trend
+from labpipe.display import written
 from labpipe.errors import DataError, FitError
 from labpipe.records.identification import Identification
 from labpipe.report.campaign_figures import control_figure, sliding_overlays, trend_figure
@@ -163,7 +164,7 @@ def _trend_table(trends: Sequence[Trend], corrected: FloatArray) -> Table:
             trend.condition,
             rounded(trend.slope, trend.error),
             _slope_unit(trend),
-            f"{rounded(trend.interval[0], trend.error)} to {rounded(trend.interval[1], trend.error)}",
+            " to ".join(written(trend.slope, trend.error, *trend.interval)[2:]),
             f"{trend.p_value:.2g}",
             f"{p:.2g}",
             "yes" if p < LEVEL else "no",
@@ -211,7 +212,7 @@ def _value_table(coefficient: CoefficientSeries, apart: _Differences) -> Table:
                 *([str(coefficient.values[n].day or "")] if coefficient.dated else []),
                 *(f"{amounts[n]:g}" for name, (_, amounts) in over.items() if name != "date"),
                 rounded(value, error),
-                "none" if not np.isfinite(low) else f"{rounded(low, error)} to {rounded(high, error)}",
+                "none" if not np.isfinite(low) else " to ".join(written(value, error, low, high)[2:]),
                 "" if not np.isfinite(apart.difference[n]) else rounded(apart.difference[n], error),
                 "" if not np.isfinite(apart.corrected[n]) else f"{apart.corrected[n]:.2g}{' *' if apart.corrected[n] < LEVEL else ''}",
             )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from labpipe.display import difference_in, number, shown_unit, written
 from labpipe.quantities import display_unit, to_display
 from labpipe.records.comparison import ComparedPoint, Comparison, Comparisons
 from labpipe.records.identification import Identification
@@ -13,10 +14,9 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.report.comparison_figures import comparison_figures
 from labpipe.report.document import Block, Paragraph, Section, Table
 from labpipe.report.loop_blocks import loop_blocks
-from labpipe.report.wording import LEGIBLE, rounded, unit_text
+from labpipe.report.wording import legible, unit_text
 
 AMOUNT_HEADER = ("amount", "value", "unit", "std. error", "95 % interval")
-SHORT = 1e-3
 EXPLAINED = {
     "trend": "Weights: the fits' standard errors and the error of setting the condition.",
     "difference": "Tests at the same condition are paired; the logarithm of their ratio is averaged with weights.",
@@ -65,15 +65,11 @@ def comparison_blocks(comparison: Comparison, responses: Sequence[FrequencyRespo
 
 
 def _amount_row(amount: Parameter) -> tuple[str, ...]:
-    unit = "us" if amount.unit == "s" and abs(amount.value) < SHORT else display_unit(amount.unit)
-    error = None if amount.std_error is None else to_display(amount.std_error, unit)
-    ends = "" if amount.ci95 is None else " to ".join(_shown(to_display(end, unit), error) for end in amount.ci95)
-    value = "not tested" if math.isnan(amount.value) else _shown(to_display(amount.value, unit), error)
-    return (amount.name, value, LEGIBLE.get(unit, unit), "" if error is None else f"{error:.2g}", ends)
-
-
-def _shown(value: float, error: float | None) -> str:
-    return rounded(value, error) if error else f"{value:.4g}"
+    unit = shown_unit(amount.unit, amount.value, amount.std_error)
+    error = None if amount.std_error is None else difference_in(amount.std_error, unit)
+    ends = () if amount.ci95 is None else tuple(to_display(end, unit) for end in amount.ci95)
+    value, doubt, *interval = written(to_display(amount.value, unit), error, *ends)
+    return (amount.name, "not tested" if math.isnan(amount.value) else value, legible(unit), doubt, " to ".join(interval))
 
 
 def _point_table(comparison: Comparison) -> Table:
@@ -100,8 +96,8 @@ def _point_table(comparison: Comparison) -> Table:
 def _point_row(comparison: Comparison, point: ComparedPoint) -> tuple[str, ...]:
     unit = display_unit(comparison.unit)
 
-    def number(value: float | None) -> str:
-        return "" if value is None else f"{to_display(value, unit):.6g}"
+    def text(value: float | None) -> str:
+        return "" if value is None else number(to_display(value, unit))
 
     return (
         point.test,
@@ -110,9 +106,9 @@ def _point_row(comparison: Comparison, point: ComparedPoint) -> tuple[str, ...]:
             for amount, of in ((point.condition, comparison.condition_unit), (point.second, comparison.second_unit))
         ),
         point.group,
-        number(point.value),
-        "" if point.ci95 is None else f"{number(point.ci95[0])} to {number(point.ci95[1])}",
-        number(point.theory),
+        text(point.value),
+        "" if point.ci95 is None else f"{text(point.ci95[0])} to {text(point.ci95[1])}",
+        text(point.theory),
         "" if point.ratio is None else f"{point.ratio:.4f}",
         "" if point.ratio_ci95 is None else f"{point.ratio_ci95[0]:.4f} to {point.ratio_ci95[1]:.4f}",
         "" if point.p_value is None else f"{point.p_value:.2g}",

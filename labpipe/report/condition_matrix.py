@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from labpipe.display import difference_in, two_digits, with_error, written
 from labpipe.quantities import to_display
 from labpipe.records.condition_matrix import ConditionMatrices, ConditionMatrix, EquilibriumPath, MatrixPoint, Repeated, condition_unit
 from labpipe.records.finding import WARNING, of_level
@@ -71,7 +72,7 @@ def _beside(point: MatrixPoint) -> tuple[str, ...]:
     for entry in point.beside:
         unit = condition_unit(entry.name, entry.unit)
         value, scatter = to_display(entry.value, unit), _size(entry.scatter, unit)
-        texts.append(f"{rounded(value, scatter)} ± {scatter:.2g}" if scatter else f"{value:.5g}")
+        texts.append(with_error(value, scatter or None))
     return tuple(texts)
 
 
@@ -108,21 +109,20 @@ def _coefficient_table(matrix: ConditionMatrix, name: str) -> Table:
 
 def _size(value: float | None, unit: str) -> float | None:
     """A difference in the display unit."""
-    return None if value is None else abs(to_display(value, unit) - to_display(0.0, unit))
+    return None if value is None else abs(difference_in(value, unit))
 
 
 def _value_cells(value: Repeated, unit: str) -> tuple[str, ...]:
     parameter = value.parameter
     error, scatter = _size(parameter.full_error, unit), _size(value.scatter, unit)
-    ends = "none"
-    if parameter.ci95 is not None:
-        ends = " to ".join(rounded(to_display(end, unit), error) for end in parameter.ci95)
+    ends = () if parameter.ci95 is None else tuple(to_display(end, unit) for end in parameter.ci95)
+    shown, doubt, *interval = written(to_display(parameter.value, unit), error, *ends)
     return (
-        rounded(to_display(parameter.value, unit), error),
-        "none" if error is None else f"{error:.2g}",
-        ends,
+        shown,
+        doubt or "none",
+        " to ".join(interval) or "none",
         str(value.repeats),
-        "" if scatter is None else f"{scatter:.2g}",
+        "" if scatter is None else two_digits(scatter, to_display(parameter.value, unit)),
     )
 
 
@@ -172,5 +172,5 @@ def _path_table(path: EquilibriumPath) -> Table:
 def _slopes(values: tuple[float, ...], errors: tuple[float, ...]) -> tuple[str, str]:
     if not values:
         return "none", "none"
-    x, y = (f"{rounded(1e9 * value, 1e9 * error)} ± {1e9 * error:.2g}" for value, error in zip(values, errors, strict=True))
+    x, y = (with_error(1e9 * value, 1e9 * error) for value, error in zip(values, errors, strict=True))
     return x, y

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from labpipe.quantities import display_unit
+from labpipe.display import difference_in, with_error
+from labpipe.quantities import readable_unit, to_display
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Fit, Identification
 from labpipe.report import figures
@@ -16,7 +17,16 @@ from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figures
 from labpipe.report.modal_figures import modal_blocks
 from labpipe.report.ring_down_figures import ring_down_figures
 from labpipe.report.wear_figures import wear_figures
-from labpipe.report.wording import STARS_EXPLAINED, band_text, entangled_text, fit_title, inflated_text, parameter_row, unit_text
+from labpipe.report.wording import (
+    STARS_EXPLAINED,
+    band_text,
+    entangled_text,
+    fit_title,
+    inflated_text,
+    legible,
+    parameter_row,
+    significance,
+)
 
 PARAMETER_HEADER = ("parameter", "value", "unit", "std. error", "95 % interval", "t-ratio", "significance", "VIF")
 NUMERIC = (1, 3, 4, 5, 7)
@@ -94,30 +104,31 @@ def _described(fit: Fit) -> str:
 def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
     """Coefficients over frequency as figures, and as a table."""
     names = figures.sliding_names(fits)
-    units = {name: unit_text(fits[0].parameter(name).unit) for name in names}
-    header = ("band", "centre [Hz]", "G.o.F", *(f"{name} [{unit}]" for name, unit in units.items()), "warnings")
-    rows = tuple(_band_row(fit, names) for fit in fits)
+    units = {name: readable_unit(fits[0].parameter(name).unit, (fit.parameter(name).value for fit in fits)) for name in names}
+    titles = (f"{name} [{legible(unit)}]" if legible(unit) else name for name, unit in units.items())
+    header = ("band", "centre [Hz]", "G.o.F", *titles, "warnings")
+    rows = tuple(_band_row(fit, units) for fit in fits)
     first = f"{len(fits)} bands from {fits[0].band_hz[0]:g} to {fits[-1].band_hz[1]:g} Hz; model {fits[0].model}, {fits[0].estimator}. "
     meaning = "Each value belongs to the centre of its band; ± is one standard error, n.s.: not significantly different from zero."
     table = Table(header, rows, f"Bands of {fit_title(fits[0])}", tuple(range(1, 3 + len(names))))
     return (Paragraph(first + meaning), *figures.sliding_figures(fits), table)
 
 
-def _band_row(fit: Fit, names: Sequence[str]) -> tuple[str, ...]:
+def _band_row(fit: Fit, units: Mapping[str, str]) -> tuple[str, ...]:
     return (
         band_text(fit),
         f"{fit.centre_hz:g}",
         f"{fit.gof.r2_adjusted:.4f}",
-        *(_with_error(fit, name) for name in names),
+        *(_with_error(fit, name, unit) for name, unit in units.items()),
         ", ".join(finding.code for finding in of_level(WARNING, fit.findings)),
     )
 
 
-def _with_error(fit: Fit, name: str) -> str:
+def _with_error(fit: Fit, name: str, unit: str) -> str:
     parameter = fit.parameter(name)
-    _, value, _, error, _, _, significance, _ = parameter_row(parameter, fit.dof, display_unit(parameter.unit))
-    mark = " n.s." if significance == "n.s." else ""
-    return f"{value} ± {error}{mark}"
+    error = None if parameter.full_error is None else difference_in(parameter.full_error, unit)
+    mark = " n.s." if significance(parameter, fit.dof) == "n.s." else ""
+    return f"{with_error(to_display(parameter.value, unit), error)}{mark}"
 
 
 def _calibration(fits: list[Fit]) -> tuple[Block, ...]:

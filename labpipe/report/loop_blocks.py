@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from labpipe.display import written
 from labpipe.quantities import display_unit, to_display
 from labpipe.records.comparison import ComparedBand, Comparison
 from labpipe.records.finding import WARNING, of_level
 from labpipe.report.document import Block, Paragraph, Table
-from labpipe.report.wording import rounded, unit_text
+from labpipe.report.wording import unit_text
 
 
 def loop_blocks(comparison: Comparison) -> list[Block]:
@@ -47,5 +48,5 @@ def _row(band: ComparedBand, several: bool) -> tuple[str, ...]:
     ends = "" if band.ratio_ci95 is None else f" ({band.ratio_ci95[0]:.3f} to {band.ratio_ci95[1]:.3f})"
     ratio = "" if band.ratio is None else f"{band.ratio:.3f}{ends}"
     first = (*([band.test] if several else []), f"{band.band_hz[0]:g}-{band.band_hz[1]:g}")
-    interval = f"{rounded(low, error)} to {rounded(high, error)}"
-    return (*first, rounded(value, error) + mark, interval, rounded(other, error), ratio, *last)
+    shown, _, lower, upper, reference = written(value, error, low, high, other)
+    return (*first, shown + mark, f"{lower} to {upper}", reference, ratio, *last)

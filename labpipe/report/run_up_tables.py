@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from labpipe.display import with_error
 from labpipe.records.run_up_result import (
     HELD_OUT,
     REJECTED,
@@ -19,7 +20,6 @@ from labpipe.records.run_up_result import (
     RunUpResult,
 )
 from labpipe.report.document import Block, Paragraph, Table
-from labpipe.report.wording import rounded
 
 RPM = 30 / np.pi
 NAMES = ("k_xx", "k_xy", "k_yx", "k_yy", "c_xx", "c_xy", "c_yx", "c_yy")
@@ -46,12 +46,7 @@ def rpm_text(amount: Amount | None) -> str:
         return "none"
     if amount.std_error is None:
         return f"{RPM * amount.value:.1f}"
-    return f"{rounded(RPM * amount.value, RPM * amount.std_error)} ± {error_text(RPM * amount.std_error)}"
-
-
-def error_text(error: float) -> str:
-    """Two digits, and no power of ten where a plain number does."""
-    return f"{error:.0f}" if 10 <= error < 1e6 else f"{error:#.2g}"
+    return with_error(RPM * amount.value, RPM * amount.std_error)
 
 
 def measured_table(result: RunUpResult) -> Table:
@@ -250,7 +245,7 @@ def _eight(prediction: RunPrediction, place: int) -> list[str]:
 def _with_deviation(value: float, error: float | None) -> str:
     if error is None:
         return f"{value:.4g}"
-    return f"{rounded(value, error)} ± {error_text(error)}" if math.isfinite(error) else f"{value:.4g} at bound"
+    return with_error(value, error) if math.isfinite(error) else f"{value:.4g} at bound"
 
 
 def validation_table(models: Sequence[MetamodelResult]) -> Table:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from labpipe.display import difference_in, shown_unit, unit_label, written
 from labpipe.distributions import student_tail
 from labpipe.quantities import display_unit, to_display
 from labpipe.records.identification import Fit, Parameter
@@ -19,7 +20,6 @@ STARS_EXPLAINED = (
 LARGE_VIF, CLOSE = 10.0, 0.95
 # Standard errors that differ by less than this share are one.
 ALIKE = 1e-6
-LEGIBLE = {"1": "", "N.s/m": "N s/m", "kN.s/m": "kN s/m"}
 
 
 def unit_text(si_unit: str) -> str:
@@ -28,21 +28,13 @@ def unit_text(si_unit: str) -> str:
 
 
 def legible(unit: str) -> str:
-    """A display unit as it is printed; '' for numbers without one."""
-    return LEGIBLE.get(unit, unit)
+    """A unit as it is printed; a plain number has none."""
+    return unit_label(unit).replace("N.s/m", "N s/m")
 
 
 def rounded(value: float, std_error: float | None) -> str:
-    """A value to the digit that its standard error supports (two digits of the error), or to five digits without one."""
-    if not math.isfinite(value):
-        return "not determined"
-    if not std_error or not math.isfinite(std_error):
-        return f"{value:.5g}"
-    decimals = 1 - math.floor(math.log10(abs(std_error)))
-    if decimals > 8 or abs(value) >= 1e7:
-        digits = max(2, 1 + decimals + (math.floor(math.log10(abs(value))) if value else 0))
-        return f"{value:.{min(digits, 12)}g}"
-    return f"{round(value, decimals):.{max(decimals, 0)}f}"
+    """A value to the place that its standard error supports."""
+    return written(value, std_error)[0]
 
 
 def parameter_row(parameter: Parameter, dof: int, unit: str = "") -> tuple[str, ...]:
@@ -50,19 +42,16 @@ def parameter_row(parameter: Parameter, dof: int, unit: str = "") -> tuple[str, 
 
     *unit*: that of a whole table; by default that which suits the value.
     """
-    unit = unit or display_unit(parameter.unit, parameter.value)
-    error = None if parameter.full_error is None else abs(to_display(parameter.full_error, unit) - to_display(0.0, unit))
-    value = to_display(parameter.value, unit)
-    interval = "none"
-    if parameter.ci95 is not None:
-        low, high = (to_display(end, unit) for end in parameter.ci95)
-        interval = f"{rounded(low, error)} to {rounded(high, error)}"
+    unit = unit or shown_unit(parameter.unit, parameter.value, parameter.full_error)
+    error = None if parameter.full_error is None else difference_in(parameter.full_error, unit)
+    ends = () if parameter.ci95 is None else tuple(to_display(end, unit) for end in parameter.ci95)
+    value, doubt, *interval = written(to_display(parameter.value, unit), error, *ends)
     return (
         parameter.name,
-        rounded(value, error),
-        LEGIBLE.get(unit, unit),
-        "none" if error is None else f"{error:.2g}",
-        interval,
+        value,
+        legible(unit),
+        doubt or "none",
+        " to ".join(interval) or "none",
         "" if parameter.t_ratio is None or parameter.derived else f"{parameter.t_ratio:.4g}",
         significance(parameter, dof),
         "" if parameter.vif is None else f"{parameter.vif:.3g}",

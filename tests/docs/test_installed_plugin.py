@@ -194,7 +194,7 @@ def test_metamodels_are_made_of_the_method(of_own_process, project: Path, run_up
 
 def test_the_section_is_run_reported_listed_and_read_again(installed, project: Path) -> None:
     first = installed("run", f"{EXAMPLE}/margins.yaml", "-o", "out/margins", "--set", "report.formats=[html,md]")
-    assert "separation.pedestal.f_n.2x >= 16 %: passed (found 0.179129)" in first
+    assert "separation.pedestal.f_n.2x >= 16 %: passed (found 17.9129 %)" in first
     margins = json.loads((project / "out/margins/identification.json").read_text())["separation"]["margins"]
     # By hand: 65.6697 Hz against 50 and 80 Hz.
     assert [margin["margin"] for margin in margins] == pytest.approx([65.6697 / 50 - 1, 1 - 65.6697 / 80], abs=1e-5)
@@ -213,7 +213,7 @@ def test_rules_on_the_section_decide_on_the_exit_code(installed) -> None:
         words = ("-o", "out/rules", "--set", f"expect={{{expect}}}", "--set", "report.formats=[]", *more)
         return installed("run", f"{EXAMPLE}/margins.yaml", *words, code=code)
 
-    assert "FAILED (found 0.179129)" in run('separation.least: ">= 20 %"', 1)
+    assert "FAILED (found 17.9129 %)" in run('separation.least: ">= 20 %"', 1)
     assert "separation.kept false: FAILED (found true)" in run("separation.kept: false", 1)
     assert "no such margin; did you mean 'pedestal.f_n.2x'?" in run('separation.pedestal.f_n.3x: ">= 20 %"', 2)
     missed = run("separation.kept: false", 0, "--set", "separation.speeds=60-70 Hz")

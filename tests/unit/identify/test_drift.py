@@ -64,8 +64,8 @@ def test_a_single_coefficient_is_named(coupled_response) -> None:
     change = np.linalg.inv(other + 1j * w * COUPLED_C - w**2 * 0.92 * np.eye(2)) - coupled()
     finding = drift(changed(coupled_response(STD, rng), change, rng))
     assert finding is not None
-    amount, error = map(float, re.findall(r"most of all k_yx by ([-+.e0-9]+) \+- ([.e+0-9]+) N/m", finding.message)[0])
-    assert amount == pytest.approx(2e3, abs=4 * error + 0.02 * 2e3)
+    amount, error = map(float, re.findall(r"most of all k_yx by ([-+.e0-9]+) \+- ([.e+0-9]+) kN/m", finding.message)[0])
+    assert amount == pytest.approx(2.0, abs=4 * error + 0.02 * 2.0)
 
 
 @pytest.mark.parametrize("runs", [60, pytest.param(300, marks=pytest.mark.long)])

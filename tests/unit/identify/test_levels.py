@@ -50,7 +50,7 @@ def test_three_per_cent_of_stiffness_is_named_at_the_highest_level() -> None:
     assert [len(fit.findings) for fit in fits] == [1, 0, 0]
     message = fits[0].findings[0].message
     assert "between 5 N (test quiet) and 0.02 kN (this test)" in message
-    assert re.search(r"stiffness by \+3 \+- 0.3 %", message)
+    assert re.search(r"stiffness by \+3\.00 \+- 0\.28 %", message)
 
 
 def test_correlated_estimates_are_held_against_their_joint_doubt() -> None:

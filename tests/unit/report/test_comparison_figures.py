@@ -123,8 +123,8 @@ def test_reciprocal_pairs_are_drawn_on_each_other() -> None:
 def test_tables_leave_out_what_no_test_has_and_say_what_was_not_tested() -> None:
     blocks = comparison_blocks(BASE, ())
     amounts, tests = (block for block in blocks if isinstance(block, Table))
-    assert amounts.rows[0] == ("ratio", "1.250", "", "0.02", "1.210 to 1.290")
-    assert amounts.rows[1][1:3] == ("20000", "kN/m")
+    assert amounts.rows[0] == ("ratio", "1.250", "", "0.020", "1.210 to 1.290")
+    assert amounts.rows[1][1:3] == ("20.00", "MN/m")
     assert amounts.rows[-1][1] == "not tested"
     assert tests.header[:3] == ("test", "preload [N]", "group")
     assert tests.rows[0][:5] == ("test 1", "100", "up", "10000", "9000 to 11000")

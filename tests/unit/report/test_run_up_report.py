@@ -199,7 +199,7 @@ def test_all_methods_stand_beside_the_measurement() -> None:
 
 def test_a_speed_is_rounded_to_its_error() -> None:
     assert rpm_text(None) == "none" and rpm_text(Amount(100.0)) == "954.9"
-    assert rpm_text(Amount(4040 * RPM, 101 * RPM)) == "4040 ± 101" and rpm_text(Amount(1516.6 * RPM, 1.04 * RPM)) == "1516.6 ± 1.0"
+    assert rpm_text(Amount(4040 * RPM, 101 * RPM)) == "4040 ± 100" and rpm_text(Amount(1516.6 * RPM, 1.04 * RPM)) == "1516.6 ± 1.0"
 
 
 def test_doubt_is_told_for_every_method() -> None:
