@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import floor
 
+from labpipe.quantities import display_unit, to_display
 from labpipe.records.plan import Plan, PlannedCoefficient, PlannedTest
 from labpipe.report.chart import Axis, Panel, dots, look, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
-from labpipe.report.wording import unit_text
 
 HEADER = ("coefficient", "expected", "goal", "std. error, noise known", "std. error, weights from the periods", "flat multisine", "gain")
 TEST_HEADER = ("test", "shaker", "file", "lines", "periods", "skipped", "crest factor", "peak force [N]", "peak displacement [um]")
@@ -39,8 +40,9 @@ def sentence(plan: Plan) -> str:
     worst = max(plan.coefficients, key=_over_goal)
     tests = ", ".join(f"{test.name} {test.periods} periods" for test in plan.tests)
     gain = dict(plan.gains)["least crest"]
+    rank = "least certain" if plan.needed is None else "tightest against its goal"
     return (
-        f"{plan.duration:g} s of data ({tests} of {plan.period:g} s, {SCHEMES[plan.scheme]}) determine {worst.name}, the least certain, to "
+        f"{plan.duration:g} s of data ({tests} of {plan.period:g} s, {SCHEMES[plan.scheme]}) determine {worst.name}, the {rank}, to "
         f"{per_cent(worst.error_weighted)}: {gain:.2f} times better by {CRITERIA[plan.criterion]} than a flat multisine of the same peak "
         "and time."
     )
@@ -64,8 +66,10 @@ def _verdict(plan: Plan) -> Iterator[Block]:
     if plan.needed is not None:
         yield Paragraph(goal_sentence(plan), "passed" if plan.needed <= plan.duration else "failed")
     yield from (Paragraph(note, "note") for note in plan.notes)
+    # Rounded down: a bound is not to be stated higher than it is.
+    sure = floor(1e4 * plan.efficiency) / 100
     yield Paragraph(
-        f"Certificate: the design behind the plan has an efficiency of at least {100 * plan.efficiency:.2f} % among all spectra along the "
+        f"Certificate: the design behind the plan has an efficiency of at least {sure:.2f} % among all spectra along the "
         f"shakers of equal cost and the same floor ({100 * plan.floor:g} % of the power on all lines alike), by the equivalence theorem. "
         f"Of {_designs(plan)} it is the one that tells most at the limits of the rig."
     )
@@ -81,7 +85,7 @@ def _coefficients(plan: Plan) -> Table:
     rows = tuple(
         (
             c.name,
-            f"{c.expected:.5g} {unit_text(c.unit)}",
+            _expected(c),
             "" if c.goal is None else per_cent(c.goal),
             per_cent(c.error),
             per_cent(c.error_weighted),
@@ -93,12 +97,17 @@ def _coefficients(plan: Plan) -> Table:
     return Table(HEADER, rows, "Relative standard errors, at the expected values", (1, 2, 3, 4, 5, 6))
 
 
+def _expected(coefficient: PlannedCoefficient) -> str:
+    shown = display_unit(coefficient.unit, coefficient.scale)
+    return f"{to_display(coefficient.expected, shown):.5g} {shown}"
+
+
 def _explained(plan: Plan) -> str:
     return (
         "The prediction is the Cramer-Rao bound of errors in variables, with white noise in all sensors. The noise is not known before the "
         f"test: weights from the scatter of {min(test.periods for test in plan.tests)} periods make the errors {plan.factor:.2f} times as "
         "large. Errors are relative to the expected size, of coefficients that are nearly zero to 1 % of the largest of their kind. The "
-        "prediction holds where the rig is as expected: plan again with `earlier:` after a short flat test, if it may not be."
+        "prediction holds where the rig is as expected: plan again from the result of a short flat test, if it may not be."
     )
 
 

@@ -96,6 +96,12 @@ def test_a_test_carried_out_as_planned(labpipe: Command, tmp_path: Path, entries
     for c in plan.coefficients:
         assert abs(found[c.name]["value"] - c.expected) < 4.5 * c.error_weighted * c.scale
         assert found[c.name]["std_error"] == pytest.approx(c.error * c.scale, rel=0.3)
+    # The result is what is expected of the next test.
+    again = {name: value for name, value in entries.items() if name != "expected"} | {"earlier": "out/identification.json"}
+    ended = labpipe("plan", _write(tmp_path, {**again, "scheme": scheme}), "-o", tmp_path / "second")
+    assert ended.code == 0, ended.err
+    values = {c.name: c.expected for c in read_plan(tmp_path / "second" / "plan.json").coefficients}
+    assert values == pytest.approx({c.name: found[c.name]["value"] for c in plan.coefficients})
 
 
 def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
@@ -114,6 +120,7 @@ def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
     assert plan.duration == 40.0
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert "Certificate" in page and "goals are NOT met" in page
+    assert "134.5 kN/m" in page and "3.682 N.s/m" in page
     assert entry_of(read_plan(tmp_path / "out" / "plan.json")) == entry_of(plan)
 
 
