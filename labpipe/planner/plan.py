@@ -202,7 +202,7 @@ def _plan(
         coefficients=coefficients,
         tests=tuple(_test(settings, rig, test, number) for test, number in zip(timed.tests, periods, strict=True)),
         gains=gains,
-        needed=float(duration * worst**2) if settings.goal else None,
+        needed=max(float(duration * worst**2), FEWEST_PERIODS * len(periods) * settings.period) if settings.goal else None,
         mass=settings.mass,
         notes=_notes(rig, lines, found, wanted),
     )

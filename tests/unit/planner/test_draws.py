@@ -86,6 +86,21 @@ def test_predicted_errors_are_those_of_draws(name: str) -> None:
 
 
 @pytest.mark.long
+def test_the_remedy_of_forces_at_45_degrees_works() -> None:
+    # On a symmetric rig 45 deg alone tells 4 of 8 coefficients; with a second direction simulated tests end near the truth.
+    expected = np.array([180e3, 0.0, 0.0, 180e3, 120.0, 0.0, 0.0, 120.0])
+    rig, lines, _ = planned_rig("rotor", RIGS["rotor"]()[0].with_expected(expected))
+    oblique = np.array([[1.0, 1.0], [-1.0, 1.0]], complex) / np.sqrt(2)
+    both = Rig(rig.model, rig.noise, rig.limits, oblique, ("45 deg", "135 deg"), rig.spacing)
+    told = flat(both, lines[::8], ONE_BY_ONE)
+    found = estimates(both, [(told, SECONDS)], expected, 500, 4)
+    # 500 draws know a standard deviation to 1 / sqrt(1000) = 3.2 %.
+    np.testing.assert_allclose(found.std(axis=0), told.errors(SECONDS) * rig.model.scales, rtol=0.12)
+    one = Rig(rig.model, rig.noise, rig.limits, oblique[:1], ("45 deg",), rig.spacing)
+    assert np.all(np.isinf(flat(one, lines[::8], ONE_BY_ONE).errors(SECONDS)))
+
+
+@pytest.mark.long
 def test_two_stages_keep_the_gain_on_a_rig_that_is_not_as_expected() -> None:
     # 20 rigs with k and c wrong by +-30 %: a fifth of the time flat, which is the floor, the rest planned on its estimate without another;
     # all data fitted together. Held against the plan of one who knows the rig, with its floor of 20 % of the power.
