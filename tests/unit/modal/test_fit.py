@@ -181,6 +181,7 @@ def test_result_is_read_back_and_reported() -> None:
     assert len(blocks) == 4 and len(_single(fit)) > len(blocks)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("known", [True, False])
 def test_real_modes_are_as_certain_as_they_say(known: bool) -> None:
     """A chain damped in proportion to its stiffness has real modes: f_n, zeta of the undamped eigenvalues, zeta = 20 us w / 2.
