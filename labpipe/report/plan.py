@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import floor
 
-from labpipe.quantities import display_unit, to_display
+from labpipe.display import shown_unit
+from labpipe.quantities import to_display
 from labpipe.records.plan import Plan, PlannedCoefficient, PlannedTest
 from labpipe.report.chart import Axis, Panel, dots, look, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
@@ -98,7 +99,7 @@ def _coefficients(plan: Plan) -> Table:
 
 
 def _expected(coefficient: PlannedCoefficient) -> str:
-    shown = display_unit(coefficient.unit, coefficient.scale)
+    shown = shown_unit(coefficient.unit, coefficient.scale)
     return f"{to_display(coefficient.expected, shown):.5g} {shown}"
 
 
