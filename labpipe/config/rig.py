@@ -263,7 +263,8 @@ def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChann
     dof, angle = _direction(split_doubt(settings.dof)[0] or name, node, key, faults)
     response = _response(settings, node, key, faults)
     written = Written(name, node.content, settings.sensitivity, settings.dof, settings.doubts, settings.doubt)
-    doubts = channel_doubts(written, node, key, faults)
+    # Of a number that cannot be read there is one fault, not a second one of its doubt.
+    doubts = channel_doubts(written, node, key, faults) if len(faults) == before else ()
     if len(faults) > before:
         return None
     sign = -1.0 if settings.invert else 1.0

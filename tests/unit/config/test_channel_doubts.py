@@ -88,6 +88,13 @@ def test_faults_stand_at_their_place(tmp_path: Path, entry: str, message: str) -
     assert any(message in str(fault) for fault in caught.value.faults)
 
 
+def test_a_number_that_cannot_be_read_is_one_fault(tmp_path: Path) -> None:
+    with pytest.raises(ConfigErrors) as caught:
+        doubts_of(tmp_path, "quantity: displacement, unit: V, sensitivity: 8 V/mmm +- 1 %")
+    (fault,) = caught.value.faults
+    assert "unknown unit 'mmm'; did you mean 'mm'?" in str(fault)
+
+
 PIPELINE = """frfs: h.frf.csv
 uncertainty: {{{uncertainty}}}
 identify:
