@@ -65,7 +65,7 @@ LS_NOTE = (
 class Solved:
     """An estimate, what given numbers do to it, its amplification (n_parameter,) [parameter units] of errors, and compared forms."""
 
-    found: Estimate
+    best: Estimate
     doubts: tuple[GivenDoubt, ...]
     amplification: FloatArray | None
     excitations: tuple[OtherExcitation, ...] = ()
@@ -78,8 +78,8 @@ def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tu
     ConfigError where settings and channels do not fit together, FitError where the lines cannot determine the coefficients.
     """
     _check(settings)
-    own: DynamicStiffnessSettings = settings.model_settings
-    if own.known is not None and own.known.test == spectra.name:
+    section: DynamicStiffnessSettings = settings.model_settings
+    if section.known is not None and section.known.test == spectra.name:
         return ()
     return tuple(_fit(spectra, settings, band) for band in settings.bands or (settings.band,))
 
@@ -98,29 +98,29 @@ def _check(settings: FitSettings) -> None:
 
 
 def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, float] | None) -> Fit:
-    own: DynamicStiffnessSettings = settings.model_settings
+    section: DynamicStiffnessSettings = settings.model_settings
     stator = stator_of(spectra, band, settings.input, settings.output)
     given = _given(settings, stator)
     balance = balance_of(stator, given)
     noise = Noise(spectra.covariance_dof, stator.shared, stator.shared_power)
     solved = _solved(stator, given, balance, settings, noise)
-    found, factor = solved.found, mismatch_factor(solved.found) if settings.estimator == "ml" else 1.0
-    of_given = systematic(solved.doubts, found.values.size)
-    doubted = Doubted(found.model, found.values, found.covariance, factor**2 * found.covariance + of_given, found.dof)
-    shaft = Shaft(_stated(own.speed, spectra, "speed", "Hz"), own.rotor_mass, own.rotor_stiffness)
-    load = _stated(own.load, spectra, "load", "N") if own.clearance is not None else None
-    bearing = Bearing(own.clearance, load, own.viscosity, own.diameter, own.length)
-    main = coefficients(doubted, inflation_factors(found.design))
+    best, factor = solved.best, mismatch_factor(solved.best) if settings.estimator == "ml" else 1.0
+    of_given = systematic(solved.doubts, best.values.size)
+    doubted = Doubted(best.model, best.values, best.covariance, factor**2 * best.covariance + of_given, best.dof)
+    shaft = Shaft(_stated(section.speed, spectra, "speed", "Hz"), section.rotor_mass, section.rotor_stiffness)
+    load = _stated(section.load, spectra, "load", "N") if section.clearance is not None else None
+    bearing = Bearing(section.clearance, load, section.viscosity, section.diameter, section.length)
+    main = coefficients(doubted, inflation_factors(best.design))
     # A baseline is no bearing of a shaft.
     others, turning = ((), None) if given.absolute else derived_values(doubted, stator.omega, shaft)
     whole_band = band or (float(stator.omega[0] / (2 * np.pi)), float(stator.omega[-1] / (2 * np.pi)))
-    parameters, budget = budgeted((*main, *others, *dimensionless(main, bearing, shaft.speed)), solved.doubts, found.dof)
+    parameters, budget = budgeted((*main, *others, *dimensionless(main, bearing, shaft.speed)), solved.doubts, best.dof)
     fit = _reported(settings, balance, solved, whole_band, parameters)
     findings = (
         *fit.findings,
-        *(mismatch_findings(found) if settings.estimator == "ml" else ()),
-        *choice_findings(solved.candidates, found.model.form.name, own.form is not None),
-        *(noise_findings(found, noise) if settings.estimator == "ml" else ()),
+        *(mismatch_findings(best) if settings.estimator == "ml" else ()),
+        *choice_findings(solved.candidates, best.model.form.name, section.form is not None),
+        *(noise_findings(best, noise) if settings.estimator == "ml" else ()),
         *motion_findings(stator, given),
         *whirl_findings(turning, shaft.speed),
         *physical_findings(parameters),
@@ -135,11 +135,11 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
 
 def _given(settings: FitSettings, stator: Stator) -> Given:
     """Mass and baseline of the settings; ConfigError where accelerations are missing, or the inertia is out already."""
-    own: DynamicStiffnessSettings = settings.model_settings
-    mass = own.stator_mass or (Uncertain(settings.mass) if isinstance(settings.mass, float) else None)
+    section: DynamicStiffnessSettings = settings.model_settings
+    mass = section.stator_mass or (Uncertain(settings.mass) if isinstance(settings.mass, float) else None)
     if mass is not None and mass.value == 0:
         mass = None
-    given = Given(mass, given_baseline(own), own.motion == "absolute")
+    given = Given(mass, given_baseline(section), section.motion == "absolute")
     if mass is not None and effective_forces(stator):
         raise ConfigError("the forces are without the stator's inertia already", hint="stator_mass: 0 kg", field="stator_mass")
     if given.accelerated and not stator.accelerated and not given.absolute:
@@ -164,67 +164,67 @@ def _stated(given: float | None, spectra: ChannelSpectra, condition: str, unit: 
 
 def _solved(stator: Stator, given: Given, balance: Balance, settings: FitSettings, noise: Noise) -> Solved:
     """The estimate by the settings' estimator."""
-    own: DynamicStiffnessSettings = settings.model_settings
+    section: DynamicStiffnessSettings = settings.model_settings
     if settings.estimator == "ls":
         if settings.compare:
             raise ConfigError("'compare' needs estimator ml", hint="estimator: ml", field="compare")
-        found, respond = least_squares(balance, StiffnessModel(_form(own, balance.omega), own.symmetry))
-        errors = given_errors(stator, given, found.model.stiffness(found.values, stator.omega), stator.channels)
-        return Solved(found, given_doubts(errors, respond), None)
-    found, candidates = _most_likely(balance, settings, noise, functools.partial(errors_by_given, stator, given))
-    problem = ErrorsInVariables(balance, found.model)
-    stiffness, state, columns = found.model.stiffness(found.values, stator.omega), problem.at(found.values), problem.columns(found.values)
+        best, respond = least_squares(balance, StiffnessModel(_form(section, balance.omega), section.symmetry))
+        errors = given_errors(stator, given, best.model.stiffness(best.values, stator.omega), stator.channels)
+        return Solved(best, given_doubts(errors, respond), None)
+    best, candidates = _most_likely(balance, settings, noise, functools.partial(errors_by_given, stator, given))
+    problem = ErrorsInVariables(balance, best.model)
+    stiffness, state, columns = best.model.stiffness(best.values, stator.omega), problem.at(best.values), problem.columns(best.values)
     errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
     doubts = given_doubts(errors, response_of(state, columns))
-    amplification = problem.size * np.sqrt(2 * np.diag(found.covariance) / noise.inflation)
-    return Solved(found, doubts, amplification, other_excitations(stator, found, columns), candidates)
+    amplification = problem.size * np.sqrt(2 * np.diag(best.covariance) / noise.inflation)
+    return Solved(best, doubts, amplification, other_excitations(stator, best, columns), candidates)
 
 
 def _most_likely(balance: Balance, settings: FitSettings, noise: Noise, doubtful: GivenErrors) -> tuple[Estimate, tuple[Candidate, ...]]:
     """The estimate of the form that is given, or with `compare` and without one that of the best form."""
-    own: DynamicStiffnessSettings = settings.model_settings
-    model = StiffnessModel(_form(own, balance.omega), own.symmetry)
+    section: DynamicStiffnessSettings = settings.model_settings
+    model = StiffnessModel(_form(section, balance.omega), section.symmetry)
     if not settings.compare:
         return estimate(balance, model, noise, doubtful), ()
-    known = None if own.form is None else estimate(balance, model, noise, doubtful)
-    candidates, estimates = compared(balance, own.symmetry, noise, own.forms, known, doubtful)
+    of_form = None if section.form is None else estimate(balance, model, noise, doubtful)
+    candidates, estimates = compared(balance, section.symmetry, noise, section.forms, of_form, doubtful)
     if not candidates:
         raise ConfigError("no compared form can be determined by these lines", hint="widen the band", field="forms")
-    return (known or estimates[candidates[0].name]), candidates
+    return (of_form or estimates[candidates[0].name]), candidates
 
 
-def _form(own: DynamicStiffnessSettings, omega: FloatArray) -> Form:
-    if own.form != BANDS:
-        return FORMS[own.form or "kcm"]
+def _form(section: DynamicStiffnessSettings, omega: FloatArray) -> Form:
+    if section.form != BANDS:
+        return FORMS[section.form or "kcm"]
     low, high = omega[0] / (2 * np.pi), omega[-1] / (2 * np.pi)
-    count = BANDS_BY_DEFAULT if own.band_width is None else max(round((high - low) / own.band_width), 1)
+    count = BANDS_BY_DEFAULT if section.band_width is None else max(round((high - low) / section.band_width), 1)
     return banded(np.linspace(low, high, count + 1))
 
 
 def _reported(settings: FitSettings, balance: Balance, solved: Solved, band: tuple[float, float], parameters: tuple[Parameter, ...]) -> Fit:
     """The fit with its goodness, and warnings on the estimate."""
-    found = solved.found
-    names = found.model.names
-    stiffness = found.model.stiffness(found.values, balance.omega)
+    best = solved.best
+    names = best.model.names
+    stiffness = best.model.stiffness(best.values, balance.omega)
     residual = balance.right - np.einsum("lij,lrj->lri", stiffness, balance.motion)
     r2, adjusted = determination(balance.right, residual, len(names))
     likely = settings.estimator == "ml"
-    gof = Goodness(r2, adjusted, found.reduced if likely else None, found.p_value if likely else None)
+    gof = Goodness(r2, adjusted, best.reduced if likely else None, best.p_value if likely else None)
     as_estimate = statistics.Estimate(
-        values=found.values,
-        covariance=found.covariance,
-        scaled_design=found.design,
+        values=best.values,
+        covariance=best.covariance,
+        scaled_design=best.design,
         gof=gof,
-        dof=found.dof,
-        converged=found.converged,
-        iterations=found.steps,
+        dof=best.dof,
+        converged=best.converged,
+        iterations=best.steps,
         amplification=solved.amplification,
     )
-    warnings: list[Finding] = estimate_findings(as_estimate, names, balance.omega.size, found.model.units, remedy)
-    if found.model.n_shape:
+    warnings: list[Finding] = estimate_findings(as_estimate, names, balance.omega.size, best.model.units, remedy)
+    if best.model.n_shape:
         # What is common to two terms of such a form is told by their correlation and intervals, which hold; the lines are no fault.
         warnings = [finding for finding in warnings if finding.code != "collinear"]
-    if not found.converged:
+    if not best.converged:
         parameters = tuple(replace(parameter, std_error_inflated=None, systematic=None) for parameter in without_intervals(parameters))
     return Fit(
         name=settings.name,
@@ -232,14 +232,14 @@ def _reported(settings: FitSettings, balance: Balance, solved: Solved, band: tup
         estimator=settings.estimator,
         band_hz=band,
         lines=balance.omega.size,
-        equations=found.dof + len(names),
-        dof=found.dof,
+        equations=best.dof + len(names),
+        dof=best.dof,
         gof=gof,
         parameters=parameters,
-        condition_number=condition_number(found.design),
-        correlation=correlation(found.covariance),
-        converged=found.converged,
-        iterations=found.steps,
+        condition_number=condition_number(best.design),
+        correlation=correlation(best.covariance),
+        converged=best.converged,
+        iterations=best.steps,
         findings=(*warnings, *goodness_findings(gof)),
         candidates=solved.candidates,
     )

@@ -14,6 +14,7 @@ from labpipe.errors import ConfigError
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.settings import Settings, setting
 from labpipe.signals.sweep import Sweep
+from labpipe.simulate.one_mass import one_mass_truth
 from labpipe.simulate.virtual_rigs import LoggedTable, Simulation, VirtualRigKind
 
 KIND = "virtual-base-rig"
@@ -117,9 +118,7 @@ def _response(rig: BaseRig, base: FloatArray, relative: bool, left: float) -> Fl
 
 def truth(rig: BaseRig) -> dict[str, float]:
     """k, c, mass, f_n and zeta [SI, Hz]."""
-    omega = float(np.sqrt(rig.stiffness / rig.mass))
-    zeta = rig.damping / (2 * rig.mass * omega)
-    return {"mass": rig.mass, "k": rig.stiffness, "c": rig.damping, "f_n": omega / (2 * np.pi), "zeta": zeta}
+    return one_mass_truth(rig.mass, rig.stiffness, rig.damping)
 
 
 def _simulate(rig: BaseRig, seed: int, runs: Sequence[str]) -> Simulation:
