@@ -5,6 +5,8 @@ Thin names over scipy.special: scipy.stats gives the same numbers, but takes lon
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy import special
 
@@ -29,6 +31,12 @@ def student_tail(t: Value, dof: Value) -> float:
 def student_quantile(p: Value, dof: Value) -> float:
     """t with P(T <= t) = p."""
     return float(special.stdtrit(dof, p))
+
+
+def coverage_factor(coverage: float, dof: float) -> float:
+    """t with P(|T| <= t) = *coverage* [1] for effective degrees of freedom, of the normal distribution where they are infinite."""
+    p = (1 + coverage) / 2
+    return student_quantile(p, dof) if math.isfinite(dof) else normal_quantile(p)
 
 
 def chi2_tail(x: Value, dof: Value) -> float:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.distributions import normal_quantile, student_quantile
+from labpipe.distributions import coverage_factor
 from labpipe.identify.derived import BandModel
 from labpipe.identify.instrumental import instrument_step
 from labpipe.identify.leakage import expected
@@ -101,8 +101,7 @@ def with_contributions(fit: Fit, coverage: float) -> Fit:
             continue
         column = budget.names.index(parameter.name)
         combined, dof = float(budget.combined[column]), float(budget.dof[column])
-        level = (1 + coverage) / 2
-        factor = student_quantile(level, dof) if np.isfinite(dof) else normal_quantile(level)
+        factor = coverage_factor(coverage, dof)
         shares = budget.shares(parameter.name).items()
         contributions = tuple(Contribution(source, combined * float(np.sqrt(share)), share) for source, share in shares)
         stated.append(replace(parameter, combined=combined, expanded=factor * combined, coverage_factor=factor, budget=contributions))

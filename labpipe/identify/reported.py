@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.distributions import normal_quantile, student_quantile
+from labpipe.distributions import coverage_factor
 from labpipe.identify.corrections import Estimated, corrected
 from labpipe.identify.derived import BandModel, derived_parameters
 from labpipe.identify.setup import Setup
@@ -16,6 +16,8 @@ from labpipe.identify.statistics import Estimate, estimated, inflation_factors, 
 from labpipe.records.budget import Budget
 from labpipe.records.identification import Parameter
 
+# Probability of the intervals of parameters.
+INTERVAL = 0.95
 # Sides of an interval that differ by less than this share are alike.
 EVEN = 1e-3
 
@@ -75,7 +77,7 @@ def _expanded(parameter: Parameter, systematic: float, dof: float) -> Parameter:
     if noise is None or systematic == 0:
         return parameter
     combined = math.hypot(noise, systematic)
-    reach = combined * (student_quantile(0.975, dof) if math.isfinite(dof) else normal_quantile(0.975))
+    reach = combined * coverage_factor(INTERVAL, dof)
     value, interval = parameter.value, parameter.ci95
     if interval is not None:
         sides = value - interval[0], interval[1] - value

@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from labpipe.display import difference_in, shown_unit, two_digits
-from labpipe.distributions import normal_quantile, student_quantile
 from labpipe.quantities import to_display
 from labpipe.records.budget import Budget
 from labpipe.records.identification import Fit
@@ -16,16 +15,18 @@ from labpipe.report.chart import PALETTE_SIZE, Axis, Panel, Series, named_ticks,
 from labpipe.report.document import Block, Figure, Paragraph, Table
 from labpipe.report.wording import legible, rounded
 
-HEADER = ("parameter", "value", "unit", "random", "systematic", "combined", "expanded, 95 %", "relative", "k", "ν eff")
-# Parameters with a smaller systematic share than this have no bar worth looking at.
+HEADER = ("parameter", "value", "unit", "random", "systematic", "combined", "expanded", "relative", "k", "ν eff")
+# Most parameters that have a bar each, and half the height of one.
 MOST_BARS, BAR = 12, 0.38
 # Degrees of freedom from which they count as known.
 MANY = 1000
 EXPLAINED = (
     "Combined standard uncertainty by the GUM (JCGM 100:2008, 5.1), to first order: random, from the noise of this measurement, and "
-    "systematic, from the doubts of the numbers that were given. Expanded: times k, Student's quantile for 95 % with the effective degrees "
-    "of freedom after Welch and Satterthwaite. Intervals everywhere in this report are the expanded ones."
+    "systematic, from the doubts of the numbers that were given. Expanded: times k, Student's quantile with the effective degrees of "
+    "freedom after Welch and Satterthwaite, for 95 % unless the pipeline asks for another `coverage`. Intervals are of 95 % and hold all "
+    "of it."
 )
+# Share of the variance from which one source with sharp limits shapes the distribution.
 RECTANGULAR = 0.5
 
 
@@ -51,11 +52,6 @@ def budget_blocks(fit: Fit) -> tuple[Block, ...]:
     )
 
 
-def coverage_factor(dof: float) -> float:
-    """Student's two-sided quantile of 95 % [1] for effective degrees of freedom, infinite ones included."""
-    return student_quantile(0.975, dof) if math.isfinite(dof) else normal_quantile(0.975)
-
-
 def _row(budget: Budget, parameter: Parameter) -> tuple[str, ...]:
     column = budget.names.index(parameter.name)
     parts = tuple(float(part[column]) for part in (budget.random, budget.systematic, budget.combined))
@@ -63,8 +59,8 @@ def _row(budget: Budget, parameter: Parameter) -> tuple[str, ...]:
     value = to_display(parameter.value, unit)
     random, systematic, combined = (difference_in(part, unit) for part in parts)
     dof = float(budget.dof[column])
-    factor = coverage_factor(dof)
-    relative = f"{two_digits(100 * factor * float(budget.combined[column]) / abs(parameter.value))} %" if parameter.value else ""
+    factor = parameter.coverage_factor or 0.0
+    relative = f"{two_digits(100 * _relative(parameter))} %" if parameter.value else ""
     return (
         parameter.name,
         rounded(value, combined),
@@ -131,10 +127,10 @@ def _size(std_error: float, unit: str) -> str:
 
 def _improvement(fit: Fit, budget: Budget, names: list[str]) -> str:
     """What to improve first: the source whose removal makes the largest relative uncertainty smallest."""
-    worst = max(names, key=lambda name: _relative(fit, budget, name))
+    worst = max(names, key=lambda name: _relative(fit.parameter(name)))
     source, share = next(iter(budget.shares(worst).items()))
     gain = math.sqrt(max(1 - share, 0.0))
-    before = 100 * _relative(fit, budget, worst)
+    before = 100 * _relative(fit.parameter(worst))
     if source == "noise":
         return (
             f"{worst} is the least certain ({before:.2g} % expanded): {100 * share:.0f} % of its variance is noise; measure longer first."
@@ -146,10 +142,9 @@ def _improvement(fit: Fit, budget: Budget, names: list[str]) -> str:
     )
 
 
-def _relative(fit: Fit, budget: Budget, name: str) -> float:
-    column = budget.names.index(name)
-    value = abs(fit.parameter(name).value)
-    return coverage_factor(float(budget.dof[column])) * float(budget.combined[column]) / value if value else 0.0
+def _relative(parameter: Parameter) -> float:
+    """Expanded uncertainty over the value [1]; zero for a value of zero."""
+    return (parameter.expanded or 0.0) / abs(parameter.value) if parameter.value else 0.0
 
 
 def _sharp_ends(budget: Budget, names: list[str]) -> str:

@@ -130,10 +130,10 @@ def _compare_item(rule: Rule, fit: Fit) -> Compared:
 
 
 def _compare_expanded(rule: Rule, parameter: Parameter) -> Compared:
-    """The half width of the 95 % interval, relative to the value where the rule is in per cent."""
+    """The expanded uncertainty, half the 95 % interval where noise alone is known; relative to the value where the rule is in per cent."""
     if parameter.ci95 is None:
         return None, False, ""
-    half = (parameter.ci95[1] - parameter.ci95[0]) / 2
+    half = (parameter.ci95[1] - parameter.ci95[0]) / 2 if parameter.expanded is None else parameter.expanded
     if rule.bound.endswith("%"):
         return compare_number(rule, half / abs(parameter.value) if parameter.value else None, "1")
     return compare_number(rule, half, parameter.unit)

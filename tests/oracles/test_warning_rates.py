@@ -89,7 +89,7 @@ def test_a_warning_comes_with_its_fault_and_not_without(case: Case) -> None:
     n_run = case.n_run // 2
     sound, faulty = rates(case, n_run)
     assert sound <= round(0.05 * n_run) + 1
-    assert faulty >= 0.9 * n_run - 1
+    assert faulty >= 0.9 * n_run
     page_sound, page_faulty, page_run = on_page()[case.code, case.fault]
     assert page_run == case.n_run
     # The other half can add what the page has more; other processors round otherwise, which may move one run over a limit.

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from labpipe.config.rules import Rule
 from labpipe.identify.fitting import identify
 from labpipe.identify.monte_carlo import drawn_error
 from labpipe.identify.settings import FitSettings
@@ -15,6 +16,9 @@ from labpipe.records.doubt import ChannelDoubt, Doubt
 from labpipe.records.free_decay import FreeDecay, FreeDecays
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.setting_values import Uncertain
+from labpipe.report.budget import budget_blocks
+from labpipe.report.document import Table
+from labpipe.stages.judging import judge
 
 K, C, M = 1.35e5, 3.7, 0.79
 BAND = np.arange(60.0, 72.0, 0.1)
@@ -154,7 +158,7 @@ def test_monte_carlo_scatters_as_first_order_says(rng) -> None:
     np.testing.assert_allclose(fit.budget.drawn[:, 0] / fit.budget.combined, 1.0, atol=4 / np.sqrt(400))
     low, high = fit.parameter("k").ci95
     assert (low, high) == tuple(fit.budget.drawn[0, 1:])
-    assert "200 draws" in fit.notes[-1] or any("200 draws" in note for note in fit.notes)
+    assert any("200 draws" in note for note in fit.notes)
     assert not [finding for finding in fit.findings if finding.code == "first-order"]
 
 
@@ -166,11 +170,11 @@ def test_a_large_doubt_is_beyond_first_order(rng) -> None:
     assert "c (" in finding.message and fit.budget is not None
 
 
-@pytest.mark.parametrize(("shape", "dof", "spread"), [("normal", None, 1.0), ("rectangular", None, 1.0), ("triangular", None, 1.0)])
-def test_errors_are_drawn_by_their_distribution(rng, shape: str, dof, spread: float) -> None:
+@pytest.mark.parametrize("shape", ["normal", "rectangular", "triangular"])
+def test_errors_are_drawn_by_their_distribution(rng, shape: str) -> None:
     """Standard deviation one, kurtosis 3, 9/5 and 12/5 (closed forms), within 5 standard deviations of 20,000 draws."""
-    draws = np.array([drawn_error(Doubt("s", 1.0, "1", dof, shape), rng) for _ in range(20000)])
-    assert np.std(draws) == pytest.approx(spread, abs=0.03)
+    draws = np.array([drawn_error(Doubt("s", 1.0, "1", None, shape), rng) for _ in range(20000)])
+    assert np.std(draws) == pytest.approx(1.0, abs=0.03)
     expected = {"normal": 3.0, "rectangular": 1.8, "triangular": 2.4}[shape]
     assert np.mean(draws**4) / np.mean(draws**2) ** 2 == pytest.approx(expected, abs=0.2)
     if shape != "normal":
@@ -203,3 +207,19 @@ def test_parameters_state_their_parts(rng) -> None:
     assert sum(part.share for part in k.budget) == pytest.approx(1.0)
     assert np.hypot.reduce([part.contribution for part in k.budget]) == pytest.approx(k.combined)
     assert k.budget[0].source == "mass 0.79 kg"
+
+
+def test_the_report_and_rules_use_the_coverage_that_was_asked_for(rng) -> None:
+    """99 %: k = 2.58 and the expanded uncertainty in the table are those of the parameter; a rule in per cent is held against it."""
+    (fit,) = identify(a_response(rng), settings("ml", mass="0.79 kg +- 0.5 %", coverage=0.99))
+    table = next(block for block in budget_blocks(fit) if isinstance(block, Table))
+    row = dict(zip(table.header, table.rows[0], strict=True))
+    k = fit.parameter("k")
+    assert (row["parameter"], row["k"]) == ("k", f"{k.coverage_factor:.2f}")
+    relative = 100 * k.expanded / k.value
+    assert float(row["relative"].split()[0]) == pytest.approx(relative, rel=0.02)
+    for bound, holds in ((1.05 * relative, True), (0.95 * relative, False)):
+        address = {"section": "accept", "address": "peak.k.expanded", "fit": "peak", "which": "", "item": "k.expanded"}
+        rule = Rule(**address, kind="<=", bound=f"{bound} %", place="")
+        (outcome,) = judge([rule], [fit], {})
+        assert outcome.passed is holds
