@@ -5,13 +5,14 @@ The frequency-domain twin is bearings/magnetic_loop: K_eq + j w C_eq = K G(jw) -
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, signal
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.bearings.controller_blocks import ControllerBlock, in_series
 from labpipe.bearings.magnetic_loop import ControlLoop
 from labpipe.errors import ConfigError
 
@@ -95,41 +96,120 @@ class _Plant:
 
 
 def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
-    """The closed loop as matrices; ConfigError for a delay shorter than the hold, or a differentiator without time constant."""
-    loop = plant.loop
+    """The closed loop of one direction as matrices; ConfigError for what cannot be sampled, see `sampled_matrix`."""
+    if plant.loop.cross is not None:
+        raise ConfigError("a cross-coupled controller has no loop of one direction", hint="leave cross out", field="cross")
+    law = sampled_law(plant.loop, rate, plant.loop.blocks())
+    motion, whole = _sampled_plant(plant, rate)
+
+    def step(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return _step(plant.loop, motion, law, state, inputs)
+
+    return SampledLoop(*_matrices(step, motion.step.shape[0] + len(law.a) + whole + 1), rate)
+
+
+def sampled_matrix(plant: Suspended, rate: float) -> FloatArray:
+    """A of s[k+1] = A s[k] of both directions under a controller matrix, (n_state, n_state) [1]; its eigenvalues are z of the closed loop.
+
+    ConfigError for a delay shorter than the hold, more zeros than poles, and blocks at another rate.
+    """
+    motion, whole = _sampled_plant(plant, rate)
+    n, line = motion.step.shape[0], whole + 1
+    laws = [[sampled_law(plant.loop, rate, plant.loop.blocks(o, i), zero=o != i) for i in "xy"] for o in "xy"]
+    sizes = [len(law.a) for row in laws for law in row]
+    ends = 2 * (n + line) + np.cumsum([0, *sizes])
+
+    def step(state: FloatArray) -> FloatArray:
+        moved = np.empty_like(state)
+        before = [plant.loop.sensor * state[k * n + (3 if n == 4 else 0)] for k in range(2)]
+        for k in range(2):
+            output = 0.0
+            for j in range(2):
+                law, memory = laws[k][j], slice(ends[2 * k + j], ends[2 * k + j + 1])
+                output += law.c @ state[memory] + law.d * before[j]
+                moved[memory] = law.a @ state[memory] + law.b * before[j]
+            waiting = slice(2 * n + k * line, 2 * n + (k + 1) * line)
+            voltages = np.append(state[waiting], output)
+            own = slice(k * n, (k + 1) * n)
+            moved[own] = motion.step @ state[own] + motion.hold @ voltages[:2]
+            moved[waiting] = voltages[1:]
+        return moved
+
+    return np.column_stack([step(unit) for unit in np.eye(ends[-1])])
+
+
+@dataclass(frozen=True)
+class SampledLaw:
+    """m[k+1] = A m[k] + b e[k], u[k] = c m[k] + d e[k]: a controller between two samples; a (n, n), b and c (n,), d [1]."""
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    d: float
+
+
+def sampled_law(loop: ControlLoop, rate: float, blocks: Sequence[ControllerBlock], zero: bool = False) -> SampledLaw:
+    """The PID or *blocks* at *rate* [Hz]: those of s by the bilinear transform, those of z as they are; *zero*: no PID without blocks.
+
+    ConfigError for a PID without time constants, blocks at another rate, and more zeros than poles.
+    """
+    if not blocks:
+        return SampledLaw(np.empty((0, 0)), np.empty(0), np.empty(0), 0.0) if zero else _sampled_pid(loop, rate)
+    continuous, discrete = in_series(blocks)
+    if discrete.rate is not None and abs(discrete.rate - rate) > ROUNDING * rate:
+        raise ConfigError(f"controller: its blocks are at {discrete.rate:g} Hz, the loop at {rate:g} Hz", field="controller")
+    if len(continuous.zeros) > len(continuous.poles) or len(discrete.zeros) > len(discrete.poles):
+        hint = "add a low-pass, or a derivative_time"
+        raise ConfigError("controller: more zeros than poles cannot be sampled", hint=hint, field="controller")
+    zeros, poles, gain = signal.bilinear_zpk(continuous.zeros, continuous.poles, continuous.gain, rate)
+    zeros, poles = np.append(zeros, discrete.zeros), np.append(poles, discrete.poles)
+    return _in_sections(signal.zpk2sos(zeros, poles, float(np.real(gain)) * discrete.gain))
+
+
+def _in_sections(sections: FloatArray) -> SampledLaw:
+    """Sections of second order (n, 6) in series: y = b0 u + m1, m1' = b1 u - a1 y + m2, m2' = b2 u - a2 y."""
+    law = SampledLaw(np.empty((0, 0)), np.empty(0), np.empty(0), 1.0)
+    for b0, b1, b2, _, a1, a2 in sections:
+        own = SampledLaw(np.array([[-a1, 1.0], [-a2, 0.0]]), np.array([b1 - a1 * b0, b2 - a2 * b0]), np.array([1.0, 0.0]), float(b0))
+        n = len(law.a)
+        a = np.zeros((n + 2, n + 2))
+        a[:n, :n], a[n:, n:], a[n:, :n] = law.a, own.a, np.outer(own.b, law.c)
+        law = SampledLaw(a, np.append(law.b, own.b * law.d), np.append(own.d * law.c, own.c), own.d * law.d)
+    return law
+
+
+def _sampled_pid(loop: ControlLoop, rate: float) -> SampledLaw:
     if loop.derivative_time <= 0 or loop.lag_time <= 0:
         raise ConfigError("a sampled controller needs derivative_time and lag_time above zero")
+    terms = [_tustin(loop.derivative, 0.0, loop.derivative_time, 1 / rate), _tustin(0.0, loop.lag, loop.lag_time, 1 / rate)]
+    b0, b1, a1 = np.array(terms).T
+    return SampledLaw(np.diag(-a1), b1 - a1 * b0, np.ones(2), loop.proportional + float(np.sum(b0)))
+
+
+def _sampled_plant(plant: Suspended, rate: float) -> tuple[_Plant, int]:
+    """Motion between samples, and the whole sampling intervals of the delay."""
+    loop = plant.loop
     intervals = loop.delay * rate - 0.5
     if intervals < -1e-9:
         message = f"delay: {1e6 * loop.delay:g} us is shorter than half a sampling interval of the controller, which it holds"
         raise ConfigError(message, hint=f"at least {5e5 / rate:g} us at {rate / 1e3:g} kHz")
     whole = int(np.floor(intervals + 1e-9))
-    motion = _plant(plant, max(intervals - whole, 0.0), 1 / rate)
-    terms = [_tustin(loop.derivative, 0.0, loop.derivative_time, 1 / rate), _tustin(0.0, loop.lag, loop.lag_time, 1 / rate)]
-
-    def step(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return _step(loop, motion, terms, state, inputs)
-
-    return SampledLoop(*_matrices(step, motion.step.shape[0] + 2 + whole + 1), rate)
+    return _plant(plant, max(intervals - whole, 0.0), 1 / rate), whole
 
 
-def _step(
-    loop: ControlLoop, plant: _Plant, terms: list[tuple[float, float, float]], state: FloatArray, inputs: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """One sampling interval. state: motion, the controller's two memories, voltages on their way, oldest first."""
-    n = plant.step.shape[0]
-    motion, memory, waiting = state[:n], state[n : n + 2], state[n + 2 :]
+def _step(loop: ControlLoop, plant: _Plant, law: SampledLaw, state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """One sampling interval. state: motion, the controller's memory, voltages on their way, oldest first."""
+    n, end = plant.step.shape[0], plant.step.shape[0] + len(law.a)
+    motion, memory, waiting = state[:n], state[n:end], state[end:]
     position = motion[3] if n == 4 else motion[0]
     reading = position + inputs[2]
     before = loop.sensor * reading
     after = before + inputs[3]
-    parts = [b0 * after + state_part for (b0, _, _), state_part in zip(terms, memory, strict=True)]
-    output = loop.proportional * after + sum(parts)
-    memories = [b1 * after - a1 * part for (_, b1, a1), part in zip(terms, parts, strict=True)]
+    output = float(law.c @ memory + law.d * after)
     # The voltage that arrives within this interval takes over from the one before it.
     line = np.append(waiting, output)
     moved = plant.step @ motion + plant.hold @ line[:2] + plant.ramp @ inputs[:2]
-    return np.concatenate([moved, memories, line[1:]]), np.array([reading, before, after, output, motion[2]])
+    return np.concatenate([moved, law.a @ memory + law.b * after, line[1:]]), np.array([reading, before, after, output, motion[2]])
 
 
 def _tustin(derivative: float, constant: float, time: float, interval: float) -> tuple[float, float, float]:
