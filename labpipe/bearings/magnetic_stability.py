@@ -119,8 +119,7 @@ def closed_loop_poles(plant: Levitated, order: int = PADE_ORDER) -> ComplexArray
 def sampled_poles(matrix: FloatArray, rate: float) -> ComplexArray:
     """s = f_s ln z [rad/s] of the eigenvalues z of *matrix* (n_state, n_state) [1]; those at z = 0, empty memory, are left out."""
     z = np.asarray(np.linalg.eigvals(matrix), np.complex128)
-    poles: ComplexArray = rate * np.log(z[np.abs(z) > EMPTY])
-    return poles
+    return np.asarray(rate * np.log(z[np.abs(z) > EMPTY]), np.complex128)
 
 
 def ordered_poles(poles: ComplexArray) -> ComplexArray:

@@ -105,7 +105,7 @@ def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
     def step(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         return _step(plant.loop, motion, law, state, inputs)
 
-    return SampledLoop(*_matrices(step, motion.step.shape[0] + len(law.a) + whole + 1), rate)
+    return SampledLoop(*step_matrices(step, motion.step.shape[0] + len(law.a) + whole + 1, len(INPUTS)), rate)
 
 
 def sampled_matrix(plant: Suspended, rate: float) -> FloatArray:
@@ -181,7 +181,7 @@ def _in_sections(sections: FloatArray) -> SampledLaw:
 def _sampled_pid(loop: ControlLoop, rate: float) -> SampledLaw:
     if loop.derivative_time <= 0 or loop.lag_time <= 0:
         raise ConfigError("a sampled controller needs derivative_time and lag_time above zero")
-    terms = [_tustin(loop.derivative, 0.0, loop.derivative_time, 1 / rate), _tustin(0.0, loop.lag, loop.lag_time, 1 / rate)]
+    terms = [tustin(loop.derivative, 0.0, loop.derivative_time, 1 / rate), tustin(0.0, loop.lag, loop.lag_time, 1 / rate)]
     b0, b1, a1 = np.array(terms).T
     return SampledLaw(np.diag(-a1), b1 - a1 * b0, np.ones(2), loop.proportional + float(np.sum(b0)))
 
@@ -212,8 +212,8 @@ def _step(loop: ControlLoop, plant: _Plant, law: SampledLaw, state: FloatArray, 
     return np.concatenate([moved, law.a @ memory + law.b * after, line[1:]]), np.array([reading, before, after, output, motion[2]])
 
 
-def _tustin(derivative: float, constant: float, time: float, interval: float) -> tuple[float, float, float]:
-    """(b0, b1, a1) of (constant + derivative s) / (1 + s time) by the bilinear transform."""
+def tustin(derivative: float, constant: float, time: float, interval: float) -> tuple[float, float, float]:
+    """(b0, b1, a1) [unit of *constant*] of (constant + derivative s) / (1 + s time) by the bilinear transform; *time*, *interval* [s]."""
     fast = 2 / interval
     whole = 1 + fast * time
     return (constant + fast * derivative) / whole, (constant - fast * derivative) / whole, (1 - fast * time) / whole
@@ -230,29 +230,32 @@ def _plant(plant: Suspended, late: float, interval: float) -> _Plant:
     if n == 4:
         slope[3, 0], slope[3, 3] = 1 / loop.corners[1], -1 / loop.corners[1]
     force[1] = 1 / plant.mass
-    step, _, _ = _integrals(slope, voltage, interval)
-    rest, newest, _ = _integrals(slope, voltage, (1 - late) * interval)
-    _, oldest, _ = _integrals(slope, voltage, late * interval)
-    _, constant, rising = _integrals(slope, force, interval)
-    return _Plant(step, np.column_stack([rest @ oldest, newest]), np.column_stack([constant - rising / interval, rising / interval]))
+    step, _, _ = integrals(slope, voltage[:, None], interval)
+    rest, newest, _ = integrals(slope, voltage[:, None], (1 - late) * interval)
+    _, oldest, _ = integrals(slope, voltage[:, None], late * interval)
+    _, constant, rising = integrals(slope, force[:, None], interval)
+    return _Plant(step, np.hstack([rest @ oldest, newest]), np.hstack([constant - rising / interval, rising / interval]))
 
 
-def _integrals(slope: FloatArray, input_column: FloatArray, time: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """e^{A t}, and the response to a constant 1 and to a ramp t of the input after *time* [s] (Van Loan, 1978)."""
-    n = slope.shape[0]
-    joint = np.zeros((n + 2, n + 2))
-    joint[:n, :n], joint[:n, n], joint[n, n + 1] = slope, input_column, 1.0
+def integrals(slope: FloatArray, inputs: FloatArray, time: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """e^{A t} (n, n), and the responses (n, m) to a constant 1 and to a ramp t of every input after *time* [s] (Van Loan, 1978).
+
+    *slope* A (n, n) [1/s], *inputs* B (n, m) [unit of the state per second].
+    """
+    n, m = inputs.shape
+    joint = np.zeros((n + 2 * m, n + 2 * m))
+    joint[:n, :n], joint[:n, n : n + m], joint[n : n + m, n + m :] = slope, inputs, np.eye(m)
     whole = linalg.expm(joint * time)
-    return whole[:n, :n], whole[:n, n], whole[:n, n + 1]
+    return whole[:n, :n], whole[:n, n : n + m], whole[:n, n + m :]
 
 
-def _matrices(
-    step: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], n_state: int
+def step_matrices(
+    step: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], n_state: int, n_input: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A, B, C, D of a linear step, column by column."""
-    still = np.zeros(len(INPUTS))
+    """A, B, C, D of a linear *step* (state, inputs) -> (next state, outputs) [any unit], column by column: (n_state, n_state), ..."""
+    still = np.zeros(n_input)
     by_state = [step(unit, still) for unit in np.eye(n_state)]
-    by_input = [step(np.zeros(n_state), unit) for unit in np.eye(len(INPUTS))]
+    by_input = [step(np.zeros(n_state), unit) for unit in np.eye(n_input)]
     a, c = (np.column_stack([column[part] for column in by_state]) for part in (0, 1))
     b, d = (np.column_stack([column[part] for column in by_input]) for part in (0, 1))
     return a, b, c, d
