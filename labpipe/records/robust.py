@@ -11,9 +11,9 @@ from labpipe.arrays import ComplexArray, FloatArray
 class RobustPlant:
     """Nominal plant dx/dt = A x + B u, y = C x + D u, and |G - G_nominal| <= radius at all lines together with *confidence*.
 
-    frequency (n_line,) [Hz]; nominal (n_line, n_output, n_input) [unit], radius (n_line, n_output, n_input) [unit]; weight, the same
-    shape [1]: radius over the largest singular value of G_nominal, |G| of one axis. a (n, n), b (n, n_input), c (n_output, n), d (n_output, n_input) [SI]. overbound (n_output, n_input,
-    3): k [1], zero and pole [Hz] of the least k (1 + j f / zero) / (1 + j f / pole) that is nowhere below the weight.
+    frequency (n_line,) [Hz]; nominal, radius [unit] and weight [1], (n_line, n_output, n_input): the weight is the radius over the largest
+    singular value of G_nominal, |G| of one axis. a (n, n), b (n, n_input), c (n_output, n), d (n_output, n_input) [SI]. overbound
+    (n_output, n_input, 3): k [1], zero and pole [Hz] of the least k (1 + j f / zero) / (1 + j f / pole) nowhere below the weight.
     """
 
     frequency: FloatArray
