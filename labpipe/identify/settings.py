@@ -7,6 +7,7 @@ from typing import Any
 
 from labpipe.errors import ConfigError
 from labpipe.identify.model_kinds import DECAYS, RESPONSES, SPECTRA, ModelKind
+from labpipe.records.repeat_source import RepeatSource
 from labpipe.records.setting_values import COEFFICIENT_UNITS as COEFFICIENT_UNITS
 from labpipe.records.setting_values import ESTIMATE as ESTIMATE
 from labpipe.records.settings import Doubts, Settings, Uncertain, setting
@@ -63,7 +64,10 @@ class Support(Settings):
 
 @dataclass(frozen=True)
 class FitSettings(Settings):
-    """One fit of the pipeline's ``identify:`` section; *name* is its key there, *model_settings*: of the section that its model has."""
+    """One fit of the pipeline's ``identify:`` section; *name* is its key there, *model_settings*: of the section that its model has.
+
+    *repeats*: scatter between repeats of a test, from the section ``uncertainty:``.
+    """
 
     model: str = setting("choice", "what is identified", choices=tuple(MODELS))
     _: KW_ONLY
@@ -96,6 +100,7 @@ class FitSettings(Settings):
     name: str = ""
     model_settings: Any = None
     doubts: Doubts = ()
+    repeats: tuple[RepeatSource, ...] = ()
 
     def __post_init__(self) -> None:
         self._check_bands()
