@@ -58,7 +58,7 @@ def pipeline_schema() -> dict[str, Any]:
         "recordings": recordings,
         "frfs": frfs,
         "each": {**recordings, "description": "files of which each is a test of its own, under the file's name"},
-        "together": {"type": "boolean"},
+        "together": {**_TEXTS, "description": "parts of the pattern in which the recordings of one test differ"},
         "pattern": {"type": "string", "description": "conditions in the file's name, for example {preload}-{direction}"},
         "conditions": conditions,
         "frf": {**_object(FrfSettings), "description": "in place of the pipeline's, for this test"},

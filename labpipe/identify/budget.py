@@ -7,12 +7,13 @@ repeated. (GUM, JCGM 100:2008, 5.1; Gauss-Newton's form of ds/dp.)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.display import amount_text
 from labpipe.distributions import coverage_factor
 from labpipe.identify.derived import BandModel
 from labpipe.identify.instrumental import instrument_step
@@ -23,7 +24,7 @@ from labpipe.identify.model import DynamicModel
 from labpipe.identify.output_error import OutputError
 from labpipe.identify.regression import equation_solution, regression, solve_scaled
 from labpipe.identify.reported import reported_parameters, with_systematic
-from labpipe.identify.settings import ESTIMATE, ESTIMATORS, FitSettings
+from labpipe.identify.settings import ESTIMATE, ESTIMATORS, FitSettings, Support
 from labpipe.identify.setup import Setup
 from labpipe.identify.statistics import Estimate
 from labpipe.identify.transfer_mode import TransferMode
@@ -33,6 +34,7 @@ from labpipe.records.doubt import COURSES, Doubt, MatrixError, doubt_of
 from labpipe.records.identification import Fit
 from labpipe.records.parameter import Contribution, Parameter
 from labpipe.records.response import Port
+from labpipe.records.setting_values import Uncertain
 
 # From a setup with changed numbers to its model.
 ModelOf = Callable[[Setup], BandModel]
@@ -143,6 +145,8 @@ def sources_of(setup: Setup, measured: Measured) -> list[tuple[Doubt, Change]]:
     if mass is not None and mass.std_error > 0 and setup.settings.mass != ESTIMATE:
         doubt = doubt_of(mass, f"mass {mass.value:g} kg", "kg")
         changes.setdefault(doubt.source, []).append((doubt, _heavier))
+    for doubt, change in _support_sources(setup.settings.subtract):
+        changes.setdefault(doubt.source, []).append((doubt, change))
     return [(entries[0][0], _together(entries)) for entries in changes.values()]
 
 
@@ -206,6 +210,25 @@ def _heavier(case: Case, error: float) -> tuple[Setup, Measured]:
     settings = case.setup.settings
     assert isinstance(settings.mass, (int, float))
     return replace(case.setup, settings=replace(settings, mass=settings.mass + error)), case.measured
+
+
+def _support_sources(support: Support | None) -> Iterator[tuple[Doubt, Change]]:
+    """Stiffness and damping of a support that is subtracted; the same support in all tests is the same error."""
+    for name, unit in (("stiffness", "N/m"), ("damping", "N.s/m")):
+        number: Uncertain | None = None if support is None else getattr(support, name)
+        if number is not None and number.std_error > 0:
+            yield doubt_of(number, f"{name} of the support, {amount_text(number.value, None, unit)}", unit), _other_support(name)
+
+
+def _other_support(name: str) -> Change:
+    def change(case: Case, error: float) -> tuple[Setup, Measured]:
+        support = case.setup.settings.subtract
+        assert support is not None
+        number: Uncertain = getattr(support, name)
+        moved = replace(support, **{name: replace(number, value=number.value + error)})
+        return replace(case.setup, settings=replace(case.setup.settings, subtract=moved)), case.measured
+
+    return change
 
 
 def _values(case: Case, step: Callable[[BandModel, Measured], FloatArray], setup: Setup, measured: Measured) -> FloatArray:

@@ -56,7 +56,7 @@ class Sliding(Settings):
 
 @dataclass(frozen=True)
 class Support(Settings):
-    """Stiffness and damping of the support, subtracted from the direct coefficients with their uncertainty."""
+    """Stiffness and damping of the support, subtracted from the direct coefficients; their doubts are sources of the budget."""
 
     stiffness: Uncertain = setting("uncertain", "stiffness of the support", unit="N/m", default=Uncertain(0.0))
     damping: Uncertain = setting("uncertain", "damping of the support", unit="N.s/m", default=Uncertain(0.0))

@@ -14,7 +14,7 @@ from dataclasses import KW_ONLY, dataclass, replace
 from numbers import Integral, Real
 from typing import Any
 
-from labpipe.quantities import UnitError, parse_value
+from labpipe.quantities import UnitError, parse_value, written_unit
 from labpipe.registry import nearest
 
 # The unit of a coefficient by the first letter of its name.
@@ -107,10 +107,16 @@ def parse_uncertain(text: str, unit: str) -> Uncertain:
         return Uncertain(value)
     size_text, qualities = _qualities(error_text.strip())
     relative = size_text.endswith("%")
-    size = abs(value) * parse_value(size_text, "1") if relative else parse_value(size_text, unit)
+    size = abs(value) * parse_value(size_text, "1") if relative else _difference(size_text, unit)
     if size < 0:
         raise UnitError(f"'{text}' has a negative uncertainty")
     return _qualified(Uncertain(value, size), qualities)
+
+
+def _difference(text: str, si_unit: str) -> float:
+    """A difference in a unit that may have an offset: 2 degC are 2 K."""
+    unit = written_unit(text)
+    return parse_value(text, si_unit) - (parse_value(f"0 {unit}", si_unit) if unit else 0.0)
 
 
 def _qualities(text: str) -> tuple[str, list[str]]:
