@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.header import Header
-from labpipe.artefacts.parquet import HEADER_KEY, open_parquet, read_header
+from labpipe.artefacts.parquet import read_header, read_table, write_columns
 from labpipe.records.doubt import Doubt, MatrixError
 from labpipe.records.response import Blocks, FrequencyResponse, Port
 
@@ -36,9 +34,7 @@ def write_response(path: Path, response: FrequencyResponse, header: Header) -> N
             columns[f"cov:{p}:{q}:im"] = response.covariance[:, p, q].imag
     if response.snr is not None:
         columns.update({f"{name}:snr": response.snr[:, n] for n, name in enumerate(response.snr_channels)})
-    whole = dataclasses.replace(header, contents=_contents(response), findings=response.findings)
-    table = pa.table({name: pa.array(values) for name, values in columns.items()})
-    pq.write_table(table.replace_schema_metadata({HEADER_KEY: whole.to_json().encode()}), path, compression="zstd")
+    write_columns(path, columns, dataclasses.replace(header, contents=_contents(response), findings=response.findings))
 
 
 def _element(response: FrequencyResponse, o: int, i: int) -> Iterator[tuple[str, FloatArray]]:
@@ -96,7 +92,7 @@ def read_response(path: Path) -> FrequencyResponse:
     """The response of a ``*.frf.parquet`` file; DataError when the file is not one."""
     header = read_header(path, "frf")
     contents = header.contents
-    table = open_parquet(path).read()
+    table = read_table(path)
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
     outputs = tuple(Port(**entry) for entry in contents["outputs"])
     inputs = tuple(Port(**entry) for entry in contents["inputs"])
