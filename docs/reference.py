@@ -29,6 +29,7 @@ KINDS = {
     "groups": "lists of names",
     "series": "lists of numbers by name",
     "file": "file",
+    "roots": "list of complex numbers, `-50 +- 300j` for a pair",
     "phasors": "`SIZE at ANGLE` by name",
     "section": "section, below",
     "sections": "sections by name, below",

@@ -12,7 +12,7 @@ from labpipe.arrays import ComplexArray
 from labpipe.bearings.coefficients import Amount, BearingCoefficients
 from labpipe.bearings.kinds import BearingKind, frequency_hz, synchronous
 from labpipe.bearings.magnetic_circuit import ASSUMPTIONS, Magnet, magnet_factors
-from labpipe.bearings.magnetic_loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness, stiffness_shares
+from labpipe.bearings.magnetic_loop import ControlLoop, inferred_negative_stiffness, loop_stiffness, stiffness_matrix, stiffness_shares
 from labpipe.bearings.magnetic_stability import PADE_ORDER, Levitated, SensitivityPeak, closed_loop_poles, sensitivity_peak, unstable_poles
 from labpipe.errors import ConfigError
 from labpipe.records.finding import Finding
@@ -83,7 +83,11 @@ class MagneticFile(Settings):
 
     def assumptions(self) -> str:
         """Assumptions of the result, with the inferred values named."""
-        assumptions = ["both directions alike, without coupling", f"poles: delay by Pade approximation of order {PADE_ORDER}"]
+        alike = ["both directions alike, without coupling"] if self.loop.cross is None else ["mass and magnet alike in both directions"]
+        poles = f"poles: delay by Pade approximation of order {PADE_ORDER}"
+        if self.loop.rate is not None:
+            poles = f"poles: of the loop sampled at {self.loop.rate:g} Hz, blocks of s by the bilinear transform"
+        assumptions = [*alike, poles]
         if self.static_stiffness is not None:
             assumptions.append("negative stiffness inferred from the static stiffness")
         if self.inferred:
@@ -116,13 +120,13 @@ def magnetic_coefficients(settings: Sequence[MagneticFile]) -> list[BearingCoeff
 def _coefficients(settings: MagneticFile) -> BearingCoefficients:
     plant, omega = settings.levitated(), 2 * np.pi * np.array([settings.motion_frequency])
     stability = verdict(plant)
-    (total,) = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
+    (total,) = stiffness_matrix(plant.loop, plant.negative_stiffness, omega)
     # An unstable loop has no steady response, so its |S| has no meaning.
     zone = {"sensitivity_zone": stability.peak.zone} if stability.unstable == 0 else {}
     return BearingCoefficients(
         dofs=DOFS,
-        stiffness=total.real * np.eye(2),
-        damping=total.imag / omega[0] * np.eye(2),
+        stiffness=total.real,
+        damping=total.imag / omega[0],
         notes=_notes(settings, plant, stability),
         shares=_shares(plant, omega),
         poles=stability.poles,
@@ -140,10 +144,12 @@ def _shares(plant: Levitated, omega: np.ndarray[tuple[int], np.dtype[np.float64]
 
 
 def _notes(settings: MagneticFile, plant: Levitated, stability: Verdict) -> tuple[Amount, ...]:
-    static = dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real
+    # The stiffness of an integrating controller at rest is infinite.
+    at_rest = loop_stiffness(plant.loop) * plant.loop.at_rest - plant.negative_stiffness
+    static = [Amount("static_stiffness", at_rest, "N/m")] if np.isfinite(at_rest) else []
     notes = [
         Amount("frequency", settings.motion_frequency, "Hz"),
-        Amount("static_stiffness", float(static), "N/m"),
+        *static,
         Amount("negative_stiffness", plant.negative_stiffness, "N/m"),
         Amount("force_per_current", plant.loop.force_per_current, "N/A"),
         Amount("unstable_poles", float(stability.unstable), "1"),

@@ -7,8 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.bearings.controller_blocks import ControllerBlock, CrossControl, in_series, rate_of
 from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, setting
+
+# Entries of the PID, which a controller of blocks takes the place of.
+PID = ("proportional", "derivative", "derivative_time", "lag", "lag_time")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,6 +23,7 @@ class ControlLoop(Settings):
     21 Hz for any other gains (c = -301 N.s/m per bearing at 2 Hz) and the rotor alone is unstable; with -0.25 a static load is
     released as in zero-power levitation: stiffness rises from its static value and damping is positive.
     Delay: one sampling interval of 20 kHz for computation, half of one for the hold. Bandwidth and sign are a choice of this project.
+    A *controller* of blocks in series takes the place of the PID, any transfer function of s or z; *cross* makes it a matrix of x and y.
     """
 
     proportional: float = setting("value", "proportional gain k_p", unit="1", default=1.0)
@@ -32,6 +37,10 @@ class ControlLoop(Settings):
     bandwidth: float = setting("value", "-3 dB bandwidth w_a / 2 pi of the amplifier", unit="Hz", default=1000.0)
     delay: float = setting("value", "delay tau of sampling and computing", unit="s", default=75e-6)
     sensor_bandwidth: float | None = setting("value", "-3 dB bandwidth of the probe; without it, unlimited", unit="Hz", default=None)
+    controller: tuple[ControllerBlock, ...] = setting(
+        "entries", "blocks in series, instead of the PID", section=ControllerBlock, default=()
+    )
+    cross: CrossControl | None = setting("section", "the other elements of a controller matrix", section=CrossControl, default=None)
 
     def __post_init__(self) -> None:
         for name in ("derivative_time", "lag_time", "delay"):
@@ -40,11 +49,38 @@ class ControlLoop(Settings):
         for name in ("bandwidth", "sensor_bandwidth"):
             if getattr(self, name) is not None and not getattr(self, name) > 0:
                 raise ConfigError(f"{name}: must be above zero, not {getattr(self, name):g} Hz")
+        self._check_blocks()
+
+    def _check_blocks(self) -> None:
+        """ConfigError for gains of the PID beside blocks, a matrix without its first element, and blocks at two rates."""
+        if self.controller:
+            for name in PID:
+                if getattr(self, name) != self.__dataclass_fields__[name].default:
+                    hint = "leave it out, or put {form: pid, ...} among the blocks"
+                    raise ConfigError(f"{name}: belongs to the PID, and there is a controller of blocks", hint=hint, field=name)
+        elif self.cross is not None:
+            raise ConfigError("cross: needs the element x by x as controller", hint="controller: [{form: ...}]", field="cross")
+        _ = self.rate
+
+    def blocks(self, output: str = "x", input: str = "x") -> tuple[ControllerBlock, ...]:
+        """The blocks of an element of the controller matrix; none for the PID, and for a coupling that is zero."""
+        if self.cross is None or (output, input) == ("x", "x"):
+            return self.controller if output == input else ()
+        return getattr(self.cross, output + input) or (self.controller if output == input else ())
+
+    @property
+    def rate(self) -> float | None:
+        """Sampling rate [Hz] of discrete blocks, None without one."""
+        others = () if self.cross is None else (*self.cross.xy, *self.cross.yx, *self.cross.yy)
+        return rate_of((*self.controller, *others))
 
     @property
     def at_rest(self) -> float:
-        """G(0) = k_p + k_i [1]."""
-        return self.proportional + self.lag
+        """G(0) [1] of x by x, k_p + k_i of the PID; infinite for an integrator."""
+        if not self.controller:
+            return self.proportional + self.lag
+        continuous, discrete = in_series(self.controller)
+        return continuous.at_rest * discrete.at_rest
 
     @property
     def corners(self) -> tuple[float, ...]:
@@ -54,13 +90,20 @@ class ControlLoop(Settings):
 
 
 def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
-    """The three terms of the PID by name at *omega* [rad/s], each (n_line,) [1]."""
+    """The three terms of the PID by name at *omega* [rad/s], each (n_line,) [1]; a controller of blocks is one term."""
+    if loop.controller:
+        return {"controller": _in_series(loop.controller, omega)}
     s: ComplexArray = 1j * omega
     return {
         "proportional": np.full(omega.shape, loop.proportional, np.complex128),
         "derivative": loop.derivative * s / (1 + s * loop.derivative_time),
         "lag": loop.lag / (1 + s * loop.lag_time),
     }
+
+
+def _in_series(blocks: tuple[ControllerBlock, ...], omega: FloatArray) -> ComplexArray:
+    continuous, discrete = in_series(blocks)
+    return continuous.response(omega) * discrete.response(omega)
 
 
 def chain_factors(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
@@ -73,11 +116,24 @@ def chain_factors(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArra
 
 
 def controller(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
-    """G(jw) of PID, delay, amplifier and probe, (n_line,) [1]; see ControlLoop."""
+    """G(jw) of controller (x by x), delay, amplifier and probe, (n_line,) [1]; see ControlLoop."""
     total: ComplexArray = np.sum(list(controller_terms(loop, omega).values()), axis=0)
     for factor in chain_factors(loop, omega).values():
         total = total * factor
     return total
+
+
+def controller_matrix(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
+    """G(jw) of both directions with its cross-coupled elements, [output, input], (n_line, 2, 2) [1]."""
+    direct = controller(loop, omega)
+    matrix = np.zeros((direct.size, 2, 2), np.complex128)
+    matrix[:, 0, 0] = matrix[:, 1, 1] = direct
+    if loop.cross is not None:
+        chain = np.prod(list(chain_factors(loop, omega).values()), axis=0)
+        for row, column in ((0, 1), (1, 0), (1, 1)):
+            blocks = loop.blocks("xy"[row], "xy"[column])
+            matrix[:, row, column] = chain * _in_series(blocks, omega) if blocks else 0.0
+    return matrix
 
 
 def loop_stiffness(loop: ControlLoop) -> float:
@@ -86,13 +142,22 @@ def loop_stiffness(loop: ControlLoop) -> float:
 
 
 def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
-    """Negative stiffness of the bias field from the *static* stiffness, k_n = K G(0) - k_0 [N/m]."""
+    """Negative stiffness of the bias field from the *static* stiffness, k_n = K G(0) - k_0 [N/m]; ConfigError for an integrator."""
+    if not np.isfinite(loop.at_rest):
+        hint = "give negative_stiffness"
+        raise ConfigError("static_stiffness: the controller integrates, so the loop is rigid at rest", hint=hint, field="static_stiffness")
     return loop_stiffness(loop) * loop.at_rest - static
 
 
 def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
     """K_eq(w) + j w C_eq(w) = K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m]."""
     return loop_stiffness(loop) * controller(loop, omega) - negative_stiffness
+
+
+def stiffness_matrix(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
+    """K G(jw) - k_n I of both directions at *omega* [rad/s], (n_line, 2, 2) [N/m]."""
+    matrix: ComplexArray = loop_stiffness(loop) * controller_matrix(loop, omega) - negative_stiffness * np.eye(2)
+    return matrix
 
 
 def stiffness_shares(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> dict[str, ComplexArray]:

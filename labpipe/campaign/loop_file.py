@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
+from labpipe.bearings.controller_blocks import ControllerBlock
 from labpipe.bearings.magnetic_circuit import Magnet
 from labpipe.bearings.magnetic_kind import MagneticFile
 from labpipe.bearings.magnetic_loop import ControlLoop
@@ -16,6 +18,11 @@ ALIASES = {"gain": "amplifier"}
 FACTORS = ("force_per_current", "negative_stiffness")
 _LOOP = {name: entry.unit for name, (entry, _) in settings_of(ControlLoop).items() if entry.kind == "value"}
 _MAGNET = {name: entry.unit for name, (entry, _) in settings_of(Magnet).items() if entry.kind == "value"}
+
+
+# An entry of the controller's blocks, "controller.2.frequency"; they count from 1.
+BLOCK = "controller."
+_BLOCK_ENTRIES = {name: entry.unit for name, (entry, _) in settings_of(ControllerBlock).items() if entry.kind == "value"}
 
 
 @dataclass(frozen=True)
@@ -30,7 +37,10 @@ class Unknown:
 def unknown(file: MagneticFile, name: str) -> Unknown:
     """The unknown of that name; ConfigError where the file has no such entry, or zero as a start value."""
     field = ALIASES.get(name, name)
-    if field == "static_stiffness":
+    value_and_unit: tuple[float | None, str] | None
+    if field.startswith(BLOCK):
+        value_and_unit = _block_entry(file, name)
+    elif field == "static_stiffness":
         value_and_unit = None if file.static_stiffness is None else (file.static_stiffness, "N/m")
     elif field in FACTORS:
         plant = file.levitated()
@@ -50,14 +60,34 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
     return Unknown(name, float(value_and_unit[0]), value_and_unit[1])
 
 
+def _block_entry(file: MagneticFile, name: str) -> tuple[float | None, str]:
+    """Value and unit of an entry of a block; ConfigError where there is no such block or entry."""
+    place, _, entry = name.removeprefix(BLOCK).partition(".")
+    count = len(file.loop.controller)
+    if not place.isdigit() or not 1 <= int(place) <= count:
+        hint = f"controller.1 to controller.{count}" if count else ""
+        raise ConfigError(f"estimate: '{name}' names no block of the controller", hint=hint)
+    if entry not in _BLOCK_ENTRIES:
+        raise ConfigError(f"estimate: '{name}' is no number of a block", hint=nearest(entry, list(_BLOCK_ENTRIES)))
+    return getattr(file.loop.controller[int(place) - 1], entry), _BLOCK_ENTRIES[entry]
+
+
+def _with_block(blocks: tuple[ControllerBlock, ...], name: str, value: float) -> tuple[ControllerBlock, ...]:
+    place, _, entry = name.removeprefix(BLOCK).partition(".")
+    number = int(place) - 1
+    return (*blocks[:number], replace(blocks[number], **{entry: value}), *blocks[number + 1 :])  # type: ignore[arg-type]
+
+
 def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFile:
     """The file with other values of its unknowns; ConfigError for impossible values (a negative gap)."""
-    loop: dict[str, float] = {}
+    loop: dict[str, Any] = {}
     magnet: dict[str, float] = {}
     factors: dict[str, float] = {}
     for name, value in values.items():
         field = ALIASES.get(name, name)
-        if field in (*FACTORS, "static_stiffness"):
+        if field.startswith(BLOCK):
+            loop["controller"] = _with_block(loop.get("controller", file.loop.controller), name, value)
+        elif field in (*FACTORS, "static_stiffness"):
             factors[field] = value
         elif field in _LOOP:
             loop[field] = value

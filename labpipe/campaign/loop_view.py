@@ -62,6 +62,9 @@ def checked_view(view: View) -> View:
         raise ConfigError(f"fit '{name}' is of the model {view.settings.model}", hint=f"a loop is predicted for {' and '.join(MODELS)}")
     if not isinstance(view.settings.mass, float):
         raise ConfigError(f"fit '{name}' has no known mass", hint="mass: 0.92 kg, as in the rig file")
+    if view.file.loop.cross is not None:
+        what = "a cross-coupled controller couples x and y; a fit of one direction is not compared with it"
+        raise ConfigError(what, hint="leave cross out")
     _directions(view)
     return view
 

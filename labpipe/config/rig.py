@@ -51,6 +51,7 @@ class ChannelSettings(Settings):
     column: str = setting("text", "column of the file; default: the channel's key", default="")
     role: str = setting("choice", "input (force), output (response) or reference, as members of sums are", choices=ROLES, default="")
     dof: str = setting("text", "x, y, z, any name, or an angle from x such as '45 deg'", default="")
+    position: float | None = setting("value", "place along the axis, where magnets and sensors are apart", unit="m", default=None)
     sensitivity: str = setting("text", "of the sensor, for example '8 V/mm' or '8 V/mm +- 1 %'", default="")
     invert: bool = setting("flag", "turn the sign around", default=False)
     delay: float = setting("value", "delay of the sensor chain, taken out of the FRF", unit="s", default=0.0)
@@ -269,7 +270,7 @@ def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChann
         return None
     sign = -1.0 if settings.invert else 1.0
     role = settings.role or DEFAULT_ROLES.get(settings.quantity, "reference")
-    channel = Channel(name, settings.quantity, role, dof, angle, settings.delay, response, doubts=doubts)
+    channel = Channel(name, settings.quantity, role, dof, angle, settings.delay, response, doubts=doubts, position=settings.position)
     return RigChannel(channel, settings.column or name, settings.unit or channel.unit, sign * scale, sign * offset, limits)
 
 

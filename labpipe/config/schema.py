@@ -16,6 +16,7 @@ from labpipe.spectra.settings import FrfSettings
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _TEXT_OR_NUMBER: dict[str, Any] = {"type": ["string", "number"]}
+_TEXTS_OR_NUMBERS: dict[str, Any] = {"anyOf": [_TEXT_OR_NUMBER, {"type": "array", "items": _TEXT_OR_NUMBER}]}
 _TEXTS: dict[str, Any] = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}
 
 
@@ -132,10 +133,11 @@ def _kind(setting: Setting) -> dict[str, Any]:
         "choice": {"enum": list(setting.choices)},
         "names": _TEXTS,
         "mass": {"type": ["string", "number", "array"]},
-        "values": {"anyOf": [_TEXT_OR_NUMBER, {"type": "array", "items": _TEXT_OR_NUMBER}]},
+        "values": _TEXTS_OR_NUMBERS,
         "matrix": {"type": "array", "items": {"type": "array", "items": _TEXT_OR_NUMBER}},
         "coefficients": {"type": "object", "additionalProperties": _TEXT_OR_NUMBER},
         "groups": {"type": "array"},
         "series": {"type": "object"},
+        "roots": _TEXTS_OR_NUMBERS,
         "phasors": {"type": "object", "additionalProperties": _TEXT_OR_NUMBER},
     }[setting.kind]

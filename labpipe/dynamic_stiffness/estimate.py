@@ -1,7 +1,7 @@
 """ml: the most likely parameters of a balance, their covariance and chi-square, corrected for a covariance estimated from few periods.
 
-A covariance from nu complex degrees of freedom is complex Wishart; of p = 2 equations 2 V grows by nu / (nu - 2), and the covariance of the
-estimates is that of the information matrix times nu^2 / ((nu - 2)^2 - 1) (Maiwald and Kraus 2000, IEE Proc. Radar 147:162).
+A covariance from nu complex degrees of freedom is complex Wishart; of p equations, 2 here, 2 V grows by nu / (nu - p), and the covariance
+of the estimates is that of the information matrix times nu^2 / ((nu - p)^2 - 1) (Maiwald and Kraus 2000, IEE Proc. Radar 147:162).
 """
 
 from __future__ import annotations
@@ -27,8 +27,6 @@ N_EQUATION = 2
 # Distance to the minimum in standard errors at which a descent ends: that which counts, and those from several starts before it.
 NEAR, ROUGH = 1e-4, 0.1
 MOST_STEPS, FEW_STEPS = 60, 12
-# Degrees of freedom of the covariance beyond which chi-square has its mean, variance and the estimates theirs.
-LEAST_DOF = 3.0
 # Relative noise below which a covariance is rounding.
 NOISE_FREE = 1e-20
 # Ratio of the residual's variance to that of chi-square at least, where the covariance was estimated: runs and lines may have a common one.
@@ -63,29 +61,35 @@ class Estimate:
 class Noise:
     """How far the covariance of the noise is known.
 
-    dof: complex degrees of freedom behind it; shared, shared_power: of lines with common noise.
+    dof: complex degrees of freedom behind it; shared, shared_power: of lines with common noise; *equations* p of a line and run.
     """
 
     dof: float = float("inf")
     shared: float = 1.0
     shared_power: float = 1.0
+    equations: int = N_EQUATION
+
+    @property
+    def least_dof(self) -> float:
+        """Degrees of freedom up to which chi-square has no variance."""
+        return self.equations + 1.0
 
     @property
     def excess(self) -> float:
         """E[2 V] over its value for a known covariance."""
-        return self.dof / (self.dof - N_EQUATION) if np.isfinite(self.dof) else 1.0
+        return self.dof / (self.dof - self.equations) if np.isfinite(self.dof) else 1.0
 
     @property
     def inflation(self) -> float:
         """Covariance of the estimates over the inverse of the information matrix."""
         if not np.isfinite(self.dof):
             return self.shared
-        return self.shared * self.dof**2 / ((self.dof - N_EQUATION) ** 2 - 1)
+        return self.shared * self.dof**2 / ((self.dof - self.equations) ** 2 - 1)
 
     @property
     def _excess_variance(self) -> float:
-        """Variance of the residual's squares over chi-square's: a line's e^H S^-1 e is F with 4 and 2 (nu - 1) degrees of freedom."""
-        return max(self.dof / (self.dof - LEAST_DOF), LEAST_SPREAD) if np.isfinite(self.dof) else 1.0
+        """Variance of the residual's squares over chi-square's: a line's e^H S^-1 e is F with 2 p and 2 (nu - p + 1) degrees of freedom."""
+        return max(self.dof / (self.dof - self.least_dof), LEAST_SPREAD) if np.isfinite(self.dof) else 1.0
 
     def spread(self, dof: int) -> float:
         """Standard deviation of chi-square per degree of freedom."""
@@ -109,7 +113,7 @@ def checked(balance: Balance, noise: Noise) -> None:
         raise FitError(
             "the noise of the channels is not known, so ml cannot weigh them", hint="measure several periods or blocks, or `estimator: ls`"
         )
-    if noise.dof <= LEAST_DOF:
+    if noise.dof <= noise.least_dof:
         raise FitError(
             f"the covariance of the channels was estimated from {noise.dof:.3g} degrees of freedom only",
             hint="average more periods or blocks, or let neighbouring lines share their noise",

@@ -25,6 +25,7 @@ MODELS = Registry(
         "modal": "labpipe.modal.model_kind:MODAL",
         "decay": "labpipe.decay.model_kind:DECAY",
         "dynamic-stiffness": "labpipe.dynamic_stiffness.model_kind:DYNAMIC_STIFFNESS",
+        "magnet": "labpipe.magnet.model_kind:MAGNET",
         "worn-bearing": "labpipe.wear.model_kind:WORN_BEARING",
     },
 )
@@ -153,7 +154,7 @@ _NEEDED = {
     DECAYS: ("free decays", "frf: {excitation: decay}"),
     SPECTRA: ("spectra of all channels", "frf: {result: spectra}"),
 }
-_MODEL_OF = {DECAYS: "decay", SPECTRA: "dynamic-stiffness"}
+_MODEL_OF = {DECAYS: "decay", SPECTRA: "dynamic-stiffness or magnet"}
 
 
 def check_kind(settings: FitSettings, measured: str) -> None:

@@ -29,6 +29,7 @@ class Channel:
     (``dof: 45 deg``; x is 0, y is 90 deg). *role*: input (force), output (response) or reference (tacho, temperature, ...).
     *delay* [s] of the sensor chain and its frequency *response*, rows (frequency [Hz], gain [1], phase [rad]), are taken out of the FRF.
     *terms*: of a channel that is a sum of others in the recording; none for a measured one. *doubts* of its calibration.
+    *position* [m] along the axis, if it is known.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Channel:
     response: tuple[tuple[float, float, float], ...] = ()
     terms: tuple[Term, ...] = ()
     doubts: tuple[ChannelDoubt, ...] = ()
+    position: float | None = None
 
     def __post_init__(self) -> None:
         if self.quantity not in QUANTITIES:

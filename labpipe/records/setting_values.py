@@ -15,6 +15,7 @@ from numbers import Integral, Real
 from typing import Any
 
 from labpipe.quantities import UnitError, parse_value, written_unit
+from labpipe.records.complex_roots import to_roots
 from labpipe.registry import nearest
 
 # The unit of a coefficient by the first letter of its name.
@@ -336,7 +337,8 @@ def to_sections(value: Any, setting: Setting) -> tuple[tuple[str, Any], ...]:
 
 
 def to_entries(value: Any, setting: Setting) -> tuple[Any, ...]:
-    """A list of sections."""
+    """A list of sections; a section may make its entries from an object of another package."""
+    value = getattr(setting.section, "entries_from", lambda entries: entries)(value)
     if not _is_list(value):
         raise UnitError(f"'{_shown(value)}' is not a list of sections", "each entry begins with '- '")
     return tuple(to_section(entry, setting) for entry in value)
@@ -364,6 +366,7 @@ CONVERTERS: dict[str, Callable[[Any, Setting], Any]] = {
     "section": to_section,
     "sections": to_sections,
     "entries": to_entries,
+    "roots": to_roots,
 }
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,11 +30,12 @@ def force_and_accelerations(run: Recording) -> LoggedTable:
     return LoggedTable(columns, level=19, dictionary=False)
 
 
-def whole_numbers(run: Recording) -> LoggedTable:
-    """Columns such as "x [nm]", "ix [mA]", "ux [mV]" as whole numbers; injected voltages are small, so in uV."""
+def whole_numbers(run: Recording, units: Mapping[str, tuple[str, float]] | None = None) -> LoggedTable:
+    """Columns such as "x [nm]", "ix [mA]", "ux [mV]" as whole numbers; injected voltages are small, so in uV. *units* as WHOLE has them."""
     columns: dict[str, NDArray[np.int32]] = {}
+    chosen = {**WHOLE, **(units or {})}
     for number, channel in enumerate(run.channels):
         voltage = FINE_VOLTAGE if channel.role != "reference" else COARSE_VOLTAGE
-        unit, per_si = WHOLE.get(channel.quantity, voltage)
+        unit, per_si = chosen.get(channel.quantity, voltage)
         columns[f"{channel.name} [{unit}]"] = np.rint(run.samples[:, number] * per_si).astype(np.int32)
     return LoggedTable(columns, level=19, dictionary=False, split=True)

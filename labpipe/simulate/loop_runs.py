@@ -10,12 +10,12 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.bearings.magnetic_loop import ControlLoop, dynamic_stiffness
+from labpipe.bearings.sampled_loop import CONTROL_RATE, OUTPUTS, Suspended, sampled_loop, straight
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.signals.excitation import Multisine, design_multisine
 from labpipe.simulate.magnetic_settings import VirtualMagneticRig
 from labpipe.simulate.mechanics import PERIODS, line_frequencies, negative_stiffness
-from labpipe.simulate.sampled_loop import CONTROL_RATE, OUTPUTS, Suspended, sampled_loop, straight
 
 READING, BEFORE, AFTER, OUTPUT, CURRENT = range(len(OUTPUTS))
 HOVER_CORNER = 5.0

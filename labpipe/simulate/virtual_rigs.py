@@ -32,6 +32,7 @@ VIRTUAL_RIGS = Registry(
         "virtual-floating-rig": "labpipe.simulate.floating_rig:FLOATING_RIG",
         "virtual-sweep-rig": "labpipe.simulate.sweep_rig:SWEEP_RIG",
         "virtual-base-rig": "labpipe.simulate.base_rig:BASE_RIG",
+        "virtual-levitated-rig": "labpipe.simulate.levitated_rig:LEVITATED_RIG",
     },
 )
 

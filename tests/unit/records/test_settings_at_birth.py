@@ -61,6 +61,7 @@ def example(declared: Setting) -> Any:
         "coefficients": {"k_1": "2 N/m"},
         "series": {"a": [value]},
         "groups": [["a", "b"]],
+        "roots": ["-100", "-50 +- 300j"],
         "phasors": {"disc": f"{value} at 90 deg"},
     }.get(declared.kind)
 

@@ -60,6 +60,7 @@ OTHERS = {
     RUN_UPS_ONLY: "virtual-unbalance.yaml",
     "virtual-decay-rig": "virtual-decay.yaml",
     "virtual-floating-rig": "virtual-floating.yaml",
+    "virtual-levitated-rig": "virtual-levitated.yaml",
 }
 FILES = {kind: file for kind, (file, *_) in STUDIED.items()} | OTHERS
 

@@ -9,8 +9,8 @@ import pytest
 
 from labpipe.bearings.magnetic_loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness
 from labpipe.bearings.magnetic_stability import Levitated, sensitivity
+from labpipe.bearings.sampled_loop import Suspended, sampled_loop, straight
 from labpipe.errors import ConfigError
-from labpipe.simulate.sampled_loop import Suspended, sampled_loop, straight
 
 LOOP = ControlLoop()
 PULL = inferred_negative_stiffness(LOOP, 1694.0)

@@ -1,0 +1,261 @@
+"""One direction of a levitated rotor in the time domain: mass, springs and bias field under a controller that samples, computes and holds.
+
+The frequency-domain twin is bearings/magnetic_loop: K_eq + j w C_eq = K G(jw) - k_n with the hold as half a sampling interval of delay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, signal
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.bearings.controller_blocks import ControllerBlock, in_series
+from labpipe.bearings.magnetic_loop import ControlLoop
+from labpipe.errors import ConfigError
+
+# Controller of Lim et al. (2009), section 4: sampled at 20 kHz.
+CONTROL_RATE = 20e3
+ROUNDING = 1e-9
+INPUTS = ("force", "next_force", "noise", "injection")
+OUTPUTS = ("reading", "before", "after", "output", "current")
+
+
+@dataclass(frozen=True)
+class Suspended:
+    """Moving parts in one direction: *mass* [kg] on *bearings* equal bearings, and springs [N/m] and guides [N.s/m] in parallel."""
+
+    loop: ControlLoop
+    negative_stiffness: float
+    mass: float
+    bearings: int = 1
+    stiffness: float = 0.0
+    damping: float = 0.0
+
+
+@dataclass(frozen=True)
+class SampledLoop:
+    """s[k+1] = A s[k] + B w[k], z[k] = C s[k] + D w[k] at *rate* [Hz]; w: INPUTS [N, N, m, V], z: OUTPUTS [m, V, V, V, A].
+
+    a (n_state, n_state), b (n_state, 4), c (5, n_state), d (5, 4). The force is linear between samples, *injection* is added between the
+    probe ("before") and the controller ("after").
+    """
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    d: FloatArray
+    rate: float
+
+    def run(self, inputs: FloatArray) -> FloatArray:
+        """Outputs (n_sample, n_direction, 5) [m, V, V, V, A] of inputs (n_sample, n_direction, 4) [N, N, m, V], from rest.
+
+        ConfigError for an unstable loop.
+        """
+        largest = float(np.max(np.abs(np.linalg.eigvals(self.a))))
+        if largest > 1 + ROUNDING:
+            rate = np.log(largest) * self.rate
+            message = f"the loop is unstable: its fastest pole grows by e in {1e3 / rate:.3g} ms, so there is no recording of it"
+            raise ConfigError(message, hint="`labpipe bearing` shows the poles of its bearing file")
+        state = np.zeros((self.a.shape[0], inputs.shape[1]))
+        driven = inputs @ self.b.T
+        states = np.empty((inputs.shape[0], inputs.shape[1], self.a.shape[0]))
+        for number in range(inputs.shape[0]):
+            states[number] = state.T
+            state = self.a @ state + driven[number].T
+        return states @ self.c.T + inputs @ self.d.T
+
+    def response(self, omega: FloatArray) -> ComplexArray:
+        """z over force, noise and injection at *omega* [rad/s], (n_line, 5, 3); the force as `straight` feeds it."""
+        z = np.exp(1j * omega / self.rate)[:, None, None]
+        inverse = np.linalg.inv(z * np.eye(self.a.shape[0]) - self.a)
+        whole = self.c @ inverse @ self.b + self.d
+        force = (whole[:, :, :1] + z * whole[:, :, 1:2]) / straight(omega, self.rate)[:, None, None]
+        joined: ComplexArray = np.concatenate([force, whole[:, :, 2:]], axis=2)
+        return joined
+
+
+def straight(omega: FloatArray, rate: float) -> FloatArray:
+    """Amplitude of a sampled wave with linear interpolation, sinc^2(w T / 2), (n_line,) [-]; samples are divided by it."""
+    shape: FloatArray = np.sinc(omega / (2 * np.pi * rate)) ** 2
+    return shape
+
+
+@dataclass(frozen=True)
+class _Plant:
+    """Motion, current and probe over one sampling interval, exact for a held voltage and a straight force.
+
+    hold: of the voltage from before and of the newest one (they change over within the interval); ramp: of the force at both ends.
+    """
+
+    step: FloatArray
+    hold: FloatArray
+    ramp: FloatArray
+
+
+def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
+    """The closed loop of one direction as matrices; ConfigError for what cannot be sampled, see `sampled_matrix`."""
+    if plant.loop.cross is not None:
+        raise ConfigError("a cross-coupled controller has no loop of one direction", hint="leave cross out", field="cross")
+    law = sampled_law(plant.loop, rate, plant.loop.blocks())
+    motion, whole = _sampled_plant(plant, rate)
+
+    def step(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return _step(plant.loop, motion, law, state, inputs)
+
+    return SampledLoop(*step_matrices(step, motion.step.shape[0] + len(law.a) + whole + 1, len(INPUTS)), rate)
+
+
+def sampled_matrix(plant: Suspended, rate: float) -> FloatArray:
+    """A of s[k+1] = A s[k] of both directions under a controller matrix, (n_state, n_state) [1]; its eigenvalues are z of the closed loop.
+
+    ConfigError for a delay shorter than the hold, more zeros than poles, and blocks at another rate.
+    """
+    motion, whole = _sampled_plant(plant, rate)
+    n, line = motion.step.shape[0], whole + 1
+    laws = [[sampled_law(plant.loop, rate, plant.loop.blocks(o, i), zero=o != i) for i in "xy"] for o in "xy"]
+    sizes = [len(law.a) for row in laws for law in row]
+    ends = 2 * (n + line) + np.cumsum([0, *sizes])
+
+    def step(state: FloatArray) -> FloatArray:
+        moved = np.empty_like(state)
+        before = [plant.loop.sensor * state[k * n + (3 if n == 4 else 0)] for k in range(2)]
+        for k in range(2):
+            output = 0.0
+            for j in range(2):
+                law, memory = laws[k][j], slice(ends[2 * k + j], ends[2 * k + j + 1])
+                output += law.c @ state[memory] + law.d * before[j]
+                moved[memory] = law.a @ state[memory] + law.b * before[j]
+            waiting = slice(2 * n + k * line, 2 * n + (k + 1) * line)
+            voltages = np.append(state[waiting], output)
+            own = slice(k * n, (k + 1) * n)
+            moved[own] = motion.step @ state[own] + motion.hold @ voltages[:2]
+            moved[waiting] = voltages[1:]
+        return moved
+
+    return np.column_stack([step(unit) for unit in np.eye(ends[-1])])
+
+
+@dataclass(frozen=True)
+class SampledLaw:
+    """m[k+1] = A m[k] + b e[k], u[k] = c m[k] + d e[k]: a controller between two samples; a (n, n), b and c (n,), d [1]."""
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    d: float
+
+
+def sampled_law(loop: ControlLoop, rate: float, blocks: Sequence[ControllerBlock], zero: bool = False) -> SampledLaw:
+    """The PID or *blocks* at *rate* [Hz]: those of s by the bilinear transform, those of z as they are; *zero*: no PID without blocks.
+
+    ConfigError for a PID without time constants, blocks at another rate, and more zeros than poles.
+    """
+    if not blocks:
+        return SampledLaw(np.empty((0, 0)), np.empty(0), np.empty(0), 0.0) if zero else _sampled_pid(loop, rate)
+    continuous, discrete = in_series(blocks)
+    if discrete.rate is not None and abs(discrete.rate - rate) > ROUNDING * rate:
+        raise ConfigError(f"controller: its blocks are at {discrete.rate:g} Hz, the loop at {rate:g} Hz", field="controller")
+    if len(continuous.zeros) > len(continuous.poles) or len(discrete.zeros) > len(discrete.poles):
+        hint = "add a low-pass, or a derivative_time"
+        raise ConfigError("controller: more zeros than poles cannot be sampled", hint=hint, field="controller")
+    zeros, poles, gain = signal.bilinear_zpk(continuous.zeros, continuous.poles, continuous.gain, rate)
+    zeros, poles = np.append(zeros, discrete.zeros), np.append(poles, discrete.poles)
+    return _in_sections(signal.zpk2sos(zeros, poles, float(np.real(gain)) * discrete.gain))
+
+
+def _in_sections(sections: FloatArray) -> SampledLaw:
+    """Sections of second order (n, 6) in series: y = b0 u + m1, m1' = b1 u - a1 y + m2, m2' = b2 u - a2 y."""
+    law = SampledLaw(np.empty((0, 0)), np.empty(0), np.empty(0), 1.0)
+    for b0, b1, b2, _, a1, a2 in sections:
+        own = SampledLaw(np.array([[-a1, 1.0], [-a2, 0.0]]), np.array([b1 - a1 * b0, b2 - a2 * b0]), np.array([1.0, 0.0]), float(b0))
+        n = len(law.a)
+        a = np.zeros((n + 2, n + 2))
+        a[:n, :n], a[n:, n:], a[n:, :n] = law.a, own.a, np.outer(own.b, law.c)
+        law = SampledLaw(a, np.append(law.b, own.b * law.d), np.append(own.d * law.c, own.c), own.d * law.d)
+    return law
+
+
+def _sampled_pid(loop: ControlLoop, rate: float) -> SampledLaw:
+    if loop.derivative_time <= 0 or loop.lag_time <= 0:
+        raise ConfigError("a sampled controller needs derivative_time and lag_time above zero")
+    terms = [tustin(loop.derivative, 0.0, loop.derivative_time, 1 / rate), tustin(0.0, loop.lag, loop.lag_time, 1 / rate)]
+    b0, b1, a1 = np.array(terms).T
+    return SampledLaw(np.diag(-a1), b1 - a1 * b0, np.ones(2), loop.proportional + float(np.sum(b0)))
+
+
+def _sampled_plant(plant: Suspended, rate: float) -> tuple[_Plant, int]:
+    """Motion between samples, and the whole sampling intervals of the delay."""
+    loop = plant.loop
+    intervals = loop.delay * rate - 0.5
+    if intervals < -1e-9:
+        message = f"delay: {1e6 * loop.delay:g} us is shorter than half a sampling interval of the controller, which it holds"
+        raise ConfigError(message, hint=f"at least {5e5 / rate:g} us at {rate / 1e3:g} kHz")
+    whole = int(np.floor(intervals + 1e-9))
+    return _plant(plant, max(intervals - whole, 0.0), 1 / rate), whole
+
+
+def _step(loop: ControlLoop, plant: _Plant, law: SampledLaw, state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """One sampling interval. state: motion, the controller's memory, voltages on their way, oldest first."""
+    n, end = plant.step.shape[0], plant.step.shape[0] + len(law.a)
+    motion, memory, waiting = state[:n], state[n:end], state[end:]
+    position = motion[3] if n == 4 else motion[0]
+    reading = position + inputs[2]
+    before = loop.sensor * reading
+    after = before + inputs[3]
+    output = float(law.c @ memory + law.d * after)
+    # The voltage that arrives within this interval takes over from the one before it.
+    line = np.append(waiting, output)
+    moved = plant.step @ motion + plant.hold @ line[:2] + plant.ramp @ inputs[:2]
+    return np.concatenate([moved, law.a @ memory + law.b * after, line[1:]]), np.array([reading, before, after, output, motion[2]])
+
+
+def tustin(derivative: float, constant: float, time: float, interval: float) -> tuple[float, float, float]:
+    """(b0, b1, a1) [unit of *constant*] of (constant + derivative s) / (1 + s time) by the bilinear transform; *time*, *interval* [s]."""
+    fast = 2 / interval
+    whole = 1 + fast * time
+    return (constant + fast * derivative) / whole, (constant - fast * derivative) / whole, (1 - fast * time) / whole
+
+
+def _plant(plant: Suspended, late: float, interval: float) -> _Plant:
+    """Exact solution over one *interval* [s]; the newest voltage arrives after *late* of it."""
+    loop, n = plant.loop, 3 if plant.loop.sensor_bandwidth is None else 4
+    slope, voltage, force = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    slope[0, 1] = 1.0
+    slope[1, :3] = -plant.stiffness + plant.bearings * plant.negative_stiffness, -plant.damping, -plant.bearings * loop.force_per_current
+    slope[1] /= plant.mass
+    slope[2, 2], voltage[2] = -1 / loop.corners[0], loop.amplifier / loop.corners[0]
+    if n == 4:
+        slope[3, 0], slope[3, 3] = 1 / loop.corners[1], -1 / loop.corners[1]
+    force[1] = 1 / plant.mass
+    step, _, _ = integrals(slope, voltage[:, None], interval)
+    rest, newest, _ = integrals(slope, voltage[:, None], (1 - late) * interval)
+    _, oldest, _ = integrals(slope, voltage[:, None], late * interval)
+    _, constant, rising = integrals(slope, force[:, None], interval)
+    return _Plant(step, np.hstack([rest @ oldest, newest]), np.hstack([constant - rising / interval, rising / interval]))
+
+
+def integrals(slope: FloatArray, inputs: FloatArray, time: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """e^{A t} (n, n), and the responses (n, m) to a constant 1 and to a ramp t of every input after *time* [s] (Van Loan, 1978).
+
+    *slope* A (n, n) [1/s], *inputs* B (n, m) [unit of the state per second].
+    """
+    n, m = inputs.shape
+    joint = np.zeros((n + 2 * m, n + 2 * m))
+    joint[:n, :n], joint[:n, n : n + m], joint[n : n + m, n + m :] = slope, inputs, np.eye(m)
+    whole = linalg.expm(joint * time)
+    return whole[:n, :n], whole[:n, n : n + m], whole[:n, n + m :]
+
+
+def step_matrices(
+    step: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], n_state: int, n_input: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """A, B, C, D of a linear *step* (state, inputs) -> (next state, outputs) [any unit], column by column: (n_state, n_state), ..."""
+    still = np.zeros(n_input)
+    by_state = [step(unit, still) for unit in np.eye(n_state)]
+    by_input = [step(np.zeros(n_state), unit) for unit in np.eye(n_input)]
+    a, c = (np.column_stack([column[part] for column in by_state]) for part in (0, 1))
+    b, d = (np.column_stack([column[part] for column in by_input]) for part in (0, 1))
+    return a, b, c, d

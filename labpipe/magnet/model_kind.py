@@ -1,0 +1,9 @@
+"""The model magnet as an entry of the table of models."""
+
+from __future__ import annotations
+
+from labpipe.identify.model_kinds import SPECTRA, ModelKind
+from labpipe.magnet.fit import magnet_fits
+from labpipe.magnet.settings import MagnetSettings
+
+MAGNET = ModelKind(magnet_fits, "magnet", MagnetSettings, "magnet: {coupling: direct}", optional=True, of=SPECTRA)

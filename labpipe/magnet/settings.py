@@ -1,0 +1,44 @@
+"""Settings of a magnet's fit: the section `magnet:` of a fit with model magnet."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+
+from labpipe.errors import ConfigError
+from labpipe.records.settings import Settings, Uncertain, setting
+
+DIRECT, BEARING, FULL = "direct", "bearing", "full"
+
+
+@dataclass(frozen=True)
+class MagnetSettings(Settings):
+    """What of K_i and K_s is estimated, what is known of the rotor, and how the current goes on between samples."""
+
+    coupling: str = setting(
+        "choice", "terms of K_i and K_s: all; those of one bearing; none but direct ones", choices=(BEARING, FULL, DIRECT), default=BEARING
+    )
+    _: KW_ONLY
+    passive_damping: bool = setting("flag", "estimate the damping at the magnets as well", default=False)
+    inertia: Uncertain | None = setting(
+        "uncertain", "rigid rotor on two bearings: transverse moment of inertia about its centre of gravity", unit="kg.m^2", default=None
+    )
+    centre: float = setting("value", "place of the centre of gravity, from where the channels' positions are", unit="m", default=0.0)
+    hold: float | None = setting(
+        "value",
+        "rate of the recording, where no filter stands between the held output of a controller and the samples; default: a smooth current",
+        unit="Hz",
+        default=None,
+    )
+    amplifier_bandwidth: float | None = setting(
+        "value", "with hold: -3 dB bandwidth of the amplifier behind the held output; default: unlimited", unit="Hz", default=None
+    )
+
+    def __post_init__(self) -> None:
+        for name in ("hold", "amplifier_bandwidth"):
+            value: float | None = getattr(self, name)
+            if value is not None and not value > 0:
+                raise ConfigError(f"'{name}' must be above zero", field=name)
+        if self.amplifier_bandwidth is not None and self.hold is None:
+            raise ConfigError("'amplifier_bandwidth' goes with hold", hint="hold: 20 kHz", field="amplifier_bandwidth")
+        if self.inertia is not None and not self.inertia.value > 0:
+            raise ConfigError("'inertia' must be above zero", field="inertia")
