@@ -15,8 +15,9 @@ from labpipe.errors import LabpipeError
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.quantities import UnitError
 from labpipe.records.file_kind import FileKind
-from labpipe.records.setting_values import Setting, Uncertain, is_doubtful, parse_uncertain, split_doubt
+from labpipe.records.setting_values import Setting
 from labpipe.records.settings import settings_of
+from labpipe.records.uncertain import Uncertain, is_doubtful, parse_uncertain, split_doubt
 from labpipe.registry import nearest
 
 

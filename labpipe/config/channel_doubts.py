@@ -14,8 +14,8 @@ from labpipe.config.faults import Faults, join
 from labpipe.marked_yaml import Marked
 from labpipe.quantities import UnitError
 from labpipe.records.doubt import ChannelDoubt, doubt_of
-from labpipe.records.setting_values import Uncertain, parse_uncertain, split_doubt
 from labpipe.records.settings import Doubts, Settings, setting
+from labpipe.records.uncertain import Uncertain, parse_uncertain, split_doubt
 from labpipe.registry import nearest
 
 

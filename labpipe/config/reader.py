@@ -13,8 +13,8 @@ from labpipe.config.values import read_value
 from labpipe.errors import ConfigError, ConfigErrors
 from labpipe.marked_yaml import Marked
 from labpipe.quantities import UnitError
-from labpipe.records.setting_values import is_doubtful, parse_uncertain
 from labpipe.records.settings import Setting, settings_of, takes_doubt
+from labpipe.records.uncertain import is_doubtful, parse_uncertain
 
 Owner = TypeVar("Owner")
 

@@ -16,8 +16,8 @@ from labpipe.identify.settings import FitSettings
 from labpipe.marked_yaml import Marked
 from labpipe.quantities import UnitError
 from labpipe.records.repeat_source import RepeatSource
-from labpipe.records.setting_values import parse_uncertain
 from labpipe.records.settings import Settings, setting
+from labpipe.records.uncertain import parse_uncertain
 from labpipe.registry import nearest
 
 

@@ -34,7 +34,7 @@ from labpipe.records.doubt import COURSES, Doubt, MatrixError, doubt_of
 from labpipe.records.identification import Fit
 from labpipe.records.parameter import Contribution, Parameter
 from labpipe.records.response import Port
-from labpipe.records.setting_values import Uncertain
+from labpipe.records.uncertain import Uncertain
 
 # From a setup with changed numbers to its model.
 ModelOf = Callable[[Setup], BandModel]

@@ -9,7 +9,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray
 from labpipe.records.arrays import frozen_array
-from labpipe.records.setting_values import Uncertain
+from labpipe.records.uncertain import Uncertain
 
 # What the number of a channel does to it: size and sign, delay of its chain, phase, direction.
 EFFECTS = {"gain": "1", "delay": "s", "phase": "rad", "direction": "rad"}

@@ -12,7 +12,7 @@ from labpipe.identify.settings import FitSettings
 from labpipe.records.doubt import ChannelDoubt, Doubt, MatrixError
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, uncorrelated
-from labpipe.records.setting_values import Uncertain
+from labpipe.records.uncertain import Uncertain
 from tests.unit.modal.structures import chain_response
 
 GAIN = Doubt("x0.sensitivity", 0.01, "1")
