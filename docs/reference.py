@@ -118,6 +118,7 @@ def rig_page() -> str:
 
 def pipeline_page() -> str:
     from labpipe.config.pipeline import ReportSettings, section_names
+    from labpipe.config.uncertainty import UncertaintySettings
     from labpipe.records.frf_layout import FrfLayout
     from labpipe.sections import sections
     from labpipe.spectra.settings import FrfSettings
@@ -130,6 +131,7 @@ def pipeline_page() -> str:
             FrfLayout,
         ),
         "frf": ("How recordings become frequency responses.", FrfSettings),
+        "uncertainty": ("How doubts are propagated, for all fits: [uncertainty budget](../how-to/budget.md).", UncertaintySettings),
         **{name: (section.words, section.load("settings")) for name, section in sections()},
         "report": ("What `labpipe run` writes.", ReportSettings),
     }

@@ -6,6 +6,13 @@ Anything else that escapes is a fault of labpipe itself and keeps its traceback.
 
 from __future__ import annotations
 
+ECHO = 80
+
+
+def cut(text: str, length: int = ECHO) -> str:
+    """A text from a file as messages echo it: at most *length* characters."""
+    return text if len(text) <= length else text[: length - 3] + "..."
+
 
 class LabpipeError(Exception):
     """A fault of the input: *where* it is, *what* is wrong, and a *hint* at what would be right."""

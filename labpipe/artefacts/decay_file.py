@@ -6,11 +6,9 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from labpipe.artefacts.header import Header
-from labpipe.artefacts.parquet import HEADER_KEY, open_parquet, read_header
+from labpipe.artefacts.parquet import read_header, read_table, write_columns
 from labpipe.records.free_decay import FreeDecay, FreeDecays
 from labpipe.records.response import Port
 
@@ -22,8 +20,8 @@ def write_decays(path: Path, decays: FreeDecays, header: Header) -> None:
     numbers = np.repeat(np.arange(len(decays.decays)), [decay.samples.shape[0] for decay in decays.decays])
     times = [decay.start + np.arange(decay.samples.shape[0]) / decays.sample_rate for decay in decays.decays]
     samples = np.concatenate([decay.samples for decay in decays.decays])
-    columns = {"decay": pa.array(numbers), "time_s": pa.array(np.concatenate(times))}
-    columns.update({f"output:{port.label}": pa.array(samples[:, number]) for number, port in enumerate(decays.outputs)})
+    columns = {"decay": numbers, "time_s": np.concatenate(times)}
+    columns.update({f"output:{port.label}": samples[:, number] for number, port in enumerate(decays.outputs)})
     contents = {
         "name": decays.name,
         "sample_rate": decays.sample_rate,
@@ -33,16 +31,14 @@ def write_decays(path: Path, decays: FreeDecays, header: Header) -> None:
         "starts": [decay.start for decay in decays.decays],
         "conditions": decays.conditions,
     }
-    whole = dataclasses.replace(header, contents=contents, findings=decays.findings)
-    table = pa.table(columns).replace_schema_metadata({HEADER_KEY: whole.to_json().encode()})
-    pq.write_table(table, path, compression="zstd")
+    write_columns(path, columns, dataclasses.replace(header, contents=contents, findings=decays.findings))
 
 
 def read_decays(path: Path) -> FreeDecays:
     """The decays of a ``*.decay.parquet`` file; DataError when the file is not one."""
     header = read_header(path, "decay")
     contents = header.contents
-    table = open_parquet(path).read()
+    table = read_table(path)
     outputs = tuple(Port(**entry) for entry in contents["outputs"])
     samples = np.column_stack([table.column(f"output:{port.label}").to_numpy() for port in outputs])
     numbers = table.column("decay").to_numpy()

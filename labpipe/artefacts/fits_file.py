@@ -10,14 +10,17 @@ from typing import Any
 
 from labpipe import __version__
 from labpipe.artefacts.code import code_digest
+from labpipe.artefacts.digest import AGAIN, DamagedError
 from labpipe.artefacts.fit_entry import fit_entry, read_fit
 from labpipe.artefacts.header import SourceRef
-from labpipe.artefacts.json_file import write_json
-from labpipe.artefacts.typed_json import entry_of
+from labpipe.artefacts.json_file import DIGEST, read_digested, write_digested
+from labpipe.artefacts.typed_json import RECORD_FAULTS, entry_of
+from labpipe.errors import cut
 from labpipe.identify.settings import FitSettings
 from labpipe.records.identification import Fit
 
 SCHEMA = "labpipe/fits/1"
+FOLDER = "fits"
 
 
 def _work(settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> dict[str, Any]:
@@ -34,19 +37,25 @@ def _work(settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> di
 
 def write_fits(path: Path, fits: Sequence[Fit], settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> None:
     """Write the fits with the settings and the checksums of the responses they were made from."""
-    write_json(path, {**_work(settings, responses), "fits": [fit_entry(fit) for fit in fits]})
+    write_digested(path, {**_work(settings, responses), "fits": [fit_entry(fit) for fit in fits]})
 
 
 def has_fresh_fits(path: Path, settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> bool:
-    """True if the file contains the fits of these settings and responses by this version."""
-    try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    """True if the file contains the fits of these settings and responses by this version; DamagedError for a file that it did not write."""
+    if not path.exists():
         return False
+    entries = read_digested(path, "file of fits")
     work = _work(settings, responses)
-    return isinstance(entries, dict) and {key: entries.get(key) for key in work} == work
+    if {key: entries.get(key) for key in work} != work:
+        return False
+    if DIGEST not in entries:
+        raise DamagedError("carries no digest", where=str(path))
+    return True
 
 
 def read_fits(path: Path) -> list[Fit]:
-    """The fits of a file that `write_fits` wrote."""
-    return [read_fit(entry) for entry in json.loads(path.read_text(encoding="utf-8"))["fits"]]
+    """The fits of a file that `write_fits` wrote; DamagedError for another one."""
+    try:
+        return [read_fit(entry) for entry in read_digested(path, "file of fits")["fits"]]
+    except RECORD_FAULTS as error:
+        raise DamagedError(f"is not readable as fits ({cut(str(error))})", where=str(path), hint=AGAIN) from None

@@ -13,6 +13,7 @@ from typing import Any
 
 from labpipe import __version__
 from labpipe.artefacts.code import code_digest
+from labpipe.artefacts.digest import AGAIN, DamagedError
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 
@@ -40,10 +41,12 @@ class Header:
     schema: int = SCHEMA
     labpipe: str = __version__
     code: str = field(default_factory=code_digest)
+    # Of the file's content, verified when it was read; empty for a file without one, and before it is written.
+    digest: str = field(default="", compare=False)
 
     def to_json(self) -> str:
         """The header as JSON entries."""
-        return json.dumps(dataclasses.asdict(self), allow_nan=False)
+        return json.dumps({name: entry for name, entry in dataclasses.asdict(self).items() if name != "digest"}, allow_nan=False)
 
     def same_work(self, other: Header) -> bool:
         """Whether both were made from the same inputs with the same parameters by the same code."""
@@ -55,17 +58,25 @@ def _asdicts(records: Iterable[Any]) -> list[dict[str, Any]]:
     return [dataclasses.asdict(record) for record in records]
 
 
-def header_from_json(text: str | bytes, path: Path, kind: str) -> Header:
-    """The header read from an artefact; DataError when it is another kind or a newer schema."""
-    entries = json.loads(text)
-    if entries.get("kind") != kind:
+def header_from_json(text: str | bytes, path: Path, kind: str, digest: str = "") -> Header:
+    """The header read from an artefact with its verified *digest*; DataError when it is another kind, a newer schema, or none at all."""
+    try:
+        entries = json.loads(text)
+    except (ValueError, RecursionError):
+        entries = None
+    if not isinstance(entries, dict):
+        raise DamagedError("has a header that cannot be read", where=str(path), hint=AGAIN)
+    if kind and entries.get("kind") != kind:
         raise DataError(f"is a {entries.get('kind')} file, a {kind} file is needed", where=str(path))
     if entries.get("schema") != SCHEMA:
         hint = "make it again with this version"
         raise DataError(f"has schema {entries.get('schema')}, this version reads {SCHEMA}", where=str(path), hint=hint)
-    entries["inputs"] = tuple(SourceRef(**entry) for entry in entries["inputs"])
-    entries["findings"] = tuple(Finding(**entry) for entry in entries["findings"])
-    return Header(**{"code": "", **entries})
+    try:
+        entries["inputs"] = tuple(SourceRef(**entry) for entry in entries["inputs"])
+        entries["findings"] = tuple(Finding(**entry) for entry in entries["findings"])
+        return Header(**{"code": "", **entries, "digest": digest})
+    except (KeyError, TypeError) as error:
+        raise DamagedError(f"has a header that cannot be read ({error})", where=str(path), hint=AGAIN) from None
 
 
 def source_ref(path: Path, folder: Path) -> SourceRef:

@@ -6,7 +6,6 @@ Schema "labpipe/identification/2"; results of schema 1 are read as well.
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,9 +16,9 @@ import numpy as np
 from labpipe import __version__
 from labpipe.arrays import ComplexArray
 from labpipe.artefacts.fit_entry import finding_entries, findings_of, fit_entry, read_fit
-from labpipe.artefacts.json_file import write_json
-from labpipe.artefacts.typed_json import entry_of, record_of
-from labpipe.errors import DataError
+from labpipe.artefacts.json_file import DIGEST, read_digested, write_digested
+from labpipe.artefacts.typed_json import RECORD_FAULTS, entry_of, record_of
+from labpipe.errors import DataError, cut
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Failed, Identification, RuleOutcome
@@ -53,24 +52,23 @@ def write_identification(path: Path, identification: Identification) -> None:
         **({"spectra": [_spectra_entry(spectra) for spectra in identification.spectra]} if identification.spectra else {}),
         **{section(name).entry: entry_of(record) for name, record in identification.sections.items()},
     }
-    write_json(path, entries)
+    write_digested(path, entries)
 
 
 def read_identification(path: Path) -> Identification:
-    """The result of an identification.json; DataError when the file is none."""
+    """The result of an identification.json; DataError when the file is none, or was changed after labpipe wrote it."""
     try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
+        entries = read_digested(path, NAME)
     except FileNotFoundError:
         raise DataError("no such file", where=str(path), hint="run `labpipe identify` first") from None
-    except (ValueError, IsADirectoryError) as error:
-        raise DataError(f"is not a readable identification.json ({error})", where=str(path)) from None
-    if not isinstance(entries, dict) or entries.get("schema") not in READ_SCHEMAS:
+    if entries.get("schema") not in READ_SCHEMAS:
         raise DataError(f"is not of schema {SCHEMA}", where=str(path))
     try:
         return _identification(_upgraded(entries))
-    except (KeyError, TypeError, IndexError, ValueError, AttributeError) as error:
+    except RECORD_FAULTS as error:
         # Same schema, other entries: written by another version, or edited by hand.
-        written = f"was written by labpipe {entries.get('labpipe', '?')}, or edited ({type(error).__name__}: {error})"
+        version = cut(str(entries.get("labpipe", "?")))
+        written = f"was written by labpipe {version}, or edited ({type(error).__name__}: {cut(str(error))})"
         raise DataError(written, where=str(path), hint="run `labpipe identify` again") from None
 
 
@@ -102,6 +100,7 @@ def _identification(entries: dict[str, Any]) -> Identification:
         failed=tuple(Failed(**entry) for entry in entries.get("failed", [])),
         inputs=tuple(entries.get("inputs", [])),
         code=entries.get("code", ""),
+        digest=entries.get(DIGEST, ""),
         sections={
             name: record_of(entries[part.entry], part.load("record")) for name, part in sections() if part.entry and part.entry in entries
         },

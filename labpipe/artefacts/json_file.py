@@ -1,17 +1,78 @@
-"""JSON of labpipe's files: null instead of not-a-number and missing values."""
+"""JSON of labpipe's files: null instead of not-a-number and missing values; a digest of the content on a line of its own."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
+import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+from labpipe.artefacts.digest import AGAIN, DamagedError, mismatch
+from labpipe.errors import cut
+
+DIGEST = "digest"
+_DIGEST_LINE = re.compile(rb'^"digest": "([0-9a-f]{64})",?\n', re.MULTILINE)
 
 
 def write_json(path: Path, entries: dict[str, Any]) -> None:
     """Write the entries as UTF-8, one line for each entry and for each item of a list; the same bytes for the same entries."""
-    lines = ",\n".join(f'"{key}": {_lines(entry)}' for key, entry in entries.items())
-    path.write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")
+    path.write_bytes(_content(entries))
+
+
+def write_digested(path: Path, entries: dict[str, Any]) -> None:
+    """Write the entries with the digest of the file without it as the second one."""
+    digest = hashlib.sha256(_content(entries)).hexdigest()
+    (first, second), *others = entries.items()
+    path.write_bytes(_content({first: second, DIGEST: digest, **dict(others)}))
+
+
+def read_digested(path: Path, what: str) -> dict[str, Any]:
+    """The entries of a file whose content matches its digest, or that carries none; DamagedError says that it is not a readable *what*.
+
+    A file that another program wrote again with the same entries in the same order matches as well.
+    """
+    content = read_bytes(path)
+    entries = parsed(content, path, what)
+    stated = entries.get(DIGEST)
+    if stated is None:
+        return entries
+    if not isinstance(stated, str) or stated not in _digests(content, entries):
+        raise mismatch(path)
+    return entries
+
+
+def _digests(content: bytes, entries: dict[str, Any]) -> Iterator[str]:
+    """The digest of the content, then that of the entries written again."""
+    yield hashlib.sha256(_DIGEST_LINE.sub(b"", content, count=1)).hexdigest()
+    yield hashlib.sha256(_content({key: entry for key, entry in entries.items() if key != DIGEST})).hexdigest()
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a regular file; DataError for anything else, FileNotFoundError where there is none."""
+    if path.exists() and not path.is_file():
+        raise DamagedError("is a folder, a file is needed" if path.is_dir() else "is no regular file", where=str(path))
+    return path.read_bytes()
+
+
+def parsed(content: bytes, path: Path, what: str) -> dict[str, Any]:
+    """The entries of a JSON object; DamagedError for anything else."""
+    try:
+        entries = json.loads(content.decode("utf-8"))
+    except RecursionError:
+        raise DamagedError(f"is not a readable {what} (nested too deeply)", where=str(path), hint=AGAIN) from None
+    except ValueError as error:
+        raise DamagedError(f"is not a readable {what} ({cut(str(error))})", where=str(path), hint=AGAIN) from None
+    if not isinstance(entries, dict):
+        raise DamagedError(f"is not a readable {what} (no JSON object)", where=str(path), hint=AGAIN)
+    return entries
+
+
+def _content(entries: dict[str, Any]) -> bytes:
+    lines = ",\n".join(f"{json.dumps(key, ensure_ascii=False)}: {_lines(entry)}" for key, entry in entries.items())
+    return f"{{\n{lines}\n}}\n".encode()
 
 
 def _lines(entry: Any) -> str:

@@ -1,37 +1,72 @@
-"""Parquet files with our header among their metadata."""
+"""Parquet files with our header among their metadata, checksums in their pages and a digest of the whole."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from labpipe.artefacts.digest import BLANK, DIGEST_KEY, DamagedError, parquet_digest, stamp_parquet
 from labpipe.artefacts.header import Header, header_from_json
 from labpipe.errors import DataError
 
 HEADER_KEY = b"labpipe"
+# What damaged bytes make pyarrow raise; MemoryError where a damaged length asks for more than there is.
+_FAULTS = (pa.ArrowException, OSError, MemoryError, ValueError, OverflowError, TypeError, KeyError)
 
 
-def open_parquet(path: Path) -> pq.ParquetFile:
-    """A Parquet file opened for reading; DataError in plain words when it is none."""
+@contextmanager
+def _in_plain_words(path: Path) -> Iterator[None]:
+    """Faults of reading a Parquet file as a DataError with its path."""
     try:
-        return pq.ParquetFile(path, pre_buffer=False)
+        yield
+    except DataError:
+        raise
     except FileNotFoundError:
         raise DataError("no such file", where=str(path)) from None
     except IsADirectoryError:
         raise DataError("is a folder, a file is needed", where=str(path)) from None
-    except (pa.ArrowInvalid, OSError) as error:
-        reason = "is a folder" if path.is_dir() else f"is not a readable Parquet file ({str(error).splitlines()[0].rstrip('.')})"
-        raise DataError(reason, where=str(path)) from None
+    except _FAULTS as error:
+        if path.is_dir():
+            raise DataError("is a folder", where=str(path)) from None
+        reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
+        raise DamagedError(f"is not a readable Parquet file ({reason})", where=str(path)) from None
+
+
+def open_parquet(path: Path) -> pq.ParquetFile:
+    """A Parquet file opened for reading; DataError in plain words when it is none."""
+    with _in_plain_words(path):
+        return pq.ParquetFile(path, pre_buffer=False, page_checksum_verification=True)
 
 
 def batches(path: Path, columns: Sequence[str], n_row: int) -> Iterator[pa.RecordBatch]:
     """The columns in batches of at most *n_row* rows, one row group after the other: pyarrow would read the next ones ahead."""
     file = open_parquet(path)
-    for group in range(file.num_row_groups):
-        yield from file.iter_batches(batch_size=n_row, row_groups=[group], columns=list(columns))
+    with _in_plain_words(path):
+        for group in range(file.num_row_groups):
+            yield from file.iter_batches(batch_size=n_row, row_groups=[group], columns=list(columns))
+
+
+def read_table(path: Path) -> pa.Table:
+    """All columns; DataError in plain words for damaged pages."""
+    with _in_plain_words(path):
+        return open_parquet(path).read()
+
+
+def metadata_of(header: Header) -> dict[bytes, bytes]:
+    """The metadata of a file that `stamp_parquet` completes: the header, and the place of the digest."""
+    return {HEADER_KEY: header.to_json().encode(), DIGEST_KEY: BLANK}
+
+
+def write_columns(path: Path, columns: Mapping[str, Any], header: Header) -> None:
+    """Write columns of equal length with the header and the digest."""
+    table = pa.table({name: pa.array(values) for name, values in columns.items()}).replace_schema_metadata(metadata_of(header))
+    pq.write_table(table, path, compression="zstd", write_page_checksum=True)
+    stamp_parquet(path)
 
 
 def has_header(path: Path) -> bool:
@@ -39,10 +74,17 @@ def has_header(path: Path) -> bool:
     return HEADER_KEY in (open_parquet(path).metadata.metadata or {})
 
 
+def header_of(path: Path) -> Header:
+    """The header of an artefact of any kind."""
+    return read_header(path, "")
+
+
 def read_header(path: Path, kind: str) -> Header:
-    """The labpipe header of a Parquet file; DataError without one."""
+    """The header of a Parquet file whose content matches its digest, of any kind for ""; DataError without one, DamagedError where not."""
+    with _in_plain_words(path):
+        digest = parquet_digest(path)
     metadata = open_parquet(path).metadata.metadata or {}
     if HEADER_KEY not in metadata:
         hint = "another program may have saved it again and dropped the header; make it again with labpipe"
         raise DataError("has no labpipe header", where=str(path), hint=hint)
-    return header_from_json(metadata[HEADER_KEY], path, kind)
+    return header_from_json(metadata[HEADER_KEY], path, kind, digest)

@@ -13,8 +13,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
+from labpipe.artefacts.digest import stamp_parquet
 from labpipe.artefacts.header import Header
-from labpipe.artefacts.parquet import HEADER_KEY, batches, open_parquet, read_header
+from labpipe.artefacts.parquet import batches, metadata_of, open_parquet, read_header
 from labpipe.artefacts.read_ahead import read_ahead
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
@@ -28,13 +29,16 @@ class RecordingWriter:
 
     def __init__(self, path: Path, channels: tuple[Channel, ...]) -> None:
         self._schema = pa.schema([(channel.name, pa.float64()) for channel in channels])
-        self._writer = pq.ParquetWriter(path, self._schema, compression="zstd")
+        self._path, self._finished = path, False
+        self._writer = pq.ParquetWriter(path, self._schema, compression="zstd", write_page_checksum=True)
 
     def __enter__(self) -> RecordingWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._writer.close()
+        if self._finished:
+            stamp_parquet(self._path)
 
     def write(self, block: FloatArray) -> None:
         """Append a block (n, n_channel) [SI]."""
@@ -42,8 +46,9 @@ class RecordingWriter:
         self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
 
     def finish(self, header: Header) -> None:
-        """Put the header."""
-        self._writer.add_key_value_metadata({HEADER_KEY: header.to_json().encode()})
+        """Put the header; the digest follows when the file is closed."""
+        self._writer.add_key_value_metadata(metadata_of(header))
+        self._finished = True
 
 
 def recording_contents(

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.header import Header
-from labpipe.artefacts.parquet import HEADER_KEY, open_parquet, read_header
+from labpipe.artefacts.parquet import read_header, read_table, write_columns
+from labpipe.records.doubt import Doubt, MatrixError
 from labpipe.records.response import Blocks, FrequencyResponse, Port
 
 SUFFIX = ".frf.parquet"
@@ -35,9 +34,7 @@ def write_response(path: Path, response: FrequencyResponse, header: Header) -> N
             columns[f"cov:{p}:{q}:im"] = response.covariance[:, p, q].imag
     if response.snr is not None:
         columns.update({f"{name}:snr": response.snr[:, n] for n, name in enumerate(response.snr_channels)})
-    whole = dataclasses.replace(header, contents=_contents(response), findings=response.findings)
-    table = pa.table({name: pa.array(values) for name, values in columns.items()})
-    pq.write_table(table.replace_schema_metadata({HEADER_KEY: whole.to_json().encode()}), path, compression="zstd")
+    write_columns(path, columns, dataclasses.replace(header, contents=_contents(response), findings=response.findings))
 
 
 def _element(response: FrequencyResponse, o: int, i: int) -> Iterator[tuple[str, FloatArray]]:
@@ -51,6 +48,9 @@ def _element(response: FrequencyResponse, o: int, i: int) -> Iterator[tuple[str,
     if response.change is not None:
         yield ":change_re", response.change[:, o, i].real
         yield ":change_im", response.change[:, o, i].imag
+    for number, error in enumerate(response.errors):
+        yield f"{_error(number)}:re", error.change[:, o, i].real
+        yield f"{_error(number)}:im", error.change[:, o, i].imag
     if response.line_gains is not None:
         for neighbour, gains in enumerate(response.line_gains[:, :, o, i].T):
             yield f"{_gain(neighbour)}:re", gains.real
@@ -59,6 +59,10 @@ def _element(response: FrequencyResponse, o: int, i: int) -> Iterator[tuple[str,
 
 def _gain(neighbour: int) -> str:
     return f":gain:{neighbour}"
+
+
+def _error(number: int) -> str:
+    return f":error:{number}"
 
 
 def _upper(n: int) -> Iterator[tuple[int, int]]:
@@ -79,6 +83,7 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         "line_gains": 0 if response.line_gains is None else response.line_gains.shape[1],
         "blocks": None if response.blocks is None else dataclasses.asdict(response.blocks),
         "snr_channels": list(response.snr_channels),
+        "errors": [dataclasses.asdict(error.doubt) for error in response.errors],
         "conditions": response.conditions,
     }
 
@@ -87,7 +92,7 @@ def read_response(path: Path) -> FrequencyResponse:
     """The response of a ``*.frf.parquet`` file; DataError when the file is not one."""
     header = read_header(path, "frf")
     contents = header.contents
-    table = open_parquet(path).read()
+    table = read_table(path)
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
     outputs = tuple(Port(**entry) for entry in contents["outputs"])
     inputs = tuple(Port(**entry) for entry in contents["inputs"])
@@ -114,6 +119,7 @@ def read_response(path: Path) -> FrequencyResponse:
         line_correlation=tuple(complex(*c) if isinstance(c, list) else c for c in contents.get("line_correlation", ())),
         line_gains=_line_gains(columns, pairs, contents.get("line_gains", 0)),
         blocks=Blocks(**contents["blocks"]) if contents.get("blocks") else None,
+        errors=_errors(columns, pairs, contents.get("errors", [])),
         name=contents["name"],
         findings=header.findings,
         conditions=contents["conditions"],
@@ -136,6 +142,11 @@ def _change(columns: dict[str, FloatArray], pairs: list[list[str]]) -> ComplexAr
     if pairs[0][0] + ":change_re" not in columns:
         return None
     return _matrix(columns, pairs, ":change_re") + 1j * _matrix(columns, pairs, ":change_im")
+
+
+def _errors(columns: dict[str, FloatArray], pairs: list[list[str]], doubts: list[dict[str, Any]]) -> tuple[MatrixError, ...]:
+    changes = [[_matrix(columns, pairs, f"{_error(number)}:{part}") for part in ("re", "im")] for number in range(len(doubts))]
+    return tuple(MatrixError(Doubt(**entry), real + 1j * imaginary) for entry, (real, imaginary) in zip(doubts, changes, strict=True))
 
 
 def _covariance(columns: dict[str, FloatArray], n: int) -> ComplexArray | None:

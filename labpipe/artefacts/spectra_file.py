@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.header import Header
-from labpipe.artefacts.parquet import HEADER_KEY, open_parquet, read_header
+from labpipe.artefacts.parquet import read_header, read_table, write_columns
 from labpipe.artefacts.typed_json import entry_of, record_of
 from labpipe.records.channel_spectra import ChannelSpectra, UncertainFactor
 from labpipe.records.recording import Channel
@@ -30,9 +29,7 @@ def write_spectra(path: Path, spectra: ChannelSpectra, header: Header) -> None:
             columns |= _parts(f"{run + 1}/{channel.name}", spectra.vectors[:, run, number])
         for p, q in _upper(len(spectra.channels)):
             columns |= _parts(f"cov:{run + 1}:{p}:{q}", spectra.covariance[:, run, p, q])
-    whole = dataclasses.replace(header, contents=_contents(spectra), findings=spectra.findings)
-    table = pa.table({name: pa.array(values) for name, values in columns.items()})
-    pq.write_table(table.replace_schema_metadata({HEADER_KEY: whole.to_json().encode()}), path, compression="zstd")
+    write_columns(path, columns, dataclasses.replace(header, contents=_contents(spectra), findings=spectra.findings))
 
 
 def _parts(name: str, values: ComplexArray) -> dict[str, FloatArray]:
@@ -60,7 +57,7 @@ def read_spectra(path: Path) -> ChannelSpectra:
     """The spectra of a ``*.spectra.parquet`` file; DataError when the file is not one."""
     header = read_header(path, "spectra")
     contents = header.contents
-    table = open_parquet(path).read()
+    table = read_table(path)
     channels = tuple(Channel(**{key: value for key, value in entry.items() if key != "unit"}) for entry in contents["channels"])
     runs = tuple(contents["runs"])
     frequency = table.column("frequency_hz").to_numpy()

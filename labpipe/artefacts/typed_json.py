@@ -16,7 +16,11 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from labpipe.errors import cut
 from labpipe.records.settings import Settings, settings_of
+
+# What an entry of another type than the declared one raises, here and where its record is checked at birth.
+RECORD_FAULTS = (KeyError, TypeError, IndexError, ValueError, AttributeError, OverflowError, RecursionError, MemoryError)
 
 
 def entry_of(record: Any) -> Any:
@@ -120,14 +124,14 @@ def _array(entry: Any, kind: Any) -> Any:
 def _scalar(entry: Any, kind: Any) -> Any:
     if kind is float:
         if isinstance(entry, bool) or not isinstance(entry, (int, float, types.NoneType)):
-            raise TypeError(f"{entry!r} is not a number")
+            raise TypeError(f"{cut(repr(entry))} is not a number")
         return math.nan if entry is None else entry
     if kind in (str, bool, int) and (not isinstance(entry, kind) or (kind is int and isinstance(entry, bool))):
-        raise TypeError(f"{entry!r} is not a {kind.__name__}")
+        raise TypeError(f"{cut(repr(entry))} is not a {kind.__name__}")
     return entry
 
 
 def _need(entry: Any, kind: type) -> Any:
     if not isinstance(entry, kind):
-        raise TypeError(f"{entry!r} is not a {kind.__name__}")
+        raise TypeError(f"{cut(repr(entry))} is not a {kind.__name__}")
     return entry

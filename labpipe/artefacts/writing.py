@@ -5,12 +5,20 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from labpipe.errors import DataError
+
+# What is being made stands in folders whose names begin like this, and is not looked at by anyone else.
+STAGING = ".labpipe-"
+
+
+def finished(paths: Iterable[Path]) -> list[Path]:
+    """The paths in order, without those in folders of what is being made."""
+    return sorted(path for path in paths if not any(part.startswith(STAGING) for part in path.parts[:-1]))
 
 
 @dataclass(frozen=True)
@@ -20,6 +28,8 @@ class OutputFolder:
     target: Path
     staging: Path
     outdated: set[str] = field(default_factory=set)
+    # What was found damaged in the target and is made again, one line each.
+    remarks: list[str] = field(default_factory=list)
 
     def write_path(self, name: str) -> Path:
         """Where to write the file that will be *name* in the target folder."""
@@ -47,15 +57,16 @@ def existing_home(target: Path) -> Path:
 
 
 @contextmanager
-def output_folder(target: Path, scratch: Path | None = None) -> Iterator[OutputFolder]:
+def output_folder(target: Path, scratch: Path | None = None, remarks: list[str] | None = None) -> Iterator[OutputFolder]:
     """A folder that changes only if the block succeeds; DataError when it cannot be a folder or may not be written.
 
-    What is being made stands in a hidden folder in *scratch*, by default in the target itself.
+    What is being made stands in a hidden folder in *scratch*, by default in the target itself. *remarks*: a list that takes the
+    folder's remarks.
     """
     home = existing_home(target)
-    staging = Path(tempfile.mkdtemp(prefix=".labpipe-", dir=scratch or home))
+    staging = Path(tempfile.mkdtemp(prefix=STAGING, dir=scratch or home))
     try:
-        folder = OutputFolder(target, staging)
+        folder = OutputFolder(target, staging, remarks=[] if remarks is None else remarks)
         yield folder
         _remove(folder)
         _move_all(staging, target)

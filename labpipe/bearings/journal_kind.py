@@ -35,12 +35,27 @@ class JournalSettings(Settings):
     length: float = setting("value", "length of the bearing", unit="m")
     clearance: float = setting("value", "radial clearance", unit="m")
     viscosity: float = setting("value", "dynamic viscosity of the oil", unit="Pa.s")
+    temperature: float | None = setting(
+        "value", "temperature of the film; default: that at which the viscosity is given", unit="K", default=None
+    )
+    viscosity_temperature: float | None = setting("value", "temperature at which the viscosity is given", unit="K", default=None)
+    viscosity_slope: float = setting("value", "relative fall of the viscosity per kelvin (Reynolds), 3 %/K", unit="1/K", default=0.0)
     cavitation_pressure: float = setting("value", "pressure at which the film tears, against ambient", unit="Pa", default=0.0)
     groove_width: float = setting("value", "width of two axial grooves at the horizontal split", unit="rad", default=0.0)
     wear: Wear = setting("section", "wear of the bushing", section=Wear, default=Wear())
 
     def __post_init__(self) -> None:
+        if self.temperature is not None and (self.viscosity_temperature is None or not self.viscosity_slope):
+            what = "temperature: the viscosity at it needs 'viscosity_temperature' and 'viscosity_slope'"
+            raise ConfigError(what, hint="viscosity_temperature: 40 degC, viscosity_slope: 3 %/K", field="temperature")
         self.bearing()
+
+    @property
+    def film_viscosity(self) -> float:
+        """Viscosity at the film's temperature [Pa.s], eta exp(-b (T - T_0)) (Reynolds 1886)."""
+        if self.temperature is None or self.viscosity_temperature is None:
+            return self.viscosity
+        return self.viscosity * float(np.exp(-self.viscosity_slope * (self.temperature - self.viscosity_temperature)))
 
     def bearing(self) -> JournalBearing:
         """The bearing; ConfigError for impossible values."""
@@ -48,7 +63,7 @@ class JournalSettings(Settings):
             diameter=self.diameter,
             length=self.length,
             clearance=self.clearance,
-            viscosity=self.viscosity,
+            viscosity=self.film_viscosity,
             wear_depth=self.wear.depth,
             wear_angle=self.wear.angle,
             cavitation_pressure=self.cavitation_pressure,

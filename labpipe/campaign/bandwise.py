@@ -13,8 +13,6 @@ from labpipe.campaign.common_sources import parameter_changes, random_error
 from labpipe.campaign.settings import CompareSettings
 from labpipe.distributions import student_quantile, student_tail
 from labpipe.errors import ConfigError, FitError
-from labpipe.identify.corrections import is_direct
-from labpipe.identify.settings import FitSettings
 from labpipe.records.comparison import ComparedBand, Comparison
 from labpipe.records.identification import Fit, Parameter
 from labpipe.registry import nearest
@@ -26,11 +24,10 @@ COEFFICIENTS = ("N/m", "N.s/m")
 
 @dataclass(frozen=True)
 class TwoTests:
-    """The fits of two tests, of the groups *names* in order, and the settings of the fit."""
+    """The fits of two tests, of the groups *names* in order."""
 
     names: tuple[str, str]
     fits: tuple[tuple[Fit, ...], tuple[Fit, ...]]
-    settings: FitSettings
 
 
 def holm(p_values: FloatArray) -> FloatArray:
@@ -53,7 +50,7 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
     usable = [(a, b, name) for a, b, name in pairs if a.parameter(name).std_error and b.parameter(name).std_error]
     if not usable:
         raise FitError("the two tests have no band in common with standard errors", hint="fit both in the same bands")
-    raw = [_tested(a, b, name, tests.settings) for a, b, name in usable]
+    raw = [_tested(a, b, name) for a, b, name in usable]
     corrected = holm(np.array([p for p, _ in raw]))
     first, second = tests.names
     bands = tuple(
@@ -91,23 +88,9 @@ def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:
     return [settings.parameter]
 
 
-def _random_error(fit: Fit, name: str, settings: FitSettings) -> float:
-    """Standard error without the support's share; enlarged where the residual exceeds the noise, since then the lines' weights matter."""
-    parameter = fit.parameter(name)
-    error = random_error(fit, parameter)
-    assert error is not None and parameter.std_error is not None
-    support = settings.subtract
-    if support is None:
-        return error
-    shared = support.stiffness if parameter.unit == "N/m" else support.damping
-    variance = parameter.std_error**2 - (shared.std_error / settings.share) ** 2 * is_direct(parameter.name)
-    random = float(np.sqrt(variance)) if variance > 0 else parameter.std_error
-    return random * error / parameter.std_error
-
-
-def _tested(a: Fit, b: Fit, name: str, settings: FitSettings) -> tuple[float, float]:
+def _tested(a: Fit, b: Fit, name: str) -> tuple[float, float]:
     """Two-sided p-value of a difference, and half the width of its 95 % interval."""
-    errors = np.array([_random_error(fit, name, settings) for fit in (a, b)])
+    errors = np.array([random_error(fit, fit.parameter(name)) for fit in (a, b)], np.float64)
     first, second = parameter_changes((a, b), name).T
     total = float(np.sqrt(np.sum(errors**2) + np.sum((second - first) ** 2)))
     dof = total**4 / float(np.sum(errors**4 / np.array([a.dof, b.dof])))
@@ -149,7 +132,7 @@ def _statement(
     return result + corrected + named + missing
 
 
-def two_tests(settings: CompareSettings, fits: Sequence[Fit], groups: Sequence[tuple[str, str]], fit_settings: FitSettings) -> TwoTests:
+def two_tests(settings: CompareSettings, fits: Sequence[Fit], groups: Sequence[tuple[str, str]]) -> TwoTests:
     """The fits of the two groups; *groups*: (test, its group). ConfigError for a group without a test or with several."""
     chosen = []
     for name in settings.groups:
@@ -158,4 +141,4 @@ def two_tests(settings: CompareSettings, fits: Sequence[Fit], groups: Sequence[t
             names = ", ".join(sorted({group for _, group in groups}))
             raise ConfigError(f"{len(members)} tests have {settings.group}: {name}; one is compared with one", hint=f"known: {names}")
         chosen.append(tuple(fit for fit in fits if fit.test == members[0]))
-    return TwoTests((settings.groups[0], settings.groups[1]), (chosen[0], chosen[1]), fit_settings)
+    return TwoTests((settings.groups[0], settings.groups[1]), (chosen[0], chosen[1]))

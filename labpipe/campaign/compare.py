@@ -171,7 +171,7 @@ def _bands(settings: CompareSettings, evidence: Evidence, _: Theory | None) -> C
         raise ConfigError(f"no fit '{settings.fit}' to compare", hint=nearest(settings.fit, {fit.name for fit in evidence.fits}))
     tests = dict.fromkeys(fit.test for fit in named)
     groups = [(test, group_of(settings, test, evidence.response(test).conditions)) for test in tests]
-    return bandwise(settings, two_tests(settings, named, groups, evidence.settings_of(settings.fit)))
+    return bandwise(settings, two_tests(settings, named, groups))
 
 
 def _sensitivity(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory | None) -> Comparison:

@@ -1,4 +1,7 @@
-"""Index of a results folder: an SQLite file kept up to date with the identification.json files below it; it can be deleted at any time."""
+"""Index of a results folder: an SQLite file kept up to date with the identification.json files below it; it can be deleted at any time.
+
+It is read whole into memory and written whole: no process waits for another one's lock, and what was damaged is made again.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,8 @@ from typing import Any
 
 from labpipe import __version__
 from labpipe.artefacts.identification_file import NAME, read_identification
+from labpipe.artefacts.json_file import read_bytes
+from labpipe.artefacts.writing import finished, output_file
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, si_amount
 from labpipe.records.finding import WARNING
@@ -41,6 +46,8 @@ CREATE TABLE condition (
 CREATE INDEX value_parameter ON value (parameter, fit);
 CREATE INDEX condition_name ON condition (result, test, name);
 """
+# Where SQLite keeps a number for the application.
+_STAMP = slice(60, 64)
 # An index of another version, or of other tables, is made anew.
 MADE_BY = f"{__version__} {zlib.crc32(_TABLES.encode()):08x}"
 
@@ -53,60 +60,78 @@ def open_index(folder: Path) -> Iterator[sqlite3.Connection]:
     """
     if not folder.is_dir():
         raise DataError("no such folder", where=str(folder), hint="name the folder that holds the results of your runs")
-    with closing(_connected(folder)) as connection:
-        _bring_up_to_date(connection, folder)
+    with closing(_opened(folder)) as connection:
+        if _bring_up_to_date(connection, folder):
+            _keep(connection, folder)
         if not connection.execute("SELECT count(*) FROM result").fetchone()[0]:
             raise DataError(f"holds no {NAME}", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER/NAME`")
         yield connection
 
 
-def _connected(folder: Path) -> sqlite3.Connection:
-    """A connection to an index of this version; an older or damaged one is rebuilt."""
-    path = folder / INDEX
+def _opened(folder: Path) -> sqlite3.Connection:
+    """The index in memory: as it was kept, or empty where none of this version was, or a damaged one."""
     try:
-        connection = sqlite3.connect(path)
-        if _version(connection) == MADE_BY:
-            return connection
-        connection.close()
-        path.unlink()
-        connection = sqlite3.connect(path)
-        _create(connection)
-    except sqlite3.OperationalError:
+        kept = read_bytes(folder / INDEX)
+    except (DataError, OSError):
+        kept = b""
+    if kept and kept == _stamped(kept):
         connection = sqlite3.connect(":memory:")
-        _create(connection)
-    except sqlite3.DatabaseError:
-        path.unlink()
-        connection = sqlite3.connect(path)
-        _create(connection)
+        try:
+            connection.deserialize(kept)
+            if connection.execute("SELECT version FROM made_by").fetchone() == (MADE_BY,):
+                return connection
+        except sqlite3.Error:
+            # Of another program, under our name.
+            connection.close()
+    connection = sqlite3.connect(":memory:")
+    connection.executescript(_TABLES)
+    connection.execute("CREATE TABLE made_by (version TEXT)")
+    connection.execute("INSERT INTO made_by VALUES (?)", (MADE_BY,))
     return connection
 
 
-def _version(connection: sqlite3.Connection) -> str | None:
-    table = connection.execute("SELECT name FROM sqlite_master WHERE name = 'made_by'").fetchone()
-    return None if table is None else str(connection.execute("SELECT version FROM made_by").fetchone()[0])
+def _stamped(database: bytes) -> bytes:
+    """The bytes of a database with their CRC-32 in the place of the user's version, by which a damaged index is noticed."""
+    first, last = database[: _STAMP.start], database[_STAMP.stop :]
+    return first + zlib.crc32(last, zlib.crc32(first)).to_bytes(4, "big") + last
 
 
-def _create(connection: sqlite3.Connection) -> None:
-    with connection:
-        connection.executescript(_TABLES)
-        connection.execute("CREATE TABLE made_by (version TEXT)")
-        connection.execute("INSERT INTO made_by VALUES (?)", (MADE_BY,))
+def _keep(connection: sqlite3.Connection, folder: Path) -> None:
+    """Write the index beside the results, as a whole: several processes may do so at once. Not to a folder that may not be written."""
+    if (folder / INDEX).exists() and not (folder / INDEX).is_file():
+        return
+    try:
+        with output_file(folder / INDEX) as path:
+            path.write_bytes(_stamped(connection.serialize()))
+    except (DataError, OSError):
+        return
 
 
-def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> None:
-    """Read new and changed results, remove deleted ones."""
-    connection.execute("PRAGMA foreign_keys = ON")
+def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> bool:
+    """Read new and changed results, remove deleted ones; True if there were any."""
+    before = connection.total_changes
     stamps = dict(connection.execute("SELECT path, stamp FROM result"))
-    here = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob(NAME))}
-    with connection:
-        for name in stamps.keys() - here.keys():
-            connection.execute("DELETE FROM result WHERE path = ?", (name,))
-        for name, path in here.items():
+    here = {path.relative_to(folder).as_posix(): path for path in finished(folder.rglob(NAME))}
+    for name in stamps.keys() - here.keys():
+        _remove(connection, name)
+    for name, path in here.items():
+        try:
             status = path.stat()
-            stamp = f"{status.st_mtime_ns}:{status.st_size}"
-            if stamps.get(name) != stamp:
-                connection.execute("DELETE FROM result WHERE path = ?", (name,))
-                _add(connection, name, path, stamp, time.strftime("%Y-%m-%d", time.localtime(status.st_mtime)))
+        except FileNotFoundError:
+            # Removed since the folder was listed.
+            continue
+        stamp = f"{status.st_mtime_ns}:{status.st_size}:{status.st_ino}"
+        if stamps.get(name) != stamp:
+            _remove(connection, name)
+            _add(connection, name, path, stamp, time.strftime("%Y-%m-%d", time.localtime(status.st_mtime)))
+    connection.commit()
+    return connection.total_changes != before
+
+
+def _remove(connection: sqlite3.Connection, name: str) -> None:
+    for (number,) in connection.execute("SELECT id FROM result WHERE path = ?", (name,)).fetchall():
+        for table, column in (("value", "result"), ("condition", "result"), ("result", "id")):
+            connection.execute(f"DELETE FROM {table} WHERE {column} = ?", (number,))
 
 
 def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file_date: str) -> None:

@@ -11,7 +11,7 @@ from labpipe.artefacts.writing import output_file, output_folder
 from labpipe.cli import options
 from labpipe.cli.bearing_table import echo_bearing, echo_sweep
 from labpipe.config.bearing import BearingFile, open_bearing
-from labpipe.stages.bearing import bearing_entry, bearing_json, swept, write_bearing, write_sweep
+from labpipe.stages.bearing import bearing_entry, bearing_json, evaluated, swept, write_bearing, write_sweep
 from labpipe.stages.sweep import parse_sweep
 
 
@@ -44,10 +44,9 @@ def bearing(
         _sweep(open_bearing(bearing_path, overrides), sweep_text, output, quiet, options.teller(quiet, verbose))
         return
     file = open_bearing(bearing_path, overrides)
-    settings = file.settings()
-    (coefficients,) = file.coefficients([settings])
-    name = settings.name or bearing_path.stem
-    text = bearing_json(bearing_entry(file, name, coefficients))
+    name = file.settings().name or bearing_path.stem
+    whole = evaluated(file)
+    text = bearing_json(bearing_entry(file, name, whole))
     if str(json_path) == "-":
         click.echo(text, nl=False)
         return
@@ -56,9 +55,9 @@ def bearing(
             target.write_text(text, encoding="utf-8")
     if output is not None:
         with output_folder(output) as folder:
-            names = write_bearing(file, name, coefficients, folder)
+            names = write_bearing(file, name, whole, folder)
     if not quiet:
-        echo_bearing(name, file.kind_name, coefficients)
+        echo_bearing(name, file.kind_name, whole)
         if output is not None:
             click.echo(f"written to {output}: {', '.join(names)}")
 
@@ -66,10 +65,10 @@ def bearing(
 def _sweep(file: BearingFile, sweep_text: str, output: Path, quiet: bool, tell: Callable[[str], None]) -> None:
     sweep = parse_sweep(sweep_text, file.kind.settings)
     tell(f"bearing   {file.path}, {sweep.label}: {sweep.values.size} values")
-    coefficients = swept(file, sweep)
+    points = swept(file, sweep)
     name = file.settings().name or file.path.stem
     with output_folder(output) as folder:
-        names = write_sweep(name, sweep, coefficients, folder)
+        names = write_sweep(name, sweep, points, folder)
     if not quiet:
-        echo_sweep(name, sweep, coefficients)
+        echo_sweep(name, sweep, [point.coefficients for point in points])
         click.echo(f"written to {output}: {', '.join(names)}")

@@ -9,22 +9,30 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.bearings.coefficients import Amount, BearingCoefficients
+from labpipe.bearings.doubts import BearingDoubts
+from labpipe.display import amount_text
 from labpipe.quantities import display_unit, to_display
 from labpipe.report.wording import unit_text
+from labpipe.stages.bearing import Evaluated
 from labpipe.stages.sweep import Sweep
 
 # Share of sqrt(K_ii K_jj) below which a coefficient is zero by structure, up to rounding.
 STRUCTURAL_ZERO = 1e-9
 LEAST_SPREAD = 1e-4
 MAX_ROWS = 12
+# Sources shown of a coefficient, and the least share in its variance.
+MAX_SHARES, LEAST_SHARE = 3, 0.01
 
 
-def echo_bearing(name: str, kind: str, coefficients: BearingCoefficients) -> None:
-    """The matrices, the equilibrium, the range over one ball passage, and the warnings."""
+def echo_bearing(name: str, kind: str, whole: Evaluated) -> None:
+    """The matrices, their doubts, the equilibrium, the range over one ball passage, and the warnings."""
+    coefficients = whole.coefficients
     click.echo(f"{name}: {kind}")
     _echo_matrix("stiffness", coefficients, coefficients.stiffness, coefficients.relative)
     if coefficients.damping.any():
         _echo_matrix("damping", coefficients, coefficients.damping, None)
+    if whole.doubts is not None:
+        _echo_doubts(coefficients, whole.doubts)
     loads = tuple(amount for amount in coefficients.rest if amount.name.startswith("load_"))
     rest = tuple(amount for amount in coefficients.rest if amount not in loads)
     for title, amounts in (
@@ -59,6 +67,22 @@ def _echo_matrix(title: str, coefficients: BearingCoefficients, matrix: FloatArr
             for column in range(len(coefficients.dofs))
         ]
         click.echo(f"  {dof:<4}" + "".join(f"{number:>12}" for number in numbers))
+
+
+def _echo_doubts(coefficients: BearingCoefficients, doubts: BearingDoubts) -> None:
+    """Every coefficient with its standard uncertainty and the sources of it, the largest first."""
+    click.echo("with standard uncertainties, and the shares of their sources:")
+    parts = (("k", coefficients.stiffness, doubts.stiffness, ""), ("c", coefficients.damping, doubts.damping, ".s"))
+    for symbol, matrix, changes, per_speed in parts:
+        for (i, row), (j, column) in ((r, c) for r in enumerate(coefficients.dofs) for c in enumerate(coefficients.dofs)):
+            error = float(np.sqrt(np.sum(changes[:, i, j] ** 2)))
+            if error <= STRUCTURAL_ZERO * np.max(np.abs(matrix), initial=0.0):
+                continue
+            force, _, motion = coefficients.unit(i, j).partition("/")
+            largest = [(source, share) for source, share in doubts.shares(changes[:, i, j])[:MAX_SHARES] if share >= LEAST_SHARE]
+            shares = ", ".join(f"{source} {100 * share:.0f} %" for source, share in largest)
+            amount = amount_text(float(matrix[i, j]), error, f"{force}{per_speed}/{motion}")
+            click.echo(f"  {f'{symbol}_{row}_{column}':<10}{amount:<32}{shares}".rstrip())
 
 
 def _rounding(amounts: Sequence[Amount]) -> float:

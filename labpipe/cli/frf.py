@@ -7,7 +7,6 @@ from pathlib import Path
 
 import click
 
-from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
 from labpipe.cli.many import echo_failed, manner
 from labpipe.config.pipeline import Pipeline, load_pipeline
@@ -50,7 +49,7 @@ def frf(
     pipeline = load_pipeline(pipeline_path, overrides)
     if recordings:
         pipeline = with_recordings(pipeline, recordings)
-    with output_folder(output) as folder:
+    with options.results_folder(output) as folder:
         measured = measure_tests(pipeline, folder, manner(quiet, verbose, jobs, cluster))
     for test in measured.tests:
         echo_measured(test, quiet)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from labpipe.artefacts.header import SourceRef, source_ref
-from labpipe.artefacts.writing import OutputFolder, output_folder
+from labpipe.artefacts.writing import OutputFolder
 from labpipe.cli import options
 from labpipe.cli.terminal import echo_identification
 from labpipe.config.pipeline import Pipeline, load_pipeline
@@ -31,7 +31,7 @@ def identify(frfs: tuple[Path, ...], pipeline_path: Path, output: Path, override
     """
     pipeline = load_pipeline(pipeline_path, overrides)
     options.teller(quiet, verbose)(f"identify  {pipeline.title}")
-    with output_folder(output) as folder:
+    with options.results_folder(output) as folder:
         if frfs:
             tests, inputs = [load_measured(path) for path in frfs], [source_ref(path, path.parent) for path in frfs]
         else:

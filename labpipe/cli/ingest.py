@@ -6,7 +6,6 @@ from pathlib import Path
 
 import click
 
-from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
 from labpipe.config.rig import load_rig
 from labpipe.stages.ingest import ingest_all
@@ -23,7 +22,7 @@ def ingest(sources: tuple[Path, ...], rig_path: Path, output: Path, overrides: t
     """Calibrate raw files to SI units: SOURCE... -> DIR/*.recording.parquet."""
     rig = load_rig(rig_path, overrides)
     options.teller(quiet, verbose)(f"ingest    {len(sources)} file(s)")
-    with output_folder(output) as folder:
+    with options.results_folder(output) as folder:
         recordings = ingest_all(sources, rig, folder, Path.cwd())
     for recording in recordings:
         if not quiet:

@@ -28,6 +28,7 @@ COMMANDS = {
     "check": "Run pipelines and test their expect: and accept: rules.",
     "list": "The results below a folder, or their values, by rig, condition, date, fit.",
     "compare": "Compare two results, parameter by parameter.",
+    "verify": "Whether the artefacts of a folder are as labpipe wrote them.",
     "trend": "A parameter over a condition or over time in all results below a folder.",
     "orders": "Amplitude and phase of 1x over a run, orbits, forward and backward.",
     "bearing": "Stiffness and damping of a bearing model at its load and speed.",

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
+
+from labpipe.artefacts.writing import OutputFolder, output_folder
 
 PATH = click.Path(path_type=Path)
 
@@ -40,6 +43,18 @@ def catalogue_filters(command: Callable[..., object]) -> Callable[..., object]:
     for option in reversed(_FILTERS):
         command = option(command)
     return command
+
+
+@contextmanager
+def results_folder(path: Path) -> Iterator[OutputFolder]:
+    """The folder of a command's results; what was found damaged there is named on standard error."""
+    remarks: list[str] = []
+    try:
+        with output_folder(path, remarks=remarks) as folder:
+            yield folder
+    finally:
+        for remark in remarks:
+            click.echo(f"warning: {remark}", err=True)
 
 
 def teller(quiet: bool, verbose: bool) -> Callable[[str], None]:

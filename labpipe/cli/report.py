@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from labpipe.artefacts.identification_file import NAME, read_identification
+from labpipe.artefacts.writing import finished
 from labpipe.cli import options
 from labpipe.errors import DataError
 from labpipe.stages.report import write_campaign, write_report, write_test_report
@@ -60,7 +61,7 @@ def result_files(results: Sequence[Path]) -> list[Path]:
     """The identification.json files: a file itself, that of a folder, or all below a folder without one."""
     files: list[Path] = []
     for path in results:
-        below = sorted(path.rglob(NAME)) if path.is_dir() and not (path / NAME).exists() else []
+        below = finished(path.rglob(NAME)) if path.is_dir() and not (path / NAME).exists() else []
         if path.is_dir() and not below and not (path / NAME).exists():
             raise DataError(f"holds no {NAME}, neither does a folder below it", where=str(path), hint="run `labpipe run` first")
         files.extend(below or [path / NAME if path.is_dir() else path])

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import click
 
-from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
 from labpipe.cli.many import echo_failed, manner
 from labpipe.cli.terminal import echo_identification
@@ -32,7 +31,7 @@ def run(pipeline_path: Path, output: Path, jobs: int, cluster: str | None, overr
     """
     how = manner(quiet, verbose, jobs, cluster)
     pipeline = load_pipeline(pipeline_path, overrides)
-    with output_folder(output) as folder:
+    with options.results_folder(output) as folder:
         identification = run_pipeline(pipeline, folder, how)
         outdate_reports(folder, pipeline.report.formats)
     write_reports(identification, output, pipeline.report.formats, how.tell)

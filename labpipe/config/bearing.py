@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from labpipe.bearings.coefficients import BearingCoefficients
 from labpipe.bearings.kinds import BEARINGS, BearingKind
 from labpipe.config.faults import Faults, join
-from labpipe.config.reader import read_settings
+from labpipe.config.reader import in_one_line, read_settings
 from labpipe.errors import LabpipeError
 from labpipe.marked_yaml import Marked, load_marked, set_entry
+from labpipe.quantities import UnitError
 from labpipe.records.file_kind import FileKind
+from labpipe.records.setting_values import Setting
+from labpipe.records.settings import settings_of
+from labpipe.records.uncertain import Uncertain, is_doubtful, parse_uncertain, split_doubt
 from labpipe.registry import nearest
 
 
 @dataclass(frozen=True)
 class BearingFile:
-    """A bearing file that is being read: its path, kind, and the tree of its entries."""
+    """A bearing file that is being read: its path, kind, the tree of its entries, and the *doubts* of its numbers by their keys."""
 
     path: Path
     kind_name: str
     kind: BearingKind
     tree: Marked
+    doubts: Mapping[str, Uncertain] = field(default_factory=dict)
 
     def settings(self) -> Any:
         """The settings as the file has them now; ConfigErrors with every fault at its place."""
@@ -32,6 +37,16 @@ class BearingFile:
         settings = read_settings(self.kind.settings, self.tree, "", faults)
         faults.raise_any()
         return settings
+
+    def ends(self, key: str) -> list[Any]:
+        """The settings with the number of a key one standard uncertainty above its value, and below it."""
+        number, unit = self.doubts[key], setting_at(self.kind.settings, key).unit
+        ends = []
+        for sign in (1.0, -1.0, 0.0):
+            set_entry(self.tree, f"{key}={number.value + sign * number.std_error!r} {unit}".rstrip())
+            if sign:
+                ends.append(self.settings())
+        return ends
 
     def coefficients(self, settings: list[Any]) -> list[BearingCoefficients]:
         """The coefficients of every settings; errors say which file."""
@@ -51,7 +66,50 @@ def open_bearing(path: Path, overrides: Iterable[str] = ()) -> BearingFile:
     kind = kind_of(tree, "", faults)
     faults.raise_any()
     assert kind is not None
-    return BearingFile(path, tree.content["kind"].text, kind, tree)
+    doubts = _taken_doubts(tree, kind, "", kind.settings, faults)
+    faults.raise_any()
+    return BearingFile(path, tree.content["kind"].text, kind, tree, doubts)
+
+
+def setting_at(owner: type, key: str) -> Setting:
+    """The declared setting of a key such as loads.z; KeyError where there is none."""
+    first, _, rest = key.partition(".")
+    declared = settings_of(owner)[first][0]
+    return declared if not rest or declared.section is None else setting_at(declared.section, rest)
+
+
+def _taken_doubts(node: Marked, kind: BearingKind, key: str, owner: type, faults: Faults) -> dict[str, Uncertain]:
+    """The numbers of a mapping that carry a doubt, by their keys; in the tree their values stand alone after that."""
+    doubts: dict[str, Uncertain] = {}
+    if not isinstance(node.content, dict):
+        return doubts
+    for name, (declared, _) in settings_of(owner).items():
+        entry = node.content.get(name)
+        if entry is None:
+            continue
+        if declared.section is not None:
+            doubts |= _taken_doubts(entry, kind, join(key, name), declared.section, faults)
+            continue
+        entry = in_one_line(entry, declared)
+        if declared.kind != "value" or not is_doubtful(entry.text):
+            continue
+        value, doubt = split_doubt(entry.text)
+        if name in kind.bare_units and _is_number(value):
+            value = f"{value} {kind.bare_units[name]}"
+        try:
+            doubts[join(key, name)] = parse_uncertain(f"{value} +- {doubt}", declared.unit)
+        except UnitError as error:
+            faults.add_unit(entry, join(key, name), error)
+        node.content[name] = Marked(value, entry.where, entry.key_where, value)
+    return doubts
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def kind_of(tree: Marked, key: str, faults: Faults) -> BearingKind | None:

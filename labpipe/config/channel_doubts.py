@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from labpipe.artefacts.digest import DamagedError
+from labpipe.artefacts.json_file import read_digested
 from labpipe.config.faults import Faults, join
 from labpipe.marked_yaml import Marked
 from labpipe.quantities import UnitError
 from labpipe.records.doubt import ChannelDoubt, doubt_of
-from labpipe.records.setting_values import Uncertain, parse_uncertain, split_doubt
 from labpipe.records.settings import Doubts, Settings, setting
+from labpipe.records.uncertain import Uncertain, parse_uncertain, split_doubt
 from labpipe.registry import nearest
 
 
@@ -111,11 +113,20 @@ def calibrated_slope(reference: str, folder: Path) -> Slope:
     """The slope of a calibration fit; the reference is FILE#FIT, relative to the rig file. UnitError where there is none."""
     file, _, fit_name = reference.partition("#")
     try:
-        fits: list[Mapping[str, Any]] = json.loads((folder / file).read_text(encoding="utf-8"))["fits"]
-    except (OSError, ValueError, KeyError, TypeError):
+        fits: dict[str, Mapping[str, Any]] = {fit["name"]: fit for fit in read_digested(folder / file, "identification.json")["fits"]}
+        slopes = [parameter for parameter in fits.get(fit_name, {"parameters": ()})["parameters"] if parameter["name"] == "slope"]
+        if slopes:
+            return _slope(slopes[0], fits[fit_name].get("dof"))
+    except DamagedError as error:
+        raise UnitError(f"'{file}' is not a readable identification.json of a calibration: {error.what}", error.hint) from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise UnitError(f"'{file}' is not a readable identification.json of a calibration") from None
-    for fit in fits:
-        for parameter in fit["parameters"]:
-            if fit["name"] == fit_name and parameter["name"] == "slope":
-                return Slope(parameter["value"], parameter["unit"], parameter.get("std_error") or 0.0, fit.get("dof"))
-    raise UnitError(f"'{file}' holds no calibration fit '{fit_name}'", nearest(fit_name, {fit["name"] for fit in fits}))
+    raise UnitError(f"'{file}' holds no calibration fit '{fit_name}'", nearest(fit_name, fits))
+
+
+def _slope(parameter: Mapping[str, Any], dof: Any) -> Slope:
+    """The slope of its entry; TypeError or ValueError for an entry that is none."""
+    value, error = float(parameter["value"]), float(parameter.get("std_error") or 0.0)
+    if not (math.isfinite(value) and math.isfinite(error) and value and error >= 0):
+        raise ValueError("no slope")
+    return Slope(value, str(parameter["unit"]), error, None if dof is None else float(dof))

@@ -15,7 +15,7 @@ from labpipe.config.faults import Faults, join
 from labpipe.marked_yaml import Marked
 from labpipe.quantities import QUANTITIES, Dimension, UnitError, name_of_dimension, parse_unit
 from labpipe.records.channel_sum import Number, Term
-from labpipe.records.setting_values import parse_uncertain
+from labpipe.records.uncertain import parse_uncertain
 from labpipe.registry import nearest
 
 _SIGN = re.compile(r"(?:^|\s)([+-])(?:\s+|$)")

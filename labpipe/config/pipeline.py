@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from labpipe.config.reading import Reading
 from labpipe.config.recordings import read_rig
 from labpipe.config.rules import Rule, read_rules
 from labpipe.config.tests import Test, TestReader
+from labpipe.config.uncertainty import read_uncertainty
 from labpipe.errors import ConfigError
 from labpipe.identify.model_kinds import DECAYS, RESPONSES, SPECTRA
 from labpipe.identify.settings import FitSettings, check_kind
@@ -40,27 +41,6 @@ class ReportSettings(Settings):
         for name in self.formats:
             if name not in REPORT_FORMATS:
                 raise ConfigError(f"unknown format '{name}'", hint=nearest(name, REPORT_FORMATS), field="formats")
-
-
-METHODS = ("first-order", "monte-carlo")
-
-
-@dataclass(frozen=True)
-class UncertaintySettings(Settings):
-    """The ``uncertainty:`` section: how the doubts of given numbers are propagated, for all fits that do not say it themselves."""
-
-    coverage: float = setting("value", "probability of expanded uncertainties", unit="1", default=0.95)
-    method: str = setting("choice", "first order, or draws of noise and all doubts beside it", choices=METHODS, default="first-order")
-    draws: int = setting("integer", "draws of method monte-carlo", default=2000)
-
-    def __post_init__(self) -> None:
-        if not 0 < self.coverage < 1:
-            raise ConfigError("'coverage' must lie between 0 and 100 %", field="coverage")
-
-    def of(self, fit: FitSettings) -> FitSettings:
-        """A fit with these settings where it has none of its own."""
-        draws = fit.monte_carlo or (self.draws if self.method == "monte-carlo" else 0)
-        return replace(fit, coverage=self.coverage if fit.coverage == FitSettings.coverage else fit.coverage, monte_carlo=draws)
 
 
 @dataclass(frozen=True)
@@ -120,9 +100,9 @@ def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
     report = read_settings(ReportSettings, entries["report"], "report", faults) if "report" in entries else ReportSettings()
     settings, names = _sections(entries, rig, faults)
     if "uncertainty" in entries:
-        uncertainty = read_settings(UncertaintySettings, entries["uncertainty"], "uncertainty", faults)
-        if uncertainty is not None and "identify" in settings:
-            settings["identify"] = tuple(uncertainty.of(fit) for fit in settings["identify"])
+        of_all = read_uncertainty(entries["uncertainty"], faults)
+        if of_all is not None and "identify" in settings:
+            settings["identify"] = tuple(of_all(fit) for fit in settings["identify"])
     rules = tuple(rule for key in ("accept", "expect") for rule in read_rules(key, entries.get(key), faults, names))
     _check_whole(tree, entries, tests, frf, faults)
     _check_kinds(entries, settings.get("identify", ()), tests, frf, faults)

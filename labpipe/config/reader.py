@@ -13,8 +13,8 @@ from labpipe.config.values import read_value
 from labpipe.errors import ConfigError, ConfigErrors
 from labpipe.marked_yaml import Marked
 from labpipe.quantities import UnitError
-from labpipe.records.setting_values import is_doubtful, parse_uncertain
 from labpipe.records.settings import Setting, settings_of, takes_doubt
+from labpipe.records.uncertain import is_doubtful, parse_uncertain
 
 Owner = TypeVar("Owner")
 
@@ -42,7 +42,7 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
     for name, (setting, required) in settings.items():
         count = len(faults)
         if name in entries:
-            node_of = _in_one_line(entries[name], setting)
+            node_of = in_one_line(entries[name], setting)
             read = _read_doubtful if takes_doubt(owner, setting) and is_doubtful(node_of.text) else read_setting
             fields[name] = read(node_of, setting, join(key, name), faults)
             if setting.into:
@@ -69,7 +69,7 @@ def _instance(owner: type[Owner], fields: dict[str, Any], node: Marked, key: str
         return None
 
 
-def _in_one_line(node: Marked, setting: Setting) -> Marked:
+def in_one_line(node: Marked, setting: Setting) -> Marked:
     """A number in its long form {value, std | limits | expanded, shape, k, dof, source} as the text that stands for it."""
     if setting.kind not in LONG_KINDS or not isinstance(node.content, dict) or "value" not in node.content:
         return node

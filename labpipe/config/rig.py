@@ -19,8 +19,8 @@ from labpipe.records.channel_sum import Term
 from labpipe.records.file_kind import FileKind
 from labpipe.records.recording import ROLES, Channel
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
-from labpipe.records.setting_values import split_doubt
 from labpipe.records.settings import Doubts, Settings, setting
+from labpipe.records.uncertain import split_doubt
 from labpipe.registry import nearest
 
 # Beside the plain entries of a rig file.

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from labpipe.artefacts.json_file import read_digested
 from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
 from labpipe.config.rotor import LISTS, build_rotor, read_bearings, read_entries, read_materials, tried
@@ -109,11 +109,11 @@ def read_coefficients(named: str, folder: Path, node: Marked, faults: Faults) ->
 
 def _metamodel(path: Path, name: str) -> Metamodel:
     try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
+        entries = read_digested(path, "identification.json")
     except FileNotFoundError as error:
         raise ConfigError(f"no such file '{path}'", hint="paths are relative to the file that names them") from error
-    except (OSError, ValueError) as error:
-        raise DataError(f"'{path}' cannot be read as JSON: {error}") from error
+    except DataError as error:
+        raise DataError(f"'{path}' {error.what}", hint=error.hint) from error
     try:
         models = {str(model["name"]): model["model"] for model in entries["run_ups"]["metamodels"]}
     except (KeyError, TypeError):

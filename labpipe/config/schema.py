@@ -7,6 +7,7 @@ from typing import Any
 from labpipe.config.pipeline import ReportSettings
 from labpipe.config.recordings import BY
 from labpipe.config.rig import ChannelSettings, RigSettings
+from labpipe.config.uncertainty import UncertaintySettings
 from labpipe.identify.settings import MODELS, FitSettings, model_kind
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.settings import Setting, settings_of
@@ -58,8 +59,10 @@ def pipeline_schema() -> dict[str, Any]:
         "recordings": recordings,
         "frfs": frfs,
         "each": {**recordings, "description": "files of which each is a test of its own, under the file's name"},
+        "together": {**_TEXTS, "description": "parts of the pattern in which the recordings of one test differ"},
         "pattern": {"type": "string", "description": "conditions in the file's name, for example {preload}-{direction}"},
         "conditions": conditions,
+        "frf": {**_object(FrfSettings), "description": "in place of the pipeline's, for this test"},
     }
     rules = {"type": "object", "additionalProperties": {"anyOf": [_TEXT_OR_NUMBER, {"type": "boolean"}, {"type": "array"}]}}
     properties = {
@@ -70,6 +73,7 @@ def pipeline_schema() -> dict[str, Any]:
         "frfs": frfs,
         "conditions": conditions,
         "frf": _object(FrfSettings),
+        "uncertainty": _object(UncertaintySettings),
         **{name: _section(entry) for name, entry in sections()},
         "report": _object(ReportSettings),
         "accept": rules,

@@ -16,7 +16,7 @@ from labpipe.identify.diagnostics import MISMATCH_P
 from labpipe.identify.settings import FitSettings
 from labpipe.records.dynamic_stiffness import DynamicStiffness, GivenDoubt
 from labpipe.records.identification import Fit, Goodness
-from labpipe.records.setting_values import Uncertain
+from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
 NONE = Uncertain(0.0)

@@ -52,7 +52,7 @@ from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.dynamic_stiffness import GivenDoubt, OtherExcitation, systematic
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Candidate, Fit, Goodness, Parameter
-from labpipe.records.setting_values import Uncertain, split_doubt
+from labpipe.records.uncertain import Uncertain, split_doubt
 
 BANDS_BY_DEFAULT = 10
 LS_NOTE = (

@@ -17,7 +17,7 @@ from labpipe.dynamic_stiffness.likelihood import Balance, Whitened, real_rows, t
 from labpipe.dynamic_stiffness.stator import Stator
 from labpipe.records.doubt import Doubt, doubt_of
 from labpipe.records.dynamic_stiffness import GivenDoubt
-from labpipe.records.setting_values import Uncertain
+from labpipe.records.uncertain import Uncertain
 
 MASS = "mass of the stator"
 

@@ -16,7 +16,7 @@ from labpipe.dynamic_stiffness.forms import DAMPING, STIFFNESS, StiffnessModel
 from labpipe.dynamic_stiffness.whirl import FORMS_WITH_WHIRL, LIMIT, Whirl, whirl
 from labpipe.identify.statistics import derived, estimated, student_limit, widened
 from labpipe.records.identification import Parameter
-from labpipe.records.setting_values import Uncertain
+from labpipe.records.uncertain import Uncertain
 
 # Ratio of the whole standard error to that of noise below which they are the same.
 SAME = 1 + 1e-9

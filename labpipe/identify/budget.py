@@ -7,36 +7,39 @@ repeated. (GUM, JCGM 100:2008, 5.1; Gauss-Newton's form of ds/dp.)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import FloatArray
+from labpipe.display import amount_text
 from labpipe.distributions import coverage_factor
 from labpipe.identify.derived import BandModel
 from labpipe.identify.instrumental import instrument_step
 from labpipe.identify.leakage import expected
+from labpipe.identify.matrix_errors import SHARE
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.output_error import OutputError
 from labpipe.identify.regression import equation_solution, regression, solve_scaled
 from labpipe.identify.reported import reported_parameters, with_systematic
-from labpipe.identify.settings import ESTIMATE, ESTIMATORS, FitSettings
+from labpipe.identify.settings import ESTIMATE, ESTIMATORS, FitSettings, Support
 from labpipe.identify.setup import Setup
 from labpipe.identify.statistics import Estimate
 from labpipe.identify.transfer_mode import TransferMode
 from labpipe.identify.weights import equal_weights, has_noise, whitener
 from labpipe.records.budget import Budget
-from labpipe.records.doubt import Doubt, doubt_of
+from labpipe.records.doubt import COURSES, Doubt, MatrixError, doubt_of
 from labpipe.records.identification import Fit
 from labpipe.records.parameter import Contribution, Parameter
 from labpipe.records.response import Port
+from labpipe.records.uncertain import Uncertain
 
-# Errors of sources are tried at this share of their standard uncertainty, so that slopes are those at the estimate.
-SHARE = 1e-3
 # From a setup with changed numbers to its model.
 ModelOf = Callable[[Setup], BandModel]
+# A source, and the change (n_parameter,) of reported parameters by one standard uncertainty of it.
+Source = tuple[Doubt, FloatArray]
 # From a setup, its model and data to the reported parameters of a whole fit.
 Refit = Callable[[Setup, BandModel, Measured], tuple[Parameter, ...]]
 
@@ -54,7 +57,7 @@ class Case:
 
 def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
     """The budget of reported *parameters*; None where no number has a doubt, or the fit did not converge."""
-    sources = sources_of(case.setup)
+    sources = sources_of(case.setup, case.measured)
     if not sources or not case.estimate.converged:
         return None
     step = _step_of(case)
@@ -74,16 +77,32 @@ def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
 
 def with_given_mass(fit: Fit, settings: FitSettings) -> Fit:
     """A fit whose k and c are the given mass times what is fitted, with what the doubt of that mass adds; as it is without one."""
+    return fit if fit.budget is not None else with_sources(fit, mass_source(fit.parameters, settings))
+
+
+def mass_source(parameters: Sequence[Parameter], settings: FitSettings) -> list[Source]:
+    """The given mass as a source of stiffness and damping that are in proportion to it; none without a doubt of it."""
     number = dict(settings.doubts).get("mass")
-    if number is None or settings.mass == ESTIMATE or not number.value or fit.budget is not None:
-        return fit
+    if number is None or settings.mass == ESTIMATE or not number.value:
+        return []
     relative = number.std_error / number.value
-    changes = np.array([relative * parameter.value if parameter.unit in ("N/m", "N.s/m") else 0.0 for parameter in fit.parameters])
-    random = np.array([np.nan if parameter.full_error is None else parameter.full_error for parameter in fit.parameters])
+    changes = np.array([relative * parameter.value if parameter.unit in ("N/m", "N.s/m") else 0.0 for parameter in parameters])
+    return [(doubt_of(number, f"mass {number.value:g} kg", "kg"), changes)]
+
+
+def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
+    """The fit with what further systematic *sources* add to the doubt of its parameters; as it is where none changes an interval."""
+    before = np.array([np.nan if parameter.full_error is None else parameter.full_error for parameter in fit.parameters])
+    counted = [(doubt, changes) for doubt, changes in sources if np.any(changes[np.isfinite(before)])]
+    if not counted:
+        return fit
     names = tuple(parameter.name for parameter in fit.parameters)
-    budget = Budget(names, random, float(fit.dof), (doubt_of(number, f"mass {number.value:g} kg", "kg"),), changes[None])
-    known = np.any(changes[np.isfinite(random)])
-    return replace(fit, parameters=with_systematic(fit.parameters, budget), budget=budget) if known else fit
+    added = Budget(names, before, float(fit.dof), tuple(doubt for doubt, _ in counted), np.array([row for _, row in counted]))
+    budget = added if fit.budget is None else fit.budget.with_sources(added.sources, added.changes)
+    widened = with_systematic(fit.parameters, added, budget.dof)
+    stated = zip(widened, budget.systematic, strict=True)
+    parameters = tuple(one if one.systematic is None else replace(one, systematic=float(size)) for one, size in stated)
+    return replace(fit, parameters=parameters, budget=budget)
 
 
 def with_contributions(fit: Fit, coverage: float) -> Fit:
@@ -112,7 +131,7 @@ def with_contributions(fit: Fit, coverage: float) -> Fit:
 Change = Callable[[Case, float], tuple[Setup, Measured]]
 
 
-def sources_of(setup: Setup) -> list[tuple[Doubt, Change]]:
+def sources_of(setup: Setup, measured: Measured) -> list[tuple[Doubt, Change]]:
     """Every source with what an error of it does; numbers of one source change together."""
     changes: dict[str, list[tuple[Doubt, Change]]] = {}
     for ports, sign in ((setup.outputs, 1.0), (setup.inputs, -1.0)):
@@ -120,10 +139,14 @@ def sources_of(setup: Setup) -> list[tuple[Doubt, Change]]:
             for doubted in port.doubts:
                 entry = (doubted.doubt, _change_of(doubted.effect, number, sign))
                 changes.setdefault(doubted.doubt.source, []).append(entry)
+    for matrix_error in measured.errors:
+        changes.setdefault(matrix_error.doubt.source, []).append((matrix_error.doubt, _change_by(matrix_error)))
     mass = dict(setup.settings.doubts).get("mass")
     if mass is not None and mass.std_error > 0 and setup.settings.mass != ESTIMATE:
         doubt = doubt_of(mass, f"mass {mass.value:g} kg", "kg")
         changes.setdefault(doubt.source, []).append((doubt, _heavier))
+    for doubt, change in _support_sources(setup.settings.subtract):
+        changes.setdefault(doubt.source, []).append((doubt, change))
     return [(entries[0][0], _together(entries)) for entries in changes.values()]
 
 
@@ -145,15 +168,10 @@ def _change_of(effect: str, number: int, sign: float) -> Change:
     """What the error of a channel does: X (1 - d), X e^{jwd}, X e^{jd}, or another direction; *sign* -1 for a force, which divides."""
     if effect == "direction":
         return lambda case, error: (_turned(case.setup, number, sign, error), case.measured)
-    courses: dict[str, Callable[[FloatArray, float], ComplexArray]] = {
-        "gain": lambda omega, error: np.full(omega.size, -error, np.complex128),
-        "delay": lambda omega, error: 1j * omega * error,
-        "phase": lambda omega, error: np.full(omega.size, 1j * error),
-    }
-    course = courses[effect]
+    slope, power = COURSES[effect]
 
     def change(case: Case, error: float) -> tuple[Setup, Measured]:
-        factor = np.exp(sign * course(case.measured.omega, error))
+        factor = np.exp(sign * error * slope * case.measured.omega**power)
         matrix = case.measured.plus_offset(case.measured.matrix).copy()
         if sign > 0:
             matrix[:, number, :] *= factor[:, None]
@@ -161,6 +179,16 @@ def _change_of(effect: str, number: int, sign: float) -> Change:
             matrix[:, :, number] *= factor[:, None]
         offset = case.measured.offset
         return case.setup, replace(case.measured, matrix=matrix if offset is None else matrix - offset[:, None, None])
+
+    return change
+
+
+def _change_by(matrix_error: MatrixError) -> Change:
+    """What the error of a number in a sum of channels does to the whole matrix, in proportion to it."""
+
+    def change(case: Case, error: float) -> tuple[Setup, Measured]:
+        share = error / matrix_error.doubt.std_error
+        return case.setup, replace(case.measured, matrix=case.measured.matrix + share * matrix_error.change)
 
     return change
 
@@ -182,6 +210,25 @@ def _heavier(case: Case, error: float) -> tuple[Setup, Measured]:
     settings = case.setup.settings
     assert isinstance(settings.mass, (int, float))
     return replace(case.setup, settings=replace(settings, mass=settings.mass + error)), case.measured
+
+
+def _support_sources(support: Support | None) -> Iterator[tuple[Doubt, Change]]:
+    """Stiffness and damping of a support that is subtracted; the same support in all tests is the same error."""
+    for name, unit in (("stiffness", "N/m"), ("damping", "N.s/m")):
+        number: Uncertain | None = None if support is None else getattr(support, name)
+        if number is not None and number.std_error > 0:
+            yield doubt_of(number, f"{name} of the support, {amount_text(number.value, None, unit)}", unit), _other_support(name)
+
+
+def _other_support(name: str) -> Change:
+    def change(case: Case, error: float) -> tuple[Setup, Measured]:
+        support = case.setup.settings.subtract
+        assert support is not None
+        number: Uncertain = getattr(support, name)
+        moved = replace(support, **{name: replace(number, value=number.value + error)})
+        return replace(case.setup, settings=replace(case.setup.settings, subtract=moved)), case.measured
+
+    return change
 
 
 def _values(case: Case, step: Callable[[BandModel, Measured], FloatArray], setup: Setup, measured: Measured) -> FloatArray:

@@ -43,19 +43,18 @@ def is_direct(name: str) -> bool:
 def corrected(total: Estimated, settings: FitSettings) -> Estimated:
     """(total - support) / share for stiffness and damping: k_bearing = (k_total - k_support) / n.
 
-    The support is common to all direct coefficients, so its uncertainty adds fully correlated between them:
-    cov = (cov_total + s^2 1 1^T) / n^2. ConfigError for a share below 1.
+    The covariance is that of the estimates; the doubt of the support is a source of its own, common to all direct coefficients and to all
+    tests. ConfigError for a share below 1.
     """
     if settings.share < 1:
         raise ConfigError("share must be at least 1")
-    values, covariance = total.values.copy(), total.covariance.copy()
+    values = total.values.copy()
     support = settings.subtract or Support()
     for kind, amount in (("k", support.stiffness), ("c", support.damping)):
         direct = np.array([is_direct(name) and name.startswith(kind) for name in total.names])
         values = values - np.where(direct, amount.value, 0.0)
-        covariance = covariance + np.outer(direct, direct) * amount.std_error**2
     divisor = np.array([float(settings.share) if unit in ("N/m", "N.s/m") else 1.0 for unit in total.units])
-    return Estimated(total.names, total.units, values / divisor, covariance / np.outer(divisor, divisor))
+    return Estimated(total.names, total.units, values / divisor, total.covariance / np.outer(divisor, divisor))
 
 
 def is_corrected(settings: FitSettings) -> bool:

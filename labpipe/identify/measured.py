@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.leakage import Leakage
 from labpipe.identify.shared_noise import SharedNoise
+from labpipe.records.doubt import MatrixError
 from labpipe.records.response import Blocks, FrequencyResponse, Port
 from labpipe.registry import nearest
 from labpipe.spectra.convert import DERIVATIVES, TRANSMISSIBILITY, FormView
@@ -28,7 +29,7 @@ class Measured:
     c is complex, lines do not add up and shared_noise is the upper bound shared_power; where noise cancels between lines it is 1 at least,
     since no estimate is a plain sum. *line_noise*: the same correlation line by line, None for independent lines; *noise*: that of lines
     that each have gains of their own. *offset* (n_line,) [m/N]: what was taken off the measured form, a gain's error acts on both; None for
-    0. *blocks* of random data and their *leakage* where it is known (H1), or None.
+    0. *blocks* of random data and their *leakage* where it is known (H1), or None. *errors*: of sums of channels, as receptance.
     """
 
     omega: FloatArray
@@ -46,6 +47,7 @@ class Measured:
     leakage: Leakage | None = None
     offset: FloatArray | None = None
     blocks: Blocks | None = None
+    errors: tuple[MatrixError, ...] = ()
 
     def plus_offset(self, receptance: ComplexArray) -> ComplexArray:
         """What a sensor shows of a *receptance* (n_line, n_output, n_input) [m/N] of the model."""
@@ -121,6 +123,9 @@ def measured_part(
         line_noise=line_noise,
         offset=view.offset / np.real(factor) if view.offset else None,
         change=None if response.change is None else response.change[lines][:, rows][:, :, columns] / factor[:, None, None],
+        errors=tuple(
+            replace(error, change=error.change[lines][:, rows][:, :, columns] / factor[:, None, None]) for error in response.errors
+        ),
     )
 
 

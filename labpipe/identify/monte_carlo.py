@@ -60,7 +60,7 @@ def propagated(case: Case, parameters: Sequence[Parameter], budget: Budget, fitt
 def _drawn(case: Case, fitted: ComplexArray, refit: Refit, rng: np.random.Generator) -> FloatArray | None:
     """Reported values (n_parameter,) [parameter units] of one draw; None where the fit fails."""
     changed = replace(case, measured=redrawn(case.measured, fitted, rng))
-    for doubt, change in sources_of(case.setup):
+    for doubt, change in sources_of(case.setup, case.measured):
         setup, measured = change(changed, drawn_error(doubt, rng))
         changed = replace(changed, setup=setup, measured=measured)
     try:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from labpipe.arrays import FloatArray
 from labpipe.distributions import coverage_factor
 from labpipe.identify.corrections import Estimated, corrected
 from labpipe.identify.derived import BandModel, derived_parameters
@@ -61,14 +62,15 @@ def widened_parameters(parameters: Sequence[Parameter], plain: Sequence[Paramete
     )
 
 
-def with_systematic(parameters: Sequence[Parameter], budget: Budget) -> tuple[Parameter, ...]:
+def with_systematic(parameters: Sequence[Parameter], budget: Budget, dof: FloatArray | None = None) -> tuple[Parameter, ...]:
     """The parameters with combined standard uncertainties and expanded intervals, by Student's t with the effective degrees of freedom.
 
     An interval that is lopsided by itself is widened on each side by the square sum of that side and the systematic part's.
+    dof (n_parameter,) [1]: effective ones, by default those of the budget.
     """
     return tuple(
-        _expanded(parameter, float(systematic), float(dof))
-        for parameter, systematic, dof in zip(parameters, budget.systematic, budget.dof, strict=True)
+        _expanded(parameter, float(systematic), float(of_parameter))
+        for parameter, systematic, of_parameter in zip(parameters, budget.systematic, budget.dof if dof is None else dof, strict=True)
     )
 
 

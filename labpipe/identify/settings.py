@@ -7,6 +7,7 @@ from typing import Any
 
 from labpipe.errors import ConfigError
 from labpipe.identify.model_kinds import DECAYS, RESPONSES, SPECTRA, ModelKind
+from labpipe.records.repeat_source import RepeatSource
 from labpipe.records.setting_values import COEFFICIENT_UNITS as COEFFICIENT_UNITS
 from labpipe.records.setting_values import ESTIMATE as ESTIMATE
 from labpipe.records.settings import Doubts, Settings, Uncertain, setting
@@ -56,7 +57,7 @@ class Sliding(Settings):
 
 @dataclass(frozen=True)
 class Support(Settings):
-    """Stiffness and damping of the support, subtracted from the direct coefficients with their uncertainty."""
+    """Stiffness and damping of the support, subtracted from the direct coefficients; their doubts are sources of the budget."""
 
     stiffness: Uncertain = setting("uncertain", "stiffness of the support", unit="N/m", default=Uncertain(0.0))
     damping: Uncertain = setting("uncertain", "damping of the support", unit="N.s/m", default=Uncertain(0.0))
@@ -64,7 +65,10 @@ class Support(Settings):
 
 @dataclass(frozen=True)
 class FitSettings(Settings):
-    """One fit of the pipeline's ``identify:`` section; *name* is its key there, *model_settings*: of the section that its model has."""
+    """One fit of the pipeline's ``identify:`` section; *name* is its key there, *model_settings*: of the section that its model has.
+
+    *repeats*: scatter between repeats of a test, from the section ``uncertainty:``.
+    """
 
     model: str = setting("choice", "what is identified", choices=tuple(MODELS))
     _: KW_ONLY
@@ -97,6 +101,7 @@ class FitSettings(Settings):
     name: str = ""
     model_settings: Any = None
     doubts: Doubts = ()
+    repeats: tuple[RepeatSource, ...] = ()
 
     def __post_init__(self) -> None:
         self._check_bands()

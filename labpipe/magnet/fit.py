@@ -26,7 +26,7 @@ from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.doubt import Doubt, doubt_of
 from labpipe.records.dynamic_stiffness import systematic
 from labpipe.records.identification import Fit, Goodness, Parameter
-from labpipe.records.setting_values import Uncertain
+from labpipe.records.uncertain import Uncertain
 
 OTHERS = ("subtract", "eliminate", "fixed", "tied", "bootstrap", "symmetric", "compare")
 

@@ -62,8 +62,9 @@ def levitation_of(
     mass: FloatArray | float,
     settings: MagnetSettings,
 ) -> Levitation:
-    """The levitated rotor of a test in a band [Hz]; *names* of currents and displacements, all without names; *mass* [kg], or (n, n).
+    """The levitated rotor of a test in a band [Hz]; *mass* [kg], or (n, n).
 
+    *names* of the currents and of the displacements, all without names.
     ConfigError for channels that do not pair or whose places are not known, FitError for too few lines.
     """
     currents = _chosen(spectra, CURRENT, ("input", "output"), names[0], "input")

@@ -3,29 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
+from labpipe.identify.budget import Source, mass_source, with_sources
 from labpipe.identify.diagnostics import quality_findings
 from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.reported import without_intervals
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.statistics import determination
 from labpipe.identify.weights import has_noise
+from labpipe.modal.budget import modal_sources
 from labpipe.modal.findings import mass_findings, mismatch, modal_findings, modal_notes, unexplained, width_findings
 from labpipe.modal.growth import refine_with_terms
+from labpipe.modal.likelihood import Refined
 from labpipe.modal.lscf import NormalEquations, Poles, normal_equations
 from labpipe.modal.missing import Completed, completed, kept_modes, with_real_modes
-from labpipe.modal.residual_terms import Lines
+from labpipe.modal.residual_terms import Lines, ResidualTerms
 from labpipe.modal.residual_test import LineNoise
 from labpipe.modal.settings import LEAST_ORDER, ModalSettings
 from labpipe.modal.shapes import shape_record
 from labpipe.modal.stabilisation import Diagram, damping_ratio, nearest_modes, stabilisation
 from labpipe.modal.values import DrivingPoint, frequency_correlation, modal_parameters, strongest_points
 from labpipe.modal.whole_covariance import ModalEstimate, whole_covariance_fit
-from labpipe.records.identification import Fit, FittedCurve, Goodness
+from labpipe.records.identification import Fit, FittedCurve, Goodness, Parameter
 from labpipe.records.modes import StabilisationDiagram
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.bands import lines_in
@@ -90,6 +94,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     terms = whole.terms
     estimate = whole_covariance_fit(sides.measured, terms, whole.refined, real=real)
     fit = _reported(settings, band, sides, whole, estimate)
+    fit = with_sources(fit, _sources(settings, sides, terms, estimate))
     window_known = has_noise(sides.measured) or bool(response.line_correlation)
     narrow = width_findings(estimate.refined, sides.lines, window_known=window_known)
     fit = replace(fit, notes=(*fit.notes, *dropped), findings=(*fit.findings, *narrow))
@@ -126,6 +131,7 @@ def _turned(measured: Measured) -> Measured:
     return replace(
         measured,
         matrix=measured.matrix.swapaxes(1, 2),
+        errors=tuple(replace(error, change=error.change.swapaxes(1, 2)) for error in measured.errors),
         covariance=covariance,
         outputs=measured.inputs,
         inputs=measured.outputs,
@@ -166,12 +172,23 @@ def _check_start(start: Poles, lines: Lines, highest: int) -> None:
         raise FitError(f"{lines.omega.size} lines cannot hold {start.values.size} modes", hint="widen the band")
 
 
+def _parameters(settings: FitSettings, sides: _Sides, estimate: ModalEstimate, refined: Refined) -> tuple[Parameter, ...]:
+    mass = settings.mass if isinstance(settings.mass, float) else None
+    return modal_parameters(refined, estimate.dof, mass, sides.driving_points, mismatch(estimate))
+
+
+def _sources(settings: FitSettings, sides: _Sides, terms: ResidualTerms, estimate: ModalEstimate) -> list[Source]:
+    """What the sensors, sums of channels and a given mass make doubtful."""
+    parameters = partial(_parameters, settings, sides, estimate)
+    of_matrix = modal_sources(sides.measured, terms, estimate.refined, parameters, real=settings.model_settings.shapes == "real")
+    return [*of_matrix, *mass_source(parameters(estimate.refined), settings)]
+
+
 def _reported(settings: FitSettings, band: tuple[float, float], sides: _Sides, whole: Completed, estimate: ModalEstimate) -> Fit:
     """The Fit without shapes and curve."""
     refined, measured = estimate.refined, sides.measured
-    mass = settings.mass if isinstance(settings.mass, float) else None
     matrix = frequency_correlation(refined)
-    parameters = modal_parameters(refined, estimate.dof, mass, sides.driving_points, mismatch(estimate))
+    parameters = _parameters(settings, sides, estimate, refined)
     r2, adjusted = determination(measured.matrix, measured.matrix - estimate.fitted, measured.n_equation - estimate.dof)
     return Fit(
         name=settings.name,

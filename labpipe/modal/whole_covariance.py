@@ -50,6 +50,12 @@ class ModalReceptance:
     n_input: int
     real: bool = False
 
+    @classmethod
+    def of(cls, terms: ResidualTerms, refined: Refined, measured: Measured, *, real: bool = False) -> ModalReceptance:
+        """The model of refined modes of a measured matrix; *real*: real modes."""
+        _, n_output, n_input = measured.matrix.shape
+        return cls(terms, np.argmax(refined.participation == 1, axis=1), n_output, n_input, real)
+
     @property
     def n_mode(self) -> int:
         return int(self.fixed.size)
@@ -158,8 +164,7 @@ def whole_covariance_fit(measured: Measured, terms: ResidualTerms, refined: Refi
 
     Without it the estimate is that of *refined*, whose noise comes from the residual; *real*: real modes.
     """
-    _, n_output, n_input = measured.matrix.shape
-    model = ModalReceptance(terms, np.argmax(refined.participation == 1, axis=1), n_output, n_input, real)
+    model = ModalReceptance.of(terms, refined, measured, real=real)
     start = model.joined(refined, measured)
     dof = measured.n_equation - model.n_parameter
     if not has_noise(measured) or model.n_parameter * measured.n_equation > MOST_ENTRIES:

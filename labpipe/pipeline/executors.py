@@ -10,6 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from labpipe import __version__
+from labpipe.artefacts.code import code_digest
 from labpipe.errors import ConfigError, DataError
 from labpipe.pipeline.one_test import Done, Job
 from labpipe.records.identification import Failed
@@ -116,13 +117,15 @@ def _connected(distributed: Any, address: str) -> Any:
     except TimeoutError:
         client.close()
         raise DataError("the scheduler has no workers", where=address, hint=f"start some with `dask worker {address}`") from None
-    others = {worker: version for worker, version in versions.items() if version != __version__}
+    others = {worker: version for worker, version in versions.items() if version != _version()}
     if others:
         client.close()
-        worker, version = next(iter(others.items()))
-        raise DataError(f"worker {worker} has labpipe {version}, this is {__version__}", where=address, hint="install the same version")
+        worker, (version, _) = next(iter(others.items()))
+        build = "another build of " if version == __version__ else ""
+        what = f"worker {worker} has {build}labpipe {version}, this is {__version__}"
+        raise DataError(what, where=address, hint="install the same version")
     return client
 
 
-def _version() -> str:
-    return __version__
+def _version() -> tuple[str, str]:
+    return __version__, code_digest()

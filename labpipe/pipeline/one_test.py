@@ -8,7 +8,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
-from labpipe.artefacts.fits_file import has_fresh_fits, read_fits, write_fits
+from labpipe.artefacts.digest import DamagedError
+from labpipe.artefacts.fits_file import FOLDER, has_fresh_fits, read_fits, write_fits
+from labpipe.artefacts.freshness import made_again
 from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.config.tests import Test
@@ -52,7 +54,7 @@ class Job:
 
     @property
     def fits_name(self) -> str:
-        return f"fits/{frf_file_name(self.test.name).removesuffix('.frf.parquet')}.json"
+        return f"{FOLDER}/{frf_file_name(self.test.name).removesuffix('.frf.parquet')}.json"
 
     @property
     def measured_name(self) -> str:
@@ -68,28 +70,30 @@ class Job:
 
 @dataclass(frozen=True)
 class Done:
-    """How a test ended: the raw files behind it, or why it failed."""
+    """How a test ended: the raw files behind it, or why it failed; what was found damaged and made again."""
 
     test: str
     sources: tuple[SourceRef, ...] = ()
     failed: Failed | None = None
+    remarks: tuple[str, ...] = ()
 
 
 def work(job: Job) -> Done:
     """Do the job; a fault of its input is its outcome, and what was finished before the fault stays."""
+    remarks: list[str] = []
     try:
-        with output_folder(job.target, job.scratch) as output:
+        with output_folder(job.target, job.scratch, remarks) as output:
             sources = measure(job, output)
         if job.fits:
-            with output_folder(job.target, job.scratch) as output:
+            with output_folder(job.target, job.scratch, remarks) as output:
                 fit(job, output)
     except LabpipeError as error:
-        return Done(job.test.name, failed=Failed(job.test.name, str(error)))
+        return Done(job.test.name, failed=Failed(job.test.name, str(error)), remarks=tuple(remarks))
     except OSError as error:
         if error.errno is None:
             raise
         return Done(job.test.name, failed=Failed(job.test.name, f"{error.filename or 'output'}: {os.strerror(error.errno).lower()}"))
-    return Done(job.test.name, sources)
+    return Done(job.test.name, sources, remarks=tuple(remarks))
 
 
 def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[SourceRef, ...]:
@@ -124,8 +128,12 @@ def measured_refs(job: Job, output: OutputFolder) -> list[SourceRef]:
 def fit(job: Job, output: OutputFolder) -> None:
     """The independent fits of the test, made unless those on disk are fresh."""
     inputs = measured_refs(job, output)
-    if has_fresh_fits(output.read_path(job.fits_name), job.fits, inputs):
-        return
+    path = output.read_path(job.fits_name)
+    try:
+        if has_fresh_fits(path, job.fits, inputs):
+            return
+    except DamagedError as error:
+        output.remarks.append(made_again(error, path))
     measured = measured_of(job, output)
     fits = [test_fit for settings in job.fits for test_fit in fits_of(measured, settings, job.pipeline_path)]
     write_fits(output.write_path(job.fits_name), fits, job.fits, inputs)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from labpipe.artefacts.header import SourceRef, source_ref
-from labpipe.artefacts.writing import OutputFolder, existing_home
+from labpipe.artefacts.writing import STAGING, OutputFolder, existing_home
 from labpipe.config.pipeline import Pipeline
 from labpipe.errors import ConfigError, DataError
 from labpipe.pipeline.executors import Execute, serially
@@ -78,6 +78,7 @@ def measure_tests(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits
             done = _worked(jobs, manner)
         else:
             done = {job.test.name: Done(job.test.name, measure(job, output, manner.tell)) for job in jobs}
+    output.remarks.extend(remark for outcome in done.values() for remark in outcome.remarks)
     finished = [job for job in jobs if done[job.test.name].failed is None]
     failed = tuple(outcome.failed for outcome in (done[job.test.name] for job in jobs) if outcome.failed is not None)
     if failed and not finished:
@@ -97,7 +98,7 @@ def independent_fits(pipeline: Pipeline) -> list[str]:
 @contextmanager
 def _scratch(target: Path) -> Iterator[Path]:
     """A folder beside the output for unfinished files, removed at the end in every case."""
-    scratch = Path(tempfile.mkdtemp(prefix=".labpipe-", dir=existing_home(target)))
+    scratch = Path(tempfile.mkdtemp(prefix=STAGING, dir=existing_home(target)))
     try:
         yield scratch
     finally:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,6 +46,10 @@ class Budget:
         total = np.sum(known, axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(total > 0, self.combined**4 / total, np.inf)
+
+    def with_sources(self, sources: tuple[Doubt, ...], changes: FloatArray) -> Budget:
+        """The budget with further sources and their changes (n_source, n_parameter) [unit of the parameter]; draws did not hold these."""
+        return replace(self, sources=(*self.sources, *sources), changes=np.vstack([self.changes, changes]), drawn=None)
 
     def shares(self, name: str) -> dict[str, float]:
         """Share of every source in the variance of a parameter, noise among them, the largest first; they add up to 1."""

@@ -5,10 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from labpipe.records.setting_values import Uncertain
+import numpy as np
+
+from labpipe.arrays import ComplexArray
+from labpipe.records.arrays import frozen_array
+from labpipe.records.uncertain import Uncertain
 
 # What the number of a channel does to it: size and sign, delay of its chain, phase, direction.
 EFFECTS = {"gain": "1", "delay": "s", "phase": "rad", "direction": "rad"}
+
+# Relative change of a channel's amplitude X by a unit of the error d of its chain, a w^n as (a, n): X (1 - d), X e^{+jwd}, X e^{+jd}.
+COURSES: dict[str, tuple[complex, int]] = {"gain": (-1.0, 0), "delay": (1j, 1), "phase": (1j, 0)}
 
 
 @dataclass(frozen=True)
@@ -39,6 +46,22 @@ class ChannelDoubt:
 
     effect: str
     doubt: Doubt
+
+
+@dataclass(frozen=True)
+class MatrixError:
+    """What an error that no single channel carries does to a measured matrix: a number in a sum of channels.
+
+    *change* (n_frequency, n_output, n_input) complex [unit of the matrix]: by one standard uncertainty of the *doubt*.
+    """
+
+    doubt: Doubt
+    change: ComplexArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "change", frozen_array(self.change, np.complex128, f"change by {self.doubt.source}", np.shape(self.change))
+        )
 
 
 def as_doubts(entries: Any) -> tuple[ChannelDoubt, ...]:

@@ -179,7 +179,8 @@ class Failed:
 class Identification:
     """All fits of a pipeline with their measured responses and spectra, source files and settings.
 
-    *inputs*: digests of the responses that the fits were made from, *code*: of the program that made them. *sections*: the records of the
+    *inputs*: digests of the responses that the fits were made from, *code*: of the program that made them,
+    *digest*: of the file that the result was read from, empty for one without. *sections*: the records of the
     pipeline's other sections by their key (compare, study, run_ups, ...).
     """
 
@@ -197,6 +198,7 @@ class Identification:
     failed: tuple[Failed, ...] = ()
     inputs: tuple[dict[str, str], ...] = ()
     code: str = ""
+    digest: str = field(default="", compare=False)
     sections: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.arrays import frozen_array
-from labpipe.records.doubt import ChannelDoubt, as_doubts
+from labpipe.records.doubt import ChannelDoubt, MatrixError, as_doubts
 from labpipe.records.finding import Finding
 from labpipe.records.text import response_line
 from labpipe.records.views import VIEWS
@@ -82,6 +82,7 @@ class FrequencyResponse:
     line_gains       (n_frequency, 2 m + 1, n_output, n_input) or None: the error of a line is not z_k alone but
                      sum_j gains(k, j) z_(k+j-m) of its neighbours, scaled to the variance 1 (an exponential window taken out again)
     blocks           of random data, whose ends leave leakage in the FRF, or None
+    errors           systematic errors that no single port carries: of the numbers in sums of channels and of the members of these
     """
 
     frequency: FloatArray
@@ -103,6 +104,7 @@ class FrequencyResponse:
     line_correlation: tuple[complex, ...] = ()
     line_gains: ComplexArray | None = None
     blocks: Blocks | None = None
+    errors: tuple[MatrixError, ...] = ()
     name: str = ""
     findings: tuple[Finding, ...] = ()
     conditions: dict[str, Any] = field(default_factory=dict)
@@ -131,6 +133,9 @@ class FrequencyResponse:
             "snr": (np.float64, (n_f, len(self.snr_channels))),
             "line_gains": (np.complex128, (n_f, np.shape(self.line_gains)[1] if self.line_gains is not None else 1, n_o, n_i)),
         }
+        for error in self.errors:
+            if error.change.shape != (n_f, n_o, n_i):
+                raise DataError(f"the change of '{self.name}' by {error.doubt.source} has the shape {error.change.shape}")
         for attribute, (dtype, shape) in shapes.items():
             values = getattr(self, attribute)
             if values is not None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.records.recording import Channel
-from labpipe.records.setting_values import Uncertain
+from labpipe.records.uncertain import Uncertain
 
 AXIS_ANGLES = {"x": 0.0, "y": math.pi / 2}
 

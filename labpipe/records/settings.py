@@ -9,7 +9,8 @@ from typing import Any
 
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError
-from labpipe.records.setting_values import CONVERTERS, Setting, Uncertain, is_doubtful, parse_uncertain
+from labpipe.records.setting_values import CONVERTERS, Setting
+from labpipe.records.uncertain import Uncertain, is_doubtful, parse_uncertain
 
 __all__ = ["Setting", "Settings", "Uncertain", "setting", "settings_of"]
 

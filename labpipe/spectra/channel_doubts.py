@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray
 from labpipe.records.channel_spectra import UncertainFactor
-from labpipe.records.doubt import ChannelDoubt
+from labpipe.records.doubt import COURSES, ChannelDoubt
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
 
@@ -32,12 +32,12 @@ def calibration_factors(channels: Sequence[Channel], combined: ComplexArray) -> 
 
 def _derivative(channels: Sequence[Channel], combined: ComplexArray, number: int, doubt: ChannelDoubt) -> tuple[ComplexArray, int]:
     """The change of the vector per unit of the error, and the power of the angular frequency that goes with it."""
-    row = np.zeros(combined.shape[0], np.complex128)
+    row, power = np.zeros(combined.shape[0], np.complex128), 0
     if doubt.effect == "direction":
         row += _turned(channels[: combined.shape[1]], number, combined.shape[0])
     else:
-        row[number] = {"gain": -1.0, "delay": 1j, "phase": 1j}[doubt.effect]
-    return np.outer(combined[:, number], row), 1 if doubt.effect == "delay" else 0
+        row[number], power = COURSES[doubt.effect]
+    return np.outer(combined[:, number], row), power
 
 
 def _turned(channels: Sequence[Channel], number: int, size: int) -> ComplexArray:

@@ -38,6 +38,7 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
         matrix=from_left @ response.matrix @ from_right,
         covariance=covariance,
         change=None if response.change is None else from_left @ response.change @ from_right,
+        errors=tuple(dataclasses.replace(error, change=from_left @ error.change @ from_right) for error in response.errors),
         outputs=ports,
         inputs=ports,
         coherence=None,

@@ -11,6 +11,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray
 from labpipe.errors import DataError
+from labpipe.records.doubt import MatrixError
 from labpipe.records.response import FrequencyResponse, Port
 
 # Relative tolerance between the frequency axes, which files print with six digits.
@@ -45,6 +46,7 @@ def joined(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
         averages=min(response.averages for response in responses),
         line_correlation=windows.pop() if len(windows) == 1 else (),
         blocks=first.blocks if all(response.blocks == first.blocks for response in responses) else None,
+        errors=_errors(responses, rows, columns),
         findings=tuple(dict.fromkeys(finding for response in responses for finding in response.findings)),
         conditions=first.conditions,
         **whole,
@@ -74,6 +76,22 @@ def _covariance(responses: Sequence[FrequencyResponse], rows: dict[str, int], co
         place = np.array([rows[o.label] * len(columns) + columns[i.label] for o in response.outputs for i in response.inputs])
         whole[:, place[:, None], place] = response.covariance
     return whole
+
+
+def _errors(responses: Sequence[FrequencyResponse], rows: dict[str, int], columns: dict[str, int]) -> tuple[MatrixError, ...]:
+    """The systematic errors of all responses; one of several responses is one error in all of them."""
+    doubts = {error.doubt.source: error.doubt for response in responses for error in response.errors}
+    errors = []
+    for source, doubt in doubts.items():
+        whole = np.zeros((responses[0].n_frequency, len(rows), len(columns)), np.complex128)
+        for response in responses:
+            o = np.array([rows[port.label] for port in response.outputs])[:, None]
+            i = np.array([columns[port.label] for port in response.inputs])
+            for error in response.errors:
+                if error.doubt.source == source:
+                    whole[:, o, i] += error.change
+        errors.append(MatrixError(doubt, whole))
+    return tuple(errors)
 
 
 def _check_complete(responses: Sequence[FrequencyResponse], rows: Iterable[str], columns: Iterable[str]) -> None:

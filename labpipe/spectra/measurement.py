@@ -27,6 +27,7 @@ from labpipe.spectra.ports import Layout, check_rates, find_layout, source_findi
 from labpipe.spectra.realisations import realisations, robust_mean
 from labpipe.spectra.reciprocity import reciprocity_findings
 from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.sum_doubts import sum_errors
 from labpipe.spectra.sums import doubt_findings
 from labpipe.spectra.without_shaft import without_shaft
 
@@ -93,6 +94,7 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
     bands = masked_bands(sources, settings)
     settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
     sources, settings, shaft = without_shaft(sources, settings)
+    cleaned = sources
     monitors = [AliasingMonitor(source, settings.excitation == "impact") for source in sources]
     sources = list(monitors)
     parts = EXCITATIONS[settings.excitation](sources, settings, layout)
@@ -101,9 +103,10 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
     sensor_factor = layout.sensor_factor(parts.frequency)
     flat = sensor_factor.reshape(sensor_factor.shape[0], -1)
     covariance = None if parts.covariance is None else parts.covariance * (flat[:, :, None] * flat[:, None, :].conj())
+    matrix = parts.matrix * sensor_factor
     return FrequencyResponse(
         frequency=parts.frequency,
-        matrix=parts.matrix * sensor_factor,
+        matrix=matrix,
         outputs=layout.outputs,
         inputs=layout.inputs,
         form=layout.form,
@@ -119,6 +122,7 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
         line_correlation=parts.line_correlation,
         line_gains=None if parts.line_gains is None else parts.line_gains * _phase(sensor_factor)[:, None],
         blocks=parts.blocks,
+        errors=sum_errors(cleaned, settings, layout, (parts.frequency, matrix), EXCITATIONS[settings.excitation]),
         name=name,
         findings=findings,
         conditions=dict(conditions or {}),

@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
+from labpipe.records.doubt import MatrixError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse, uncorrelated
@@ -59,6 +60,7 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
         covariance=(covariance + uncorrelated(distortion**2)) / m,
         distortion=distortion / np.sqrt(m),
         change=_mean_change(responses),
+        errors=_mean_errors(responses),
         snr=None if first.snr is None else np.mean([response.snr for response in responses if response.snr is not None], axis=0),
         averages=sum(response.averages for response in responses),
         covariance_dof=min(sum(response.covariance_dof for response in responses), (m - 1) * (2 * half_width + 1.0)),
@@ -69,6 +71,12 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
 def _mean_change(responses: Sequence[FrequencyResponse]) -> ComplexArray | None:
     changes = [response.change for response in responses if response.change is not None]
     return np.asarray(np.mean(changes, axis=0)) if len(changes) == len(responses) else None
+
+
+def _mean_errors(responses: Sequence[FrequencyResponse]) -> tuple[MatrixError, ...]:
+    """The systematic errors of the mean: all realisations were measured through the same sums."""
+    together = zip(*(response.errors for response in responses), strict=True)
+    return tuple(MatrixError(errors[0].doubt, np.asarray(np.mean([error.change for error in errors], axis=0))) for errors in together)
 
 
 def _neighbours_mean(values: FloatArray, half_width: int) -> FloatArray:

@@ -35,24 +35,16 @@ def doubtful_numbers(channels: Iterable[Channel]) -> dict[Number, list[Channel]]
 
 
 def doubt_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
-    """Of sums that are inputs or outputs: the doubts of their numbers and of their members are not in the intervals of an FRF."""
+    """Of sums that are inputs or outputs: the doubts of their members' directions are not in the intervals of an FRF."""
     channels = dict.fromkeys(channel for source in sources for channel in source.channels if channel.role != "reference")
-    doubted = {channel.name for source in sources for channel in source.channels if channel.doubts}
-    members = {
-        channel.name: names for channel in channels if (names := [term.channel for term in channel.terms if term.channel in doubted])
+    turned = {
+        channel.name for source in sources for channel in source.channels if any(doubt.effect == "direction" for doubt in channel.doubts)
     }
-    calibrated = tuple(
+    members = {channel.name: names for channel in channels if (names := [term.channel for term in channel.terms if term.channel in turned])}
+    return tuple(
         Finding(
             "number-doubt",
-            f"doubts of the calibration of {', '.join(names)} in {name}: they are not in the intervals of the FRF and of its fits",
+            f"doubts of the direction of {', '.join(names)} in {name}: they are not in the intervals of the FRF and of its fits",
         )
         for name, names in members.items()
-    )
-    return calibrated + tuple(
-        Finding(
-            "number-doubt",
-            f"{number.name} = {number.value:g} {number.unit} +- {number.std_error:.3g} {number.unit} in "
-            f"{', '.join(one.name for one in sums)}: this doubt is not in the intervals of the FRF and of its fits",
-        )
-        for number, sums in doubtful_numbers(channels).items()
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 from labpipe.errors import ConfigError, LabpipeError
 from labpipe.identify.fitting import identify
 from labpipe.identify.levels import with_level_findings
+from labpipe.identify.repeat_sources import with_repeat_sources
 from labpipe.identify.settings import FitSettings
 from labpipe.records.identification import Fit
 from labpipe.registry import nearest
@@ -47,7 +48,10 @@ def fits_of(tests: Sequence[MeasuredTest], settings: FitSettings, pipeline_path:
         if settings.test and measured.name not in settings.test:
             continue
         try:
-            test_fits = identify(measured, settings)
+            test_fits = [
+                with_repeat_sources(fit, settings.repeats, measured.name, measured.conditions, settings.coverage)
+                for fit in identify(measured, settings)
+            ]
         except LabpipeError as error:
             test = f", test {measured.name}" if measured.name else ""
             error.where = error.where or f"{pipeline_path}: identify.{settings.name}{test}"

@@ -8,8 +8,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from labpipe.artefacts.freshness import fresh_path
 from labpipe.artefacts.header import Header, SourceRef, source_ref
-from labpipe.artefacts.parquet import read_header
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.response_file import SUFFIX, read_response, write_response
 from labpipe.artefacts.writing import OutputFolder
@@ -51,8 +51,7 @@ def frf(
     parameters = {"frf": dataclasses.asdict(settings), "test": test, "conditions": conditions or {}}
     header = Header("frf", parameters, inputs=inputs)
     name = frf_file_name(test)
-    existing = output.read_path(name)
-    if existing.exists() and read_header(existing, "frf").same_work(header):
+    if (existing := fresh_path(output, name, header)) is not None:
         return read_response(existing)
     try:
         response = measure(recordings, settings, name=test, conditions=conditions or {})

@@ -10,6 +10,8 @@ from typing import Any
 
 from labpipe import __version__
 from labpipe.artefacts.code import code_digest
+from labpipe.artefacts.digest import DamagedError
+from labpipe.artefacts.freshness import made_again
 from labpipe.artefacts.header import SourceRef
 from labpipe.artefacts.identification_file import NAME, read_identification, write_identification
 from labpipe.artefacts.typed_json import entry_of
@@ -101,9 +103,14 @@ def _existing(output: OutputFolder) -> Identification | None:
     if not path.exists():
         return None
     try:
-        return read_identification(path)
-    except DataError:
+        existing = read_identification(path)
+    except DataError as error:
+        output.remarks.append(made_again(error, path))
         return None
+    if not existing.digest and existing.code == code_digest():
+        output.remarks.append(made_again(DamagedError("carries no digest"), path))
+        return None
+    return existing
 
 
 def settings_entry(pipeline: Pipeline, tests: Sequence[MeasuredTest] = ()) -> dict[str, Any]:

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from labpipe.artefacts.freshness import fresh_path
 from labpipe.artefacts.header import Header, SourceRef, source_ref
-from labpipe.artefacts.parquet import has_header, read_header
+from labpipe.artefacts.parquet import has_header
 from labpipe.artefacts.recording_file import SUFFIX, RecordingWriter, StoredRecording, open_recording, recording_contents
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError
@@ -45,8 +46,7 @@ def ingest(
     table = _joined([source, *joined], rig, by) if joined else open_table(source)
     parameters = {**dataclasses.asdict(rig), **({"by": by} if by else {})}
     header = Header("recording", parameters, inputs=tuple(source_ref(path, base) for path in (source, *joined)))
-    fresh = output.read_path(name + SUFFIX)
-    if fresh.exists() and read_header(fresh, "recording").same_work(header):
+    if (fresh := fresh_path(output, name + SUFFIX, header)) is not None:
         return open_recording(fresh)
     target = output.write_path(name + SUFFIX)
     _write(table, rig, target, header, source.stem)

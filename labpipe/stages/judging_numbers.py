@@ -9,7 +9,7 @@ from labpipe.config.rules import Rule
 from labpipe.display import amount_text, with_error
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, in_unit, parse_value, written_unit
-from labpipe.records.setting_values import parse_uncertain, split_doubt
+from labpipe.records.uncertain import parse_uncertain, split_doubt
 
 # (value [SI], whether it meets the rule, the value in the rule's unit)
 Compared = tuple[float | str | None, bool, str]

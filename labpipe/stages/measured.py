@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from labpipe.artefacts.decay_file import SUFFIX, read_decays, write_decays
+from labpipe.artefacts.freshness import fresh_path
 from labpipe.artefacts.header import Header, source_ref
-from labpipe.artefacts.parquet import read_header
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.response_file import SUFFIX as RESPONSE_SUFFIX
 from labpipe.artefacts.spectra_file import SUFFIX as SPECTRA_SUFFIX
@@ -70,8 +70,7 @@ def measure_test(
     inputs = tuple(source_ref(recording.path, recording.path.parent) for recording in recordings)
     header = Header(kind.name, {"frf": dataclasses.asdict(settings), "test": test, "conditions": conditions}, inputs=inputs)
     name = measured_file_name(test, settings)
-    existing = output.read_path(name)
-    if existing.exists() and read_header(existing, kind.name).same_work(header):
+    if (existing := fresh_path(output, name, header)) is not None:
         return kind.read(existing)
     try:
         measured = kind.make(recordings, settings, name=test, conditions=conditions)

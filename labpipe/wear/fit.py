@@ -8,8 +8,10 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
+from labpipe.identify.budget import Source, with_sources
 from labpipe.identify.dense_curve import drawn_densely
 from labpipe.identify.diagnostics import MISMATCH_P, collinear_groups, estimate_findings, excess_findings, quality_findings
+from labpipe.identify.matrix_errors import changes_by
 from labpipe.identify.regression import triangle_of
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.statistics import (
@@ -93,7 +95,7 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     parameters, findings = _reported(solved, estimate)
     frequency = measured.frequency
     lines = np.isin(response.frequency, frequency)
-    return Fit(
+    fit = Fit(
         name=settings.name,
         model=settings.model,
         estimator=NAMES[wear.objective],
@@ -116,6 +118,25 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         curve=_curve(measured, solved),
         region=_region(solved, parameters),
     )
+    return with_sources(fit, _sources(solved, measured, wear.objective, len(parameters)))
+
+
+def _sources(solved: _Solved, measured: WornReceptance, objective: str, n_parameter: int) -> list[Source]:
+    """Change (n_parameter,) [parameter units] by each source of systematic error: one step of the fit from its minimum, C J^T r."""
+    misfit, best = solved.misfit, solved.best.parameters
+    if not measured.errors:
+        return []
+    response, slopes = misfit.model.response(best)
+    modelled, of_parameters = measured.terms(response), measured.terms(slopes)
+    step = solved.noise_covariance @ misfit.jacobian(best)[: -misfit.n_prior or None].T
+    beside = np.zeros(n_parameter - len(misfit.model.names))
+
+    def values(change: ComplexArray) -> FloatArray:
+        moved = replace(measured, measured=replace(measured.measured, matrix=measured.measured.matrix + change))
+        residual = MISFITS[objective](misfit.model, moved).compared(modelled, of_parameters)[0] / misfit.size
+        return np.concatenate([-misfit.model.scale * (step @ residual), beside])
+
+    return changes_by(measured.errors, values)
 
 
 def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:

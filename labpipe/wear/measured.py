@@ -8,9 +8,11 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError, FitError
+from labpipe.identify.matrix_errors import matrix_errors
 from labpipe.identify.measured import Measured, measured_part
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.setup import labels
+from labpipe.records.doubt import MatrixError
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.directional import FORWARD_BACKWARD, FROM_DIRECTIONAL, directions
@@ -21,15 +23,21 @@ from labpipe.wear.settings import WearSettings
 # Terms of the matrix in row-major order: yy yz zy zz, or ff fb bf bb.
 PLACES = {"full": (0, 1, 2, 3), "direct": (0, 3), "cross": (1, 2)}
 NAMES = {"FRF": ("y", "z"), "dFRF": FORWARD_BACKWARD}
+# Step of the central differences by a direction [rad].
+SMALL_ANGLE = 1e-5
 
 
 @dataclass(frozen=True)
 class WornReceptance:
-    """The measured receptance on the fit's lines in its frame, *measured* (n_line, 2, 2), and the *places* of the terms used."""
+    """The measured receptance on the fit's lines in its frame, *measured* (n_line, 2, 2), and the *places* of the terms used.
+
+    *errors*: what sources of systematic error do to it, in the same frame.
+    """
 
     measured: Measured
     places: tuple[int, ...]
     names: tuple[str, str]
+    errors: tuple[MatrixError, ...] = ()
 
     @property
     def frequency(self) -> FloatArray:
@@ -56,8 +64,31 @@ def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: We
     measured = measured_part(response, [0, 1], [0, 1], lines)
     turn = np.kron(left, right.T)
     covariance = None if measured.covariance is None else without_rounding(turn @ measured.covariance @ turn.conj().T)
-    turned = replace(measured, matrix=left @ measured.matrix @ right, covariance=covariance)
-    return WornReceptance(turned, PLACES[wear.terms], NAMES[wear.response])
+    turned = replace(measured, matrix=left @ measured.matrix @ right, covariance=covariance, errors=())
+    errors = [replace(error, change=left @ error.change @ right) for error in matrix_errors(measured)]
+    errors += _of_directions(response, wear.response, measured.matrix)
+    return WornReceptance(turned, PLACES[wear.terms], NAMES[wear.response], tuple(errors))
+
+
+def _of_directions(response: FrequencyResponse, frame: str, matrix: ComplexArray) -> list[MatrixError]:
+    """Changes of the matrix in the fit's frame by the direction of each sensor and force whose angle has a doubt."""
+    errors = []
+    for of_forces, ports in ((False, response.outputs), (True, response.inputs)):
+        for number, port in enumerate(ports):
+            for doubted in port.doubts:
+                if doubted.effect == "direction" and port.angle is not None:
+                    ahead, behind = (_turn(_with_angle(response, of_forces, number, step), frame) for step in (SMALL_ANGLE, -SMALL_ANGLE))
+                    slope = (ahead[0] @ matrix @ ahead[1] - behind[0] @ matrix @ behind[1]) / (2 * SMALL_ANGLE)
+                    errors.append(MatrixError(doubted.doubt, doubted.doubt.std_error * slope))
+    return errors
+
+
+def _with_angle(response: FrequencyResponse, of_forces: bool, number: int, step: float) -> FrequencyResponse:
+    """The response with a sensor or force turned by *step* [rad]."""
+    ports = response.inputs if of_forces else response.outputs
+    port = ports[number]
+    turned = (*ports[:number], replace(port, angle=(port.angle or 0.0) + step), *ports[number + 1 :])
+    return replace(response, inputs=turned) if of_forces else replace(response, outputs=turned)
 
 
 def _turn(response: FrequencyResponse, frame: str) -> tuple[ComplexArray, ComplexArray]:

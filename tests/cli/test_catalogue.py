@@ -6,6 +6,9 @@ import csv
 import json
 import os
 import sqlite3
+import subprocess
+import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -125,10 +128,15 @@ def test_questions_that_cannot_be_meant_are_refused(campaign: Path, asked: dict[
     assert what in str(error.value)
 
 
+def undigested(text: str) -> str:
+    """A result as labpipe wrote it before it had a digest."""
+    return "".join(line for line in text.splitlines(keepends=True) if not line.startswith('"digest"'))
+
+
 def test_the_index_follows_the_files(campaign: Path) -> None:
     assert len(found(campaign)) == 4
     path = campaign / "sub/two/identification.json"
-    path.write_text(path.read_text().replace("1040.0", "1234.0"))
+    path.write_text(undigested(path.read_text()).replace("1040.0", "1234.0"))
     os.utime(path, ns=(1, 1))
     assert ("c", 1234.0) in found(campaign)
     path.unlink()
@@ -152,15 +160,50 @@ def test_an_index_of_another_version_or_a_damaged_one_is_made_again(campaign: Pa
     assert len(found(campaign)) == 4
 
 
+def test_no_damaged_page_of_the_index_reaches_a_value(campaign: Path) -> None:
+    """Each of 40 single bytes, seed pinned: the index is made again."""
+    expected = found(campaign)
+    whole = (campaign / INDEX).read_bytes()
+    for place in np.random.default_rng(3).integers(0, len(whole), 40):
+        (campaign / INDEX).write_bytes(whole[:place] + bytes([255 - whole[place]]) + whole[place + 1 :])
+        assert found(campaign) == expected
+        assert (campaign / INDEX).read_bytes() == whole
+
+
+@pytest.mark.parametrize("kind", ["folder", "pipe", "another database"])
+def test_what_is_no_index_of_ours_does_not_stop_a_list(tmp_path: Path, campaign: Path, kind: str) -> None:
+    path = campaign / INDEX
+    path.unlink(missing_ok=True)
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    else:
+        with closing(sqlite3.connect(path)) as connection:
+            connection.execute("CREATE TABLE value (x)")
+            connection.commit()
+    assert len(found(campaign)) == 4
+
+
+def test_several_processes_build_the_index_at_once(campaign: Path) -> None:
+    """Three of them once ended in `database is locked`."""
+    command = [sys.executable, "-m", "labpipe.cli.main", "list", str(campaign), "-p", "k"]
+    running = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) for _ in range(3)]
+    ended = [process.communicate() for process in running]
+    assert {out for out, _ in ended} == {ended[0][0]} and {err for _, err in ended} == {b""}
+
+
+def test_what_another_run_is_making_is_not_listed(campaign: Path) -> None:
+    (campaign / ".labpipe-x1").mkdir()
+    (campaign / ".labpipe-x1/identification.json").write_bytes((campaign / "one/identification.json").read_bytes())
+    assert len(found(campaign)) == 4
+
+
 def test_a_folder_that_may_not_be_written_is_indexed_in_memory(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    connect = sqlite3.connect
+    def refusing(path: Path) -> Path:
+        raise PermissionError(13, "Permission denied", str(path))
 
-    def refusing(path: object) -> sqlite3.Connection:
-        if str(path) != ":memory:":
-            raise sqlite3.OperationalError("unable to open database file")
-        return connect(":memory:")
-
-    monkeypatch.setattr("sqlite3.connect", refusing)
+    monkeypatch.setattr("labpipe.catalogue.index.output_file", refusing)
     assert len(found(campaign)) == 4
     assert not (campaign / INDEX).exists()
 
@@ -297,6 +340,7 @@ def test_comparing_on_the_terminal(campaign: Path, labpipe) -> None:
     path = campaign / "sub/two/identification.json"
     entries = json.loads(path.read_text())
     entries["fits"][0]["test"] = "a"
+    del entries["digest"]
     path.write_text(json.dumps(entries))
     ended = labpipe("compare", campaign / "one", campaign / "sub/two", "-p", "k")
     assert "differs" in ended.out and "1 of 2 parameters differ" in ended.out

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import Header, SourceRef
 from labpipe.artefacts.identification_file import read_identification, write_identification
 from labpipe.artefacts.recording_file import RecordingWriter, open_recording, recording_contents
@@ -212,7 +213,12 @@ def test_records_are_read_only_and_checked_at_birth(rng: np.random.Generator) ->
 def test_a_result_with_other_entries_is_refused_in_plain_words(tmp_path: Path, change: dict) -> None:
     path = tmp_path / "identification.json"
     write_identification(path, Identification((), "empty", pipeline="p.yaml"))
-    path.write_text(json.dumps({**json.loads(path.read_text("utf-8")), **change}), "utf-8")
+    edited = {**json.loads(path.read_text("utf-8")), **change}
+    path.write_text(json.dumps(edited), "utf-8")
+    with pytest.raises(DamagedError, match="content does not match its digest"):
+        read_identification(path)
+    del edited["digest"]
+    path.write_text(json.dumps(edited), "utf-8")
     with pytest.raises(DataError, match=r"was written by labpipe .*, or edited") as caught:
         read_identification(path)
     assert "run `labpipe identify` again" in str(caught.value.hint)

@@ -257,7 +257,7 @@ def test_a_file_from_before_newer_entries_is_read(tmp_path: Path) -> None:
     path = tmp_path / "identification.json"
     write_identification(path, Identification((), "T", pipeline="p.yaml"))
     entries = json.loads(path.read_text("utf-8"))
-    for name in ("responses", "settings", "rig", "accept", "expect"):
+    for name in ("responses", "settings", "rig", "accept", "expect", "digest"):
         del entries[name]
     path.write_text(json.dumps(entries), "utf-8")
     old = read_identification(path)

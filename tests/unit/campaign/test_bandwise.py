@@ -16,10 +16,10 @@ from labpipe.campaign.compare import Evidence, compare
 from labpipe.campaign.loop_file import with_unknowns
 from labpipe.campaign.settings import CompareSettings
 from labpipe.errors import ConfigError, FitError
-from labpipe.identify.settings import FitSettings, Support
+from labpipe.identify.budget import with_sources
 from labpipe.records.comparison import Comparison
+from labpipe.records.doubt import Doubt
 from labpipe.records.identification import Fit
-from labpipe.records.settings import Uncertain
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure, Table
 from tests.unit.campaign.conftest import a_fit
@@ -44,8 +44,8 @@ def made(values: Sequence[tuple[float, float]], test: str, errors: Sequence[tupl
     return tuple(fits)
 
 
-def compared(first: tuple[Fit, ...], second: tuple[Fit, ...], settings: FitSettings | None = None, **asked) -> Comparison:
-    tests = TwoTests(("0 rpm", "8000 rpm"), (first, second), settings or replace(SETTINGS, subtract=None))
+def compared(first: tuple[Fit, ...], second: tuple[Fit, ...], **asked) -> Comparison:
+    tests = TwoTests(("0 rpm", "8000 rpm"), (first, second))
     return bandwise(replace(ASKED, **asked), tests)
 
 
@@ -61,9 +61,13 @@ def test_the_p_value_is_welch_s(rng: np.random.Generator) -> None:
 
 
 def test_what_the_support_adds_to_both_is_no_part_of_the_difference() -> None:
-    """Standard errors of 100 N/m of which 160 N/m / 2 = 80 N/m come from the support: 60 N/m are each test's own."""
-    settings = replace(SETTINGS, subtract=Support(Uncertain(134.5e3, 160.0), Uncertain(3.7)), share=2)
-    found = compared(made([(1e4, 5.0)], "a"), made([(10_300.0, 5.0)], "b"), settings, parameter="k")
+    """60 N/m are each test's own, 80 N/m come from the support under both: the difference has 60 sqrt(2) N/m."""
+    support = Doubt("stiffness of the support", 160.0, "N/m")
+
+    def on_it(k: float, test: str) -> tuple[Fit, ...]:
+        return tuple(with_sources(fit, [(support, np.array([-80.0, 0.0]))]) for fit in made([(k, 5.0)], test, [(60.0, 1.0)]))
+
+    found = compared(on_it(1e4, "a"), on_it(10_300.0, "b"), parameter="k")
     tested = compared(made([(1e4, 5.0)], "a"), made([(10_300.0, 5.0)], "b"), parameter="k")
     # k is the default, which stands for all coefficients; so both have two tests.
     assert found.amount("p_value").value == pytest.approx(2 * 2 * stats.t.sf(300 / (60 * np.sqrt(2)), 40))
@@ -94,7 +98,7 @@ def test_fits_of_one_rig_raise_no_alarm_more_often(rng: np.random.Generator, pai
     alarms = 0
     for _ in range(pairs):
         pair = [measured(file, rng, 0.02, 6, fits=True, support=(134.5e3, 3.68)).fits for _ in range(2)]
-        alarms += compared(*pair, SETTINGS).verdict == "different"
+        alarms += compared(*pair).verdict == "different"
     assert alarms <= stats.binom.ppf(0.994, pairs, 0.05)
 
 
@@ -113,7 +117,7 @@ def test_a_difference_is_found_in_its_bands(rng: np.random.Generator) -> None:
     file = bearing("hmb-geometry")
     other = with_unknowns(file, {"bandwidth": 300.0})
     views = [measured(each, rng, fits=True) for each in (file, other)]
-    found = compared(views[0].fits, views[1].fits, SETTINGS)
+    found = compared(views[0].fits, views[1].fits)
     differing = [band for band in found.bands if band.p_value is not None and band.p_value < 0.05]
     assert found.verdict == "different"
     assert any(band.parameter == "c" and band.band_hz[0] <= 67 <= band.band_hz[1] for band in differing)

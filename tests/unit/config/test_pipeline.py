@@ -11,8 +11,8 @@ from labpipe.config.schema import pipeline_schema, rig_schema
 from labpipe.errors import ConfigErrors
 from labpipe.identify.settings import Sliding
 from labpipe.marked_yaml import load_marked
-from labpipe.records.setting_values import parse_uncertain
 from labpipe.records.settings import Uncertain
+from labpipe.records.uncertain import parse_uncertain
 
 ROOT = Path(__file__).parents[3]
 

@@ -100,7 +100,7 @@ def test_coefficients_identified_before_take_the_place_of_the_film(tmp_path: Pat
         ({}, "nowhere.json#surface", "no such file"),
         ({}, "identification.json", "is not FILE#NAME"),
         ({}, "identification.json#surface", "holds no metamodels"),
-        ([1], "identification.json#surface", "holds no metamodels"),
+        ([1], "identification.json#surface", "is not a readable identification.json"),
         ({"run_ups": {"metamodels": [{"name": "surface", "model": {"kind": "surface"}}]}}, "identification.json#surface", "are damaged"),
         ({"run_ups": {"metamodels": [{"name": "surface", "model": {}}]}}, "identification.json#surfaces", "did you mean 'surface'"),
     ],
@@ -117,7 +117,7 @@ def test_coefficients_that_cannot_be_read_are_faults_at_their_place(
 def test_a_file_that_is_no_json_is_said(tmp_path: Path, text: str) -> None:
     path = with_coefficients(tmp_path, text, {})
     (tmp_path / "identification.json").write_text("{")
-    with pytest.raises(ConfigError, match="cannot be read as JSON"):
+    with pytest.raises(ConfigError, match=r"is not a readable identification\.json"):
         load_run_up_rotor(path)
 
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from labpipe.config.values import read_value
 from labpipe.marked_yaml import parse_marked
 from labpipe.quantities import UnitError
-from labpipe.records.setting_values import CONVERTERS, Setting, Uncertain, parse_uncertain
+from labpipe.records.setting_values import CONVERTERS, Setting
+from labpipe.records.uncertain import Uncertain, parse_uncertain
 
 
 def read(kind: str, text: str, unit: str = "", choices: tuple[str, ...] = ()) -> Any:

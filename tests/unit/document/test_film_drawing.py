@@ -14,7 +14,7 @@ from labpipe.config.bearing import open_bearing
 from labpipe.document.film_drawing import contour_levels
 from labpipe.document.saving import canvas_of
 from labpipe.report.film_figure import film_figure
-from labpipe.stages.bearing import write_bearing
+from labpipe.stages.bearing import evaluated, write_bearing
 
 MENDES = JournalFile(
     kind="journal-bearing", diameter=0.031, length=0.018, clearance=90e-6, viscosity=0.1044, speed=50.0, load=58.82, accuracy=0.02
@@ -70,8 +70,7 @@ def test_bearing_with_a_film_writes_its_pressure_and_one_without_none(tmp_path: 
     written = {}
     for name in ("mendes-journal", "nsk-6208"):
         file = open_bearing(configs / f"{name}.yaml")
-        (found,) = file.coefficients([file.settings()])
         with output_folder(tmp_path / name) as folder:
-            written[name] = write_bearing(file, name, found, folder)
+            written[name] = write_bearing(file, name, evaluated(file), folder)
     assert "pressure.svg" in written["mendes-journal"] and "pressure.svg" not in written["nsk-6208"]
     assert "<svg" in (tmp_path / "mendes-journal" / "pressure.svg").read_text(encoding="utf-8")

@@ -16,7 +16,7 @@ from labpipe.dynamic_stiffness.least_squares import least_squares
 from labpipe.dynamic_stiffness.stator import stator_of
 from labpipe.identify.statistics import student_limit
 from labpipe.records.channel_spectra import ChannelSpectra
-from labpipe.records.setting_values import Uncertain
+from labpipe.records.uncertain import Uncertain
 from tests.unit.dynamic_stiffness.floating_rig import (
     JOURNAL,
     PAD_F,

@@ -11,7 +11,7 @@ from labpipe.dynamic_stiffness.given import Baseline, Given, balance_of
 from labpipe.dynamic_stiffness.likelihood import ErrorsInVariables
 from labpipe.dynamic_stiffness.stator import stator_of
 from labpipe.errors import ConfigError, FitError
-from labpipe.records.setting_values import Uncertain
+from labpipe.records.uncertain import Uncertain
 from tests.unit.dynamic_stiffness.floating_rig import JOURNAL, SEAL, FloatingRig, complex_normal, kcm
 
 FORM_CASES = [*FORMS.values(), banded(np.linspace(20.0, 60.0, 4))]

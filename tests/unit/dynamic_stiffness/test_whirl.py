@@ -13,7 +13,7 @@ from labpipe.dynamic_stiffness.values import Doubted, Shaft, Valued, derived_val
 from labpipe.dynamic_stiffness.whirl import LIMIT, whirl
 from labpipe.errors import ConfigError
 from labpipe.records.parameter import Parameter
-from labpipe.records.setting_values import Uncertain
+from labpipe.records.uncertain import Uncertain
 from tests.unit.dynamic_stiffness.floating_rig import JOURNAL, SEAL, kcm
 from tests.unit.dynamic_stiffness.test_fit import EVEN, GIVEN, drawn, fitted
 

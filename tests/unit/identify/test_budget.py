@@ -15,7 +15,7 @@ from labpipe.records.budget import Budget
 from labpipe.records.doubt import ChannelDoubt, Doubt
 from labpipe.records.free_decay import FreeDecay, FreeDecays
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
-from labpipe.records.setting_values import Uncertain
+from labpipe.records.uncertain import Uncertain
 from labpipe.report.budget import budget_blocks
 from labpipe.report.document import Table
 from labpipe.stages.judging import judge

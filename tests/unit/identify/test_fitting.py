@@ -107,7 +107,9 @@ def test_support_is_subtracted_and_the_rest_shared_with_its_doubt(sdof_response)
     (fit,) = identify(response, replace(SDOF, subtract=support, share=2))
     k, k_total = fit.parameter("k"), total.parameter("k")
     assert k.value == pytest.approx((k_total.value - 34.5e3) / 2, rel=1e-12)
-    assert k.std_error == pytest.approx(np.hypot(k_total.std_error, 200.0) / 2, rel=1e-9)
+    assert k.std_error == pytest.approx(k_total.std_error / 2, rel=1e-9)
+    assert k.combined == pytest.approx(np.hypot(k_total.std_error, 200.0) / 2, rel=1e-6)
+    assert fit.budget is not None and [source.unit for source in fit.budget.sources] == ["N/m", "N.s/m"]
     assert fit.parameter("c").value == pytest.approx((total.parameter("c").value - 1.0) / 2)
     assert fit.parameter("k_total").value == k_total.value
     assert fit.parameter("f_n").value == total.parameter("f_n").value

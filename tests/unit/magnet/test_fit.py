@@ -19,7 +19,7 @@ from labpipe.magnet.settings import MagnetSettings
 from labpipe.records.channel_spectra import ChannelSpectra, UncertainFactor
 from labpipe.records.identification import Fit, Identification
 from labpipe.records.recording import Channel
-from labpipe.records.setting_values import Uncertain
+from labpipe.records.uncertain import Uncertain
 from labpipe.report.build import build
 from labpipe.report.document import Figure
 from tests.unit.magnet.levitated import COUPLED, Rotor

@@ -17,6 +17,7 @@ import yaml
 
 from labpipe.config.rig import ChannelSettings, RigSettings
 from labpipe.config.rotor_parts import RotorSettings
+from labpipe.config.uncertainty import UncertaintySettings
 from labpipe.decay.settings import DecaySettings
 from labpipe.dynamic_stiffness.settings import DynamicStiffnessSettings
 from labpipe.errors import LabpipeError
@@ -35,6 +36,7 @@ DECLARED: dict[tuple[str, tuple[str, ...]], type] = {
     ("rig.yaml", ()): RigSettings,
     ("rig.yaml", ("channels", "*")): ChannelSettings,
     ("pipeline.yaml", ("frf",)): FrfSettings,
+    ("pipeline.yaml", ("uncertainty",)): UncertaintySettings,
     ("pipeline.yaml", ("frf", "decay")): FreeDecaySettings,
     ("pipeline.yaml", ("identify", "*")): FitSettings,
     ("pipeline.yaml", ("identify", "*", "decay")): DecaySettings,

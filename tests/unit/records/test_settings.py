@@ -9,8 +9,9 @@ import pytest
 
 from labpipe.config.schema import pipeline_schema, rig_schema
 from labpipe.quantities import parse_unit
-from labpipe.records.setting_values import CONVERTERS, Setting, Uncertain
+from labpipe.records.setting_values import CONVERTERS, Setting
 from labpipe.records.settings import Settings, setting, settings_of
+from labpipe.records.uncertain import Uncertain
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,9 @@ import labpipe
 from labpipe.errors import ConfigError
 from labpipe.identify.settings import FitSettings, Sliding, Support
 from labpipe.quantities import UnitError
-from labpipe.records.setting_values import CONVERTERS, Setting, Uncertain
+from labpipe.records.setting_values import CONVERTERS, Setting
 from labpipe.records.settings import Settings, _convert, setting, settings_of
+from labpipe.records.uncertain import Uncertain
 from labpipe.spectra.settings import FrfSettings
 
 

@@ -15,7 +15,7 @@ from labpipe.config.bearing import BearingFile, open_bearing
 from labpipe.errors import ConfigError
 from labpipe.records.finding import Finding
 from labpipe.records.settings import settings_of
-from labpipe.stages.bearing import bearing_entry, bearing_json, sweep_columns, swept, write_sweep
+from labpipe.stages.bearing import Evaluated, bearing_entry, bearing_json, sweep_columns, swept, write_sweep
 from labpipe.stages.sweep import parse_sweep
 
 FILE = "kind: ball-bearing\nelements: 9\nstiffness_constant: {}\ngroove_distance: 0.5953 mm\npitch_radius: 30 mm\nloads: {{z: 100 N}}\n"
@@ -69,13 +69,13 @@ def test_a_sweep_equals_the_single_answers(path: Path) -> None:
     for value, found in zip(sweep.values, together, strict=True):
         single = open_bearing(path, [f"loads.z={value} N"])
         (alone,) = single.coefficients([single.settings()])
-        np.testing.assert_allclose(found.stiffness, alone.stiffness, rtol=1e-8, atol=1)
+        np.testing.assert_allclose(found.coefficients.stiffness, alone.stiffness, rtol=1e-8, atol=1)
 
 
 def test_json_of_any_kind_of_bearing() -> None:
     """A journal's two dofs: asymmetric stiffness as it is, equilibrium by name, no passage, no shaft."""
     file = BearingFile(Path("j.yaml"), "journal-bearing", BEARINGS.load("ball-bearing"), None)  # type: ignore[arg-type]
-    entry = json.loads(bearing_json(bearing_entry(file, "J", JOURNAL)))
+    entry = json.loads(bearing_json(bearing_entry(file, "J", Evaluated(JOURNAL))))
     assert entry["kind"] == "journal-bearing" and entry["dofs"] == ["y", "z"] and entry["schema"] == "labpipe/bearing/1"
     assert entry["stiffness"] == [[2e6, 7e6], [-8e6, 1e6]] and entry["damping"][0] == [9e3, -2e3]
     assert entry["equilibrium"] == {"eccentricity_ratio": 0.4, "attitude_angle": 0.5}
@@ -84,12 +84,12 @@ def test_json_of_any_kind_of_bearing() -> None:
 
 def test_columns_of_any_kind_of_bearing(tmp_path: Path) -> None:
     sweep = parse_sweep("loads.z=1:2:1", open_bearing_settings())
-    columns = sweep_columns(sweep, [JOURNAL, JOURNAL])
+    columns = sweep_columns(sweep, [Evaluated(JOURNAL)] * 2)
     assert list(columns)[:6] == ["loads.z [N]", "k_y_y [N/m]", "k_y_z [N/m]", "k_z_y [N/m]", "k_z_z [N/m]", "c_y_y [N.s/m]"]
     assert list(columns)[-3:] == ["eccentricity_ratio [1]", "attitude_angle [rad]", "warnings"]
     np.testing.assert_array_equal(columns["k_z_y [N/m]"], [-8e6, -8e6])
     with output_folder(tmp_path / "out") as folder:
-        names = write_sweep("J", sweep, [JOURNAL, JOURNAL], folder)
+        names = write_sweep("J", sweep, [Evaluated(JOURNAL)] * 2, folder)
     lines = (tmp_path / "out/sweep.csv").read_text().splitlines()
     assert names == ["sweep.csv", "sweep-stiffness.svg", "sweep-damping.svg"]
     assert lines[1] == "1,2000000,7000000,-8000000,1000000,9000,-2000,-2000,8000,0.4,0.5,one two" and len(lines) == 3

@@ -192,7 +192,7 @@ def test_readers_of_earlier_results_find_no_further_key_in_a_rule(lab: Path) -> 
     path = lab / "out/identification.json"
     whole = json.loads(path.read_text("utf-8"))
     assert all(set(entry) == {"rule", "value", "passed"} for entry in whole["expect"])
-    del whole["found"]
+    del whole["found"], whole["digest"]
     path.write_text(json.dumps(whole), "utf-8")
     number, codes = read_identification(path).outcomes
     assert number.found == "100000" and codes.found == codes.value

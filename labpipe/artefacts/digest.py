@@ -1,0 +1,88 @@
+"""The digest of an artefact's own content: what was changed after labpipe wrote it, or damaged on its way, is noticed when it is read.
+
+JSON: SHA-256 of the file without the line of its digest, so ``grep -v '^"digest"' FILE | sha256sum`` gives the same number. Parquet:
+SHA-256 of the file with zeros in the place of the digest, which stands among the metadata in its foot. Bytes and not numbers are
+digested: that costs one pass over the file, and a damaged file is refused before its pages are decoded.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+
+from labpipe.errors import DataError
+
+DIGEST_KEY = b"labpipe.digest"
+# Of the length of a digest: written first, replaced when the rest of the file is there.
+BLANK = b"0" * 64
+CHUNK = 1 << 20
+# A Parquet file ends with the length of its foot and a mark.
+_FOOT_END, _MARK = 8, b"PAR1"
+_DIGEST = re.compile(re.escape(DIGEST_KEY) + rb".{1,4}?([0-9a-f]{64})", re.DOTALL)
+AGAIN = "restore it from a copy, or have labpipe make it again"
+
+
+class DamagedError(DataError):
+    """An artefact whose content is not what labpipe wrote."""
+
+
+def mismatch(path: Path) -> DamagedError:
+    """The fault of a file whose content does not match its digest."""
+    return DamagedError("content does not match its digest: edited or damaged after labpipe wrote it", where=str(path), hint=AGAIN)
+
+
+def stamp_parquet(path: Path) -> None:
+    """Put the digest of a finished Parquet file into the place that its metadata keep for it."""
+    place = _digest_place(path)
+    if place is None:
+        raise AssertionError(f"{path} has no place for a digest")
+    digest = _digest_without(path, place)
+    with path.open("r+b") as stream:
+        stream.seek(place)
+        stream.write(digest.encode())
+
+
+def parquet_digest(path: Path) -> str:
+    """The verified digest of a Parquet file, empty when it carries none; DamagedError when its content does not match."""
+    place = _digest_place(path)
+    if place is None:
+        return ""
+    with path.open("rb") as stream:
+        stream.seek(place)
+        stated = stream.read(len(BLANK)).decode()
+    if _digest_without(path, place) != stated:
+        raise mismatch(path)
+    return stated
+
+
+def _digest_place(path: Path) -> int | None:
+    """Where the digest stands in a Parquet file; None where there is none, or no foot of a Parquet file."""
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        if size < _FOOT_END:
+            return None
+        stream.seek(size - _FOOT_END)
+        end = stream.read(_FOOT_END)
+        begin = size - _FOOT_END - int.from_bytes(end[:4], "little")
+        if end[4:] != _MARK or begin < 0:
+            return None
+        stream.seek(begin)
+        foot = stream.read(size - begin)
+    matches = list(_DIGEST.finditer(foot))
+    return begin + matches[-1].start(1) if matches else None
+
+
+def _digest_without(path: Path, place: int) -> str:
+    """SHA-256 of the file with zeros in the place of its digest."""
+    digest = hashlib.sha256()
+    with path.open("rb") as stream:
+        remaining = place
+        while remaining and (chunk := stream.read(min(CHUNK, remaining))):
+            digest.update(chunk)
+            remaining -= len(chunk)
+        digest.update(BLANK)
+        stream.seek(place + len(BLANK))
+        while chunk := stream.read(CHUNK):
+            digest.update(chunk)
+    return digest.hexdigest()

@@ -1,0 +1,156 @@
+"""verify: whether a folder of artefacts holds what labpipe wrote, and whether the files that it was made from are still the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from labpipe.artefacts.decay_file import SUFFIX as DECAY_SUFFIX
+from labpipe.artefacts.decay_file import read_decays
+from labpipe.artefacts.fits_file import FOLDER, read_fits
+from labpipe.artefacts.header import source_ref
+from labpipe.artefacts.identification_file import NAME, read_identification
+from labpipe.artefacts.json_file import DIGEST, read_digested
+from labpipe.artefacts.parquet import header_of
+from labpipe.artefacts.plan_file import NAME as PLAN
+from labpipe.artefacts.plan_file import read_plan
+from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
+from labpipe.artefacts.recording_file import open_recording
+from labpipe.artefacts.response_file import SUFFIX as RESPONSE_SUFFIX
+from labpipe.artefacts.response_file import read_response
+from labpipe.artefacts.spectra_file import SUFFIX as SPECTRA_SUFFIX
+from labpipe.artefacts.spectra_file import read_spectra
+from labpipe.artefacts.writing import finished
+from labpipe.errors import DataError
+
+Reference = tuple[str, str]
+# So many folders above a result may hold the pipeline that made it.
+ABOVE = 3
+
+
+@dataclass(frozen=True)
+class Verified:
+    """One artefact as it was found. faults: what does not hold; remarks: what could not be compared; inputs: found the same."""
+
+    path: Path
+    faults: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    inputs: int = 0
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """An artefact by the end of its name: how it is read whole, its digest, and the files that it names, with paths from the pipeline."""
+
+    read: Callable[[Path], Any]
+    digest: Callable[[Path], str]
+    sources: Callable[[Path], Sequence[Reference]]
+    inputs: Callable[[Path], Sequence[Reference]]
+
+
+def _nothing(_: Path) -> Sequence[Reference]:
+    return ()
+
+
+def _header_inputs(path: Path) -> Sequence[Reference]:
+    return [(reference.path, reference.sha256) for reference in header_of(path).inputs]
+
+
+def _json_digest(path: Path) -> str:
+    return str(read_digested(path, path.name).get(DIGEST, ""))
+
+
+def _entries(key: str, path: Path) -> Sequence[Reference]:
+    entries = read_digested(path, path.name).get(key, [])
+    return [(entry["path"], entry["sha256"]) for entry in entries]
+
+
+def _measured(read: Callable[[Path], Any]) -> _Kind:
+    return _Kind(read, lambda path: header_of(path).digest, _nothing, _header_inputs)
+
+
+KINDS: Mapping[str, _Kind] = {
+    NAME: _Kind(read_identification, _json_digest, lambda path: _entries("sources", path), lambda path: _entries("inputs", path)),
+    PLAN: _Kind(read_plan, _json_digest, _nothing, _nothing),
+    RECORDING_SUFFIX: _Kind(lambda path: open_recording(path).in_memory(), lambda path: header_of(path).digest, _header_inputs, _nothing),
+    RESPONSE_SUFFIX: _measured(read_response),
+    DECAY_SUFFIX: _measured(read_decays),
+    SPECTRA_SUFFIX: _measured(read_spectra),
+}
+FITS = _Kind(read_fits, _json_digest, _nothing, lambda path: _entries("responses", path))
+
+
+def _kind(path: Path) -> _Kind | None:
+    if path.parent.name == FOLDER and path.suffix == ".json":
+        return FITS
+    return next((kind for suffix, kind in KINDS.items() if path.name == suffix or (suffix[0] == "." and path.name.endswith(suffix))), None)
+
+
+def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
+    """Every artefact below a folder. *base*: the folder of the pipeline that made them, to which the paths of raw files are relative; by
+    default that in or above the results which holds a file of the pipeline's name.
+
+    DataError for no folder, or one without artefacts.
+    """
+    if not folder.is_dir():
+        raise DataError("no such folder", where=str(folder), hint="name the folder that holds the results of your runs")
+    found = [(path, kind) for path in finished(folder.rglob("*")) if (kind := _kind(path)) is not None and not path.is_dir()]
+    if not found:
+        raise DataError("holds no artefact of labpipe", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER`")
+    for path, kind in found:
+        yield _verified(path, kind, base)
+
+
+def _verified(path: Path, kind: _Kind, base: Path | None) -> Verified:
+    try:
+        kind.read(path)
+        digest = kind.digest(path)
+        sources, inputs = kind.sources(path), kind.inputs(path)
+    except DataError as error:
+        return Verified(path, (error.what,))
+    except OSError as error:
+        return Verified(path, (f"cannot be read ({error.strerror or error})".lower(),))
+    remarks = [] if digest else ["carries no digest"]
+    faults: list[str] = []
+    same = 0
+    base = base or pipeline_folder(path.parent if (path.parent / NAME).exists() else path.parent.parent)
+    for (name, sha256), folders in [*((one, [base] if base else []) for one in sources), *((one, _near(path)) for one in inputs)]:
+        here = next((candidate for place in folders if (candidate := place / name).is_file()), None)
+        if here is None:
+            remarks.append(f"'{name}' is not there to be compared")
+        elif source_ref(here, here.parent).sha256 != sha256:
+            faults.append(f"'{name}' is not the file that it was made from")
+        else:
+            same += 1
+    return Verified(path, tuple(faults), tuple(remarks), same)
+
+
+def pipeline_folder(path: Path) -> Path | None:
+    """The folder of the pipeline that made a result, where a file of its name stands in a folder above or beside it; None elsewhere."""
+    try:
+        name = read_identification(path / NAME if path.is_dir() else path).pipeline
+    except DataError:
+        return None
+    above = list(path.resolve().parents)[:ABOVE]
+    return next((folder for place in above for folder in (place, place / "pipelines") if name and (folder / name).is_file()), None)
+
+
+def _near(path: Path) -> list[Path]:
+    """Where the files that an artefact was made from stand in a folder of results."""
+    return [path.parent, path.parent / "recordings", path.parent.parent]
+
+
+def differences(first: Path, second: Path) -> list[str]:
+    """The artefacts in two folders of results that are not the same byte for byte, and those of the first that the second lacks."""
+    found = [path for path in finished(first.rglob("*")) if _kind(path) is not None and path.is_file()]
+    lines = []
+    for path in found:
+        name = path.relative_to(first)
+        other = second / name
+        if not other.exists():
+            lines.append(f"{path}: is not made by this pipeline")
+        elif other.read_bytes() != path.read_bytes():
+            lines.append(f"{path}: running again gives another content")
+    return lines
