@@ -84,9 +84,10 @@ def straight(omega: FloatArray, rate: float) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class _Plant:
+class SampledPlant:
     """Motion, current and probe over one sampling interval, exact for a held voltage and a straight force.
 
+    step (n, n), hold and ramp (n, 2) [SI units of the states m, m/s, A, m, per V and per N];
     hold: of the voltage from before and of the newest one (they change over within the interval); ramp: of the force at both ends.
     """
 
@@ -100,7 +101,7 @@ def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
     if plant.loop.cross is not None:
         raise ConfigError("a cross-coupled controller has no loop of one direction", hint="leave cross out", field="cross")
     law = sampled_law(plant.loop, rate, plant.loop.blocks())
-    motion, whole = _sampled_plant(plant, rate)
+    motion, whole = sampled_plant(plant, rate)
 
     def step(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         return _step(plant.loop, motion, law, state, inputs)
@@ -113,7 +114,7 @@ def sampled_matrix(plant: Suspended, rate: float) -> FloatArray:
 
     ConfigError for a delay shorter than the hold, more zeros than poles, and blocks at another rate.
     """
-    motion, whole = _sampled_plant(plant, rate)
+    motion, whole = sampled_plant(plant, rate)
     n, line = motion.step.shape[0], whole + 1
     laws = [[sampled_law(plant.loop, rate, plant.loop.blocks(o, i), zero=o != i) for i in "xy"] for o in "xy"]
     sizes = [len(law.a) for row in laws for law in row]
@@ -189,8 +190,8 @@ def _sampled_pid(loop: ControlLoop, rate: float) -> SampledLaw:
     return SampledLaw(np.diag(-a1), b1 - a1 * b0, np.ones(2), loop.proportional + float(np.sum(b0)))
 
 
-def _sampled_plant(plant: Suspended, rate: float) -> tuple[_Plant, int]:
-    """Motion between samples, and the whole sampling intervals of the delay."""
+def sampled_plant(plant: Suspended, rate: float) -> tuple[SampledPlant, int]:
+    """Motion between samples, and the whole sampling intervals of the delay, at *rate* [Hz]; ConfigError for one shorter than the hold."""
     loop = plant.loop
     intervals = loop.delay * rate - 0.5
     if intervals < -1e-9:
@@ -200,7 +201,7 @@ def _sampled_plant(plant: Suspended, rate: float) -> tuple[_Plant, int]:
     return _plant(plant, max(intervals - whole, 0.0), 1 / rate), whole
 
 
-def _step(loop: ControlLoop, plant: _Plant, law: SampledLaw, state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _step(loop: ControlLoop, plant: SampledPlant, law: SampledLaw, state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
     """One sampling interval. state: motion, the controller's memory, voltages on their way, oldest first."""
     n, end = plant.step.shape[0], plant.step.shape[0] + len(law.a)
     motion, memory, waiting = state[:n], state[n:end], state[end:]
@@ -222,7 +223,7 @@ def tustin(derivative: float, constant: float, time: float, interval: float) -> 
     return (constant + fast * derivative) / whole, (constant - fast * derivative) / whole, (1 - fast * time) / whole
 
 
-def _plant(plant: Suspended, late: float, interval: float) -> _Plant:
+def _plant(plant: Suspended, late: float, interval: float) -> SampledPlant:
     """Exact solution over one *interval* [s]; the newest voltage arrives after *late* of it."""
     loop, n = plant.loop, 3 if plant.loop.sensor_bandwidth is None else 4
     slope, voltage, force = np.zeros((n, n)), np.zeros(n), np.zeros(n)
@@ -237,7 +238,7 @@ def _plant(plant: Suspended, late: float, interval: float) -> _Plant:
     rest, newest, _ = integrals(slope, voltage[:, None], (1 - late) * interval)
     _, oldest, _ = integrals(slope, voltage[:, None], late * interval)
     _, constant, rising = integrals(slope, force[:, None], interval)
-    return _Plant(step, np.hstack([rest @ oldest, newest]), np.hstack([constant - rising / interval, rising / interval]))
+    return SampledPlant(step, np.hstack([rest @ oldest, newest]), np.hstack([constant - rising / interval, rising / interval]))
 
 
 def integrals(slope: FloatArray, inputs: FloatArray, time: float) -> tuple[FloatArray, FloatArray, FloatArray]:

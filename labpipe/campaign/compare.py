@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from labpipe.campaign.bandwise import bandwise, two_tests
+from labpipe.campaign.certificate import certificate
 from labpipe.campaign.components import repeatability
 from labpipe.campaign.difference import difference
 from labpipe.campaign.loop_view import View, checked_view
@@ -180,6 +181,13 @@ def _sensitivity(settings: CompareSettings, evidence: Evidence, theory: Magnetic
     return loop_sensitivity(settings, evidence.responses[0], None if theory is None else theory(None, ""))
 
 
+def _certificate(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory | None) -> Comparison:
+    if len(evidence.responses) != 1:
+        hint = "one pipeline per setting of the loop"
+        raise ConfigError(f"a certificate is that of one test, not of {len(evidence.responses)}", hint=hint)
+    return certificate(settings, evidence.responses[0], None if theory is None else theory(None, ""))
+
+
 # The theory is a rolling bearing's or, for the kinds of a control loop, a magnetic bearing's.
 COMPARISONS: Mapping[str, Callable[[CompareSettings, Evidence, Any], Comparison]] = {
     "trend": _trend,
@@ -191,4 +199,5 @@ COMPARISONS: Mapping[str, Callable[[CompareSettings, Evidence, Any], Comparison]
     "prediction": _prediction,
     "bands": _bands,
     "sensitivity": _sensitivity,
+    "certificate": _certificate,
 }

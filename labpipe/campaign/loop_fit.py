@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,13 +18,15 @@ from labpipe.identify.measured import Measured
 from labpipe.identify.settings import Support
 from labpipe.identify.statistics import student_limit
 from labpipe.identify.weights import has_noise, weight_doubt, whitened, whitener
-from labpipe.optimise.levenberg import Minimum, minimise
+from labpipe.optimise.levenberg import Minimum, linearised_by_qr, minimise
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Parameter
 
 STEP = 1e-5
 # Condition number of the scaled Jacobian beyond which rounding determines the unknowns.
 UNDETERMINED = 1e6
+# Distance to the minimum in standard errors at which a descent that can go no further has ended.
+SETTLED = 0.5
 
 
 # Predicted response of a file on the measured lines, with the (stiffness, damping) of the support.
@@ -33,12 +35,16 @@ Predict = Callable[[MagneticFile, tuple[float, float]], ComplexArray]
 
 @dataclass(frozen=True)
 class LoopObservation:
-    """A *measured* response of a loop, the prediction by a *file* on the same lines, and the *support* beside the bearings."""
+    """A *measured* response of a loop, the prediction by a *file* on the same lines, and the *support* beside the bearings.
+
+    *nuisance*: real numbers that the prediction takes from the measurement.
+    """
 
     measured: Measured
     predict: Predict
     file: MagneticFile
     support: Support = Support()
+    nuisance: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +140,19 @@ def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> L
     start = np.zeros(len(unknowns) + len(problem.support))
     # An unknown without influence on the response has no gradient.
     idle = not start.size or bool(_without_influence(problem, problem.jacobian(start)))
-    return _loop_fit(problem, Minimum(start, True, 0) if idle else minimise(problem, start))
+    return _loop_fit(problem, Minimum(start, True, 0) if idle else _settled(problem, minimise(problem, start)))
+
+
+def _settled(problem: _Problem, minimum: Minimum) -> Minimum:
+    """Converged as well where the descent ended within SETTLED standard errors.
+
+    The current sampled when a held command arrives has a kink over the delay, where no step lowers chi-square further.
+    """
+    if minimum.converged:
+        return minimum
+    linear = linearised_by_qr(problem, minimum.values)
+    left = float(np.linalg.norm(linear.projected)) / np.sqrt(linear.chi2 / linear.n_equation)
+    return Minimum(minimum.values, left < SETTLED, minimum.steps)
 
 
 def _without_influence(problem: _Problem, jacobian: FloatArray) -> tuple[str, ...]:
@@ -144,9 +162,9 @@ def _without_influence(problem: _Problem, jacobian: FloatArray) -> tuple[str, ..
 
 
 def _loop_fit(problem: _Problem, minimum: Minimum) -> LoopFit:
-    equations = sum(observation.measured.n_equation for observation in problem.observations)
+    equations = sum(observation.measured.n_equation - observation.nuisance for observation in problem.observations)
     dof = equations - len(problem.unknowns)
-    doubt = weight_doubt(problem.observations[0].measured, dof)
+    doubt = weight_doubt(_weighed(problem.observations[0]), dof)
     reduced = problem.chi2(minimum.values) / dof / doubt.excess
     lines = sum(observation.measured.omega.size for observation in problem.observations)
     estimates = _parameters(problem, minimum, doubt.inflation, dof) if problem.unknowns else ((), (), 1.0, ())
@@ -161,6 +179,12 @@ def _loop_fit(problem: _Problem, minimum: Minimum) -> LoopFit:
         alike=alike,
         converged=minimum.converged,
     )
+
+
+def _weighed(observation: LoopObservation) -> Measured:
+    """The measurement with as many outputs as count: a complex unknown of every line takes one of them."""
+    taken = observation.nuisance // (2 * observation.measured.omega.size)
+    return replace(observation.measured, matrix=observation.measured.matrix[:, taken:]) if taken else observation.measured
 
 
 def _parameters(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from labpipe.campaign.certificate_settings import CertificateSettings
 from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, Uncertain, setting
 
-KINDS = ("trend", "difference", "repeatability", "ratio", "rayleigh", "reciprocity", "prediction", "bands", "sensitivity")
+KINDS = ("trend", "difference", "repeatability", "ratio", "rayleigh", "reciprocity", "prediction", "bands", "sensitivity", "certificate")
 # Kinds whose theory is a magnetic-bearing file, unchanged unless a condition sets one of its entries.
-MAGNETIC_KINDS = ("prediction", "sensitivity")
+MAGNETIC_KINDS = ("prediction", "sensitivity", "certificate")
 TWO_GROUPS = ("difference", "bands")
 # Kinds that go over two conditions as well as over one.
 TWO_CONDITIONS = ("trend", "difference", "ratio", "rayleigh")
@@ -48,9 +49,12 @@ class CompareSettings(Settings):
     law: str = setting("choice", "trend: straight line, or power law", choices=LAWS, default="line")
     setting_error: float = setting("value", "relative standard error of setting the condition", unit="1", default=0.0)
     theory: TheorySettings | None = setting("section", "theory to compare with", section=TheorySettings, default=None)
-    estimate: tuple[str, ...] = setting("names", "prediction, sensitivity: unknowns of the bearing file to be fitted", default=())
+    estimate: tuple[str, ...] = setting("names", "prediction, sensitivity, certificate: unknowns of the bearing file, fitted", default=())
     before: str = setting("text", "sensitivity: response ahead of the sum at which the excitation is added", default="before")
     after: str = setting("text", "sensitivity: response behind that sum", default="after")
+    certificate: CertificateSettings | None = setting(
+        "section", "certificate: what was recorded, and the limits", section=CertificateSettings, default=None
+    )
     level: float = setting("value", "level of significance of tests", unit="1", default=0.05)
     name: str = ""
 
@@ -71,6 +75,8 @@ class CompareSettings(Settings):
         if len(set(self.estimate)) < len(self.estimate):
             raise ConfigError("'estimate' names an unknown twice", hint=", ".join(dict.fromkeys(self.estimate)))
         self._check_theory()
+        if self.certificate is not None and self.kind != "certificate":
+            raise ConfigError(f"'certificate' is not for the kind {self.kind}", hint="kind: certificate", field="certificate")
 
     @property
     def condition(self) -> str:
@@ -122,4 +128,5 @@ NEEDED: dict[str, tuple[str, ...]] = {
     "prediction": ("fit", "theory"),
     "bands": ("fit", "group"),
     "sensitivity": (),
+    "certificate": (),
 }

@@ -19,6 +19,7 @@ from labpipe.identify.statistics import condition_number, correlation, determina
 from labpipe.magnet.balance import Between, MagnetModel, magnet_model
 from labpipe.magnet.estimate import MagnetEstimate, magnet_estimate
 from labpipe.magnet.findings import drawn, fit_notes, mismatch_findings, noise_findings, remedy
+from labpipe.magnet.robust import robust_plant
 from labpipe.magnet.rotor import Levitation, levitation_of, mass_matrix
 from labpipe.magnet.settings import MagnetSettings
 from labpipe.records.channel_spectra import ChannelSpectra
@@ -83,6 +84,8 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *noise_findings(rotor),
         *spectra.findings,
     )
+    curve = drawn(rotor, best)
+    plant = None if curve is None else robust_plant(best, curve, spectra.covariance_dof, own.band_confidence)
     return Fit(
         name=settings.name,
         model=settings.model,
@@ -99,7 +102,8 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         iterations=best.steps,
         findings=findings,
         notes=fit_notes(rotor, best, settings.doubts),
-        curve=drawn(rotor, best),
+        curve=curve,
+        robust=plant,
         budget=budget if best.converged else None,
     )
 

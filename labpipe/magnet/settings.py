@@ -33,7 +33,13 @@ class MagnetSettings(Settings):
         "value", "with hold: -3 dB bandwidth of the amplifier behind the held output; default: unlimited", unit="Hz", default=None
     )
 
+    band_confidence: float = setting(
+        "value", "probability that the band for robust control design holds the true plant at all lines", unit="1", default=0.95
+    )
+
     def __post_init__(self) -> None:
+        if not 0 < self.band_confidence < 1:
+            raise ConfigError("'band_confidence' must lie between 0 and 100 %", field="band_confidence")
         for name in ("hold", "amplifier_bandwidth"):
             value: float | None = getattr(self, name)
             if value is not None and not value > 0:

@@ -17,6 +17,7 @@ from labpipe.records.modes import Modes
 from labpipe.records.parameter import Parameter as Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.ring_down import RingDown
+from labpipe.records.robust import RobustPlant
 from labpipe.records.text import fit_html, fit_line, fit_text, identification_line
 from labpipe.records.views import VIEWS
 
@@ -121,6 +122,7 @@ class Fit:
     ring_down: RingDown | None = None
     budget: Budget | None = None
     dynamic_stiffness: DynamicStiffness | None = None
+    robust: RobustPlant | None = None
 
     def __repr__(self) -> str:
         return fit_line(self)

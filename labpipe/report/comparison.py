@@ -42,6 +42,13 @@ EXPLAINED = {
         "An excitation is added between two points of the loop; S = H_after / (H_after - H_before), both against the excitation. The peak "
         "is that of a parabola around the highest line, since the line itself would be too high by its noise."
     ),
+    "certificate": (
+        "S = H_after (H_after - H_before)^-1, both against what is added in the loop, and L = S^-1 - 1, without a model; 95 % bands by "
+        "the covariance of the lines. With a bearing file its unknowns are fitted to all recorded signals; poles, decrements and margins "
+        "are those of the fitted loop, with intervals to first order in the unknowns. gain_margin_lower and _upper: factors of the gain "
+        "down to and up to the border of stability; phase_margin to either side; disk_margin 1 / max|S - 1/2|. A limit counts as kept, "
+        "or as broken, where the probability of it is at least the stated confidence."
+    ),
     "reciprocity": "H of a response to a force against H of the reverse; pairs with a difference near 140 % are noise, so not coupled.",
 }
 

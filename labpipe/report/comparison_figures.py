@@ -11,7 +11,7 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Panel, Series, curve, dots, level, named_ticks, span, stacked
 from labpipe.report.document import Figure
 from labpipe.report.figures import over_frequency, scale_of
-from labpipe.report.loop_figures import band_figures, prediction_figures, sensitivity_figures
+from labpipe.report.loop_figures import band_figures, certificate_figures, prediction_figures, sensitivity_figures
 from labpipe.report.wording import unit_text
 
 SHOWN_PAIRS = 3
@@ -194,4 +194,5 @@ OVER_FREQUENCY: dict[str, Callable[[Comparison], list[Figure]]] = {
     "prediction": prediction_figures,
     "bands": band_figures,
     "sensitivity": sensitivity_figures,
+    "certificate": certificate_figures,
 }

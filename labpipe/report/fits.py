@@ -16,6 +16,7 @@ from labpipe.report.dynamic_stiffness_figures import dynamic_stiffness_blocks
 from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figures
 from labpipe.report.modal_figures import modal_blocks
 from labpipe.report.ring_down_figures import ring_down_figures
+from labpipe.report.robust_figures import robust_blocks
 from labpipe.report.wear_figures import wear_figures
 from labpipe.report.wording import (
     STARS_EXPLAINED,
@@ -81,6 +82,7 @@ def _single(fit: Fit) -> tuple[Block, ...]:
         *modal_blocks(fit),
         *ring_down_figures(fit),
         *dynamic_stiffness_blocks(fit),
+        *robust_blocks(fit),
         *fit_figures(fit),
     )
 

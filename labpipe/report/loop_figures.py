@@ -153,3 +153,34 @@ def sensitivity_figures(comparison: Comparison) -> list[Figure]:
     caption = f"{comparison.name}: measured sensitivity with its 95 % band; dashed: limits of the zones of ISO 14839-3."
     alternative = f"Sensitivity of the control loop over frequency, {comparison.verdict}"
     return [Figure(stacked([panel], 3.6), caption, alternative)]
+
+
+def certificate_figures(comparison: Comparison) -> list[Figure]:
+    """|S| of every loop with its 95 % band and the zones, and L in the complex plane around -1."""
+    sizes = [part for part in comparison.curves if not part.quantity.startswith("L ") and part.measured]
+    series: list[Series] = []
+    for number, part in enumerate(sizes):
+        colour = 3 + number if number else 0
+        series.append(dots(part.quantity, part.frequency, part.measured, colour, size=1.25, band=(part.low, part.high), opacity=0.25))
+        series += [curve("fitted loop", part.frequency, part.matched, 1, width=1.1)] if part.matched and not number else []
+    zones = [level(limit, line="--", name=f"zone {name} ends") for name, limit in ZONE_LIMITS]
+    panel = Panel(Axis(FREQUENCY.title, FREQUENCY.unit, logarithmic=True), Axis("|S|", "1", low=0.0), (*series, *zones))
+    caption = f"{comparison.name}: measured sensitivity with its 95 % band; dashed: limits of the zones of ISO 14839-3."
+    figures = [Figure(stacked([panel], 3.6), caption, f"Sensitivity of the closed loop over frequency, {comparison.verdict}")]
+    return [*figures, _nyquist(comparison)]
+
+
+def _nyquist(comparison: Comparison) -> Figure:
+    """L of every loop in the complex plane, and the circle |1 + L| = 1/3 that zone A stays out of."""
+    real = [part for part in comparison.curves if part.quantity.endswith(" real")]
+    imaginary = [part for part in comparison.curves if part.quantity.endswith(" imaginary")]
+    series: list[Series] = [
+        dots(x.quantity.removesuffix(" real"), x.measured, y.measured, number % PALETTE_SIZE, size=1.5)
+        for number, (x, y) in enumerate(zip(real, imaginary, strict=True))
+    ]
+    turn = np.linspace(0, 2 * np.pi, 181)
+    circle = curve("|S| = 3, end of zone A", -1 + np.cos(turn) / 3, np.sin(turn) / 3, 1, "--", width=0.9)
+    axes = [Axis(title, "1", low=low, high=high) for title, low, high in (("Re L", -3.0, 1.0), ("Im L", -2.0, 2.0))]
+    panel = Panel(axes[0], axes[1], (*series, circle, dots("-1", [-1.0], [0.0], INK, marker="v", size=5.0)))
+    caption = f"{comparison.name}: loop transfer L = 1/S - 1 line by line around -1; dashed: |S| = 3."
+    return Figure(stacked([panel], 4.4), caption, "Loop transfer function in the complex plane around -1")

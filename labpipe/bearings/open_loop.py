@@ -1,0 +1,94 @@
+"""A magnetic-bearing loop cut open: controller, and motion and current per command, in continuous time or sampled with its hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.bearings.magnetic_loop import chain_factors, controller_terms
+from labpipe.bearings.magnetic_stability import Levitated
+from labpipe.bearings.sampled_loop import SampledLaw, Suspended, sampled_law, sampled_plant
+
+# Signals of a loop that an injection e moves; the units are per volt at either place.
+SIGNALS = ("before", "after", "output", "displacement", "current")
+INPUT, OUTPUT = "input", "output"
+
+
+@dataclass(frozen=True)
+class OpenLoop:
+    """Controller C [1] with the probe's sensitivity k [V/m], motion X [m/V] and current I [A/V] per command, (n_line,) each.
+
+    L = -k X C is the loop, S = 1 / (1 + L); the force on the rotor is -k_i i, so that X has a minus sign. recorded_motion: what a logger
+    with a filter sees of X, None where it is X.
+    """
+
+    sensor: float
+    controller: ComplexArray
+    motion: ComplexArray
+    current: ComplexArray
+    recorded_motion: ComplexArray | None = None
+
+    @property
+    def loop(self) -> ComplexArray:
+        """L (n_line,) [1]."""
+        return -self.sensor * self.motion * self.controller
+
+    @property
+    def sensitivity(self) -> ComplexArray:
+        """S = 1 / (1 + L) (n_line,) [1]."""
+        return np.asarray(1 / (1 + self.loop))
+
+    def signals(self, place: str) -> dict[str, ComplexArray]:
+        """SIGNALS per injection (n_line,) [V/V, m/V, A/V], added ahead of the controller (input) or behind it (output).
+
+        before and after are the two sides of the sum where it is added; output is the command behind it.
+        """
+        s = self.sensitivity
+        command = self.controller * s if place == INPUT else s
+        motion = self.motion if self.recorded_motion is None else self.recorded_motion
+        sides = {"before": s - 1, "after": s}
+        return {**sides, "output": command, "displacement": motion * command, "current": self.current * command}
+
+
+def open_loop(plant: Levitated, omega: FloatArray, rate: float | None = None, filtered: bool = False) -> OpenLoop:
+    """The loop at *omega* [rad/s] (n_line,), sampled and held at *rate* [Hz]; without one in continuous time, the hold as delay.
+
+    *filtered*: current and motion are recorded through a filter against aliasing, not as the controller samples them. ConfigError for
+    what cannot be sampled.
+    """
+    loop = plant.loop
+    if rate is None:
+        chain = chain_factors(loop, omega)
+        current: ComplexArray = loop.amplifier * chain["delay"] * chain["amplifier"]
+        motion = -loop.force_per_current * current / (-plant.mass * omega**2 - plant.negative_stiffness)
+        law = np.asarray(np.sum(list(controller_terms(loop, omega).values()), axis=0))
+        return OpenLoop(loop.sensor, law.astype(np.complex128), motion * chain.get("sensor", 1.0), current)
+    motion, current = _sampled_motion(Suspended(loop, plant.negative_stiffness, plant.mass), omega, rate)
+    law_at = law_response(sampled_law(loop, rate, loop.blocks()), omega, rate)
+    if not filtered:
+        return OpenLoop(loop.sensor, law_at, motion, current)
+    # The delay holds half an interval for the hold already.
+    held = loop.amplifier * chain_factors(loop, omega)["amplifier"] * np.exp(-1j * omega * loop.delay) * np.sinc(omega / (2 * np.pi * rate))
+    moved = -loop.force_per_current * held / (-plant.mass * omega**2 - plant.negative_stiffness)
+    return OpenLoop(loop.sensor, law_at, motion, held, moved * chain_factors(loop, omega).get("sensor", 1.0))
+
+
+def law_response(law: SampledLaw, omega: FloatArray, rate: float) -> ComplexArray:
+    """C(z) (n_line,) [1] of a sampled controller at omega (n_line,) [rad/s]."""
+    if not len(law.a):
+        return np.full(np.shape(omega), law.d, np.complex128)
+    z = np.exp(1j * np.asarray(omega) / rate)[:, None, None]
+    states = np.linalg.solve(z * np.eye(len(law.a)) - law.a, np.broadcast_to(law.b[:, None], (z.shape[0], len(law.b), 1)))
+    return np.asarray(law.c @ states[..., 0].T + law.d)
+
+
+def _sampled_motion(plant: Suspended, omega: FloatArray, rate: float) -> tuple[ComplexArray, ComplexArray]:
+    """Reading of the probe and current per command, with computing delay and hold."""
+    motion, whole = sampled_plant(plant, rate)
+    z = np.exp(1j * np.asarray(omega) / rate)
+    late = motion.hold[:, 0] * z[:, None] ** (-whole - 1.0) + motion.hold[:, 1] * z[:, None] ** (-float(whole))
+    n = motion.step.shape[0]
+    states = np.linalg.solve(z[:, None, None] * np.eye(n) - motion.step, late[..., None])[..., 0]
+    return states[:, 3 if n == 4 else 0], states[:, 2]

@@ -1,0 +1,249 @@
+"""Certificate of a closed loop: sensitivity with its zone, margins, poles and decrements, each with its interval, and a verdict.
+
+Without a model S is measured line by line, of one loop or of several that are coupled. With a bearing file its unknowns are fitted to
+all that was recorded, and what the fitted loop says holds between the lines and beyond the measured band as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.bearings.magnetic_kind import MagneticFile
+from labpipe.bearings.magnetic_stability import ZONES, zone_of
+from labpipe.bearings.open_loop import open_loop
+from labpipe.campaign.amounts import with_error
+from labpipe.campaign.certificate_settings import CertificateSettings
+from labpipe.campaign.closed_loop import ClosedLoop, closed_loop
+from labpipe.campaign.loop_file import with_unknowns
+from labpipe.campaign.loop_fit import LoopFit, LoopObservation, fit_statement, goodness, identifiability_findings, loop_fit
+from labpipe.campaign.loop_matrix import SensitivityMatrix, sensitivity_matrix
+from labpipe.campaign.sensitivity import MeasuredSensitivity, Peak, peak_of
+from labpipe.campaign.settings import CompareSettings
+from labpipe.distributions import normal_quantile, normal_tail
+from labpipe.errors import ConfigError, FitError
+from labpipe.identify.diagnostics import MISMATCH_P
+from labpipe.identify.measured import chosen_ports, measured_part
+from labpipe.records.comparison import Comparison, Curve
+from labpipe.records.finding import Finding, note
+from labpipe.records.identification import Parameter
+from labpipe.records.response import FrequencyResponse
+
+KEPT, BROKEN, UNDECIDED = "accepted", "not accepted", "undecided"
+# Modes are looked for up to this multiple of the measured band.
+BEYOND = 1.5
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A limit of acceptance: its *name*, the probability that it is kept, and the sentence that says so."""
+
+    name: str
+    probability: float
+    sentence: str
+
+
+def certificate(settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None) -> Comparison:
+    """The certificate of the loops of one test; with a bearing *file* by its fitted unknowns as well.
+
+    ConfigError for channels and settings that do not fit together, FitError without a covariance.
+    """
+    own = settings.certificate or CertificateSettings()
+    own = own if own.after else replace(own, before=own.before or (settings.before,), after=(settings.after,))
+    matrix = sensitivity_matrix(response, own.before, own.after)
+    peaks = _peaks(matrix, response)
+    amounts, limits = _measured_amounts(matrix, peaks), []
+    worst = max(peaks, key=lambda peak: peak.value)
+    fit, loop = None, None
+    if file is not None:
+        fit, loop = _fitted(settings, own, response, matrix, file)
+    if loop is None or loop.unstable or "sensitivity_peak" not in loop.amounts:
+        limits.append(_zone_limit(own, worst.value, worst.error, "measured"))
+    else:
+        limits.append(_zone_limit(own, loop.amounts["sensitivity_peak"], loop.error("sensitivity_peak"), "of the fitted loop"))
+    if loop is not None:
+        amounts += loop.parameters(normal_quantile(0.975))
+        limits += [_decrement_limit(own, loop)] if loop.modes() and not loop.unstable else []
+    amounts += [Parameter(f"probability_{limit.name}", limit.probability, "1", derived=True) for limit in limits]
+    amounts += [] if fit is None else [*goodness(fit), *fit.parameters]
+    verdict = _verdict(limits, own.confidence)
+    return Comparison(
+        name=settings.name,
+        kind="certificate",
+        subject=f"closed loop by {', '.join(own.after)}",
+        unit="1",
+        points=(),
+        amounts=tuple(amounts),
+        verdict=verdict,
+        statement=_statement(verdict, limits, worst, loop, fit),
+        curves=_curves(matrix, file, fit, own),
+        correlations=() if fit is None else fit.correlations,
+        findings=_findings(worst, file, fit, loop),
+    )
+
+
+def _peaks(matrix: SensitivityMatrix, response: FrequencyResponse) -> list[Peak]:
+    """The peak of |S_ii| of every loop."""
+    found = []
+    for number in range(len(matrix.loops)):
+        size, error = matrix.size(number)
+        phased = matrix.values[:, number, number]
+        found.append(peak_of(MeasuredSensitivity(matrix.frequency, phased, np.maximum(error, 1e-15 * size), matrix.quantile, response)))
+    return found
+
+
+def _measured_amounts(matrix: SensitivityMatrix, peaks: Sequence[Peak]) -> list[Parameter]:
+    """Measured peaks of all loops, and of several the largest singular value."""
+    amounts = []
+    for loop, peak in zip(matrix.loops, peaks, strict=True):
+        suffix = f"_{loop}" if len(peaks) > 1 else ""
+        amounts.append(with_error(f"peak{suffix}", "1", peak.value, peak.error, matrix.quantile))
+        amounts.append(Parameter(f"peak_frequency{suffix}", peak.frequency, "Hz", derived=True))
+    if len(peaks) > 1:
+        size, error = matrix.largest()
+        top = int(np.argmax(size))
+        amounts.append(with_error("largest_singular_value", "1", float(size[top]), float(error[top]), matrix.quantile))
+        amounts.append(Parameter("largest_frequency", float(matrix.frequency[top]), "Hz", derived=True))
+    return amounts
+
+
+def _fitted(
+    settings: CompareSettings, own: CertificateSettings, response: FrequencyResponse, matrix: SensitivityMatrix, file: MagneticFile
+) -> tuple[LoopFit, ClosedLoop | None]:
+    """The fit of the file's unknowns to all recorded signals, and its closed loop; none where the fit has no intervals."""
+    if len(matrix.loops) != 1:
+        raise ConfigError("a bearing file describes one loop", hint="leave theory out, or certify one loop at a time")
+    rate = own.rate or file.loop.rate
+    fit = loop_fit([_observation(own, response, file, rate)], settings.estimate)
+    if not fit.usable and settings.estimate:
+        return fit, None
+    return fit, closed_loop(file, fit, rate, BEYOND * float(response.frequency[-1]))
+
+
+def _observation(own: CertificateSettings, response: FrequencyResponse, file: MagneticFile, rate: float | None) -> LoopObservation:
+    """All recorded signals and their prediction.
+
+    With both sides of the sum what is truly added is a complex unknown of every line, the most likely one, so that neither gain nor delay
+    of the recorded excitation counts; a quotient by the noisy difference of both sides would be biased.
+    """
+    named = {"after": own.after[0], "output": own.output, "displacement": own.displacement, "current": own.current}
+    named |= {"before": own.before[0]} if own.before else {}
+    signals = {signal: chosen_ports(response.outputs, (name,), "response")[0] for signal, name in named.items() if name}
+    if len(response.inputs) != 1:
+        raise ConfigError(f"one loop has one excitation, not {len(response.inputs)}", hint="role: input for the excitation alone")
+    lines = np.ones(response.frequency.size, bool)
+    measured = measured_part(replace(response, form="receptance"), list(signals.values()), [0], lines)
+    if measured.covariance is None:
+        raise FitError("the noise of the response is not known, so nothing has an interval", hint="average several periods or blocks")
+    weights, vectors = np.linalg.inv(measured.covariance), measured.matrix[:, :, 0]
+
+    def predict(changed: MagneticFile, _: tuple[float, float]) -> ComplexArray:
+        signal = open_loop(changed.levitated(), measured.omega, rate, own.filtered).signals(own.injection)
+        per_added = np.stack([signal[name] for name in signals], axis=1)
+        if own.before:
+            weighted = np.einsum("la,lab->lb", per_added.conj(), weights)
+            added = np.sum(weighted * vectors, axis=1) / np.sum(weighted * per_added, axis=1)
+            per_added = per_added * added[:, None]
+        return np.asarray(per_added[:, :, None])
+
+    return LoopObservation(measured, predict, file, nuisance=2 * measured.omega.size if own.before else 0)
+
+
+def _zone_limit(own: CertificateSettings, peak: float, error: float, whose: str) -> Limit:
+    """Probability that the peak of |S| lies within the demanded zone, by its logarithm."""
+    end = dict(ZONES)[own.zone]
+    probability = _below(np.log(peak), error / peak, np.log(end))
+    said = f"zone {zone_of(peak)} of ISO 14839-3 (peak {peak:.3g} {whose}); zone {own.zone} or better with {_percent(probability)}"
+    return Limit("zone", probability, said)
+
+
+def _decrement_limit(own: CertificateSettings, loop: ClosedLoop) -> Limit:
+    """Probability that the least damped mode has its decrement."""
+    least = min(loop.modes(), key=lambda name: loop.amounts[name])
+    value = loop.amounts[least]
+    probability = min(_below(-loop.amounts[name], loop.error(name), -own.log_decrement) for name in loop.modes())
+    said = f"log decrement {value:.3g} of mode {least.rpartition('_')[2]}; above {own.log_decrement:g} with {_percent(probability)}"
+    return Limit("log_decrement", probability, said)
+
+
+def _below(value: float, error: float, limit: float) -> float:
+    """Probability that a normal estimate's truth lies below a limit."""
+    if error <= 0:
+        return float(value < limit)
+    return 1 - normal_tail((limit - value) / error) if value <= limit else normal_tail((value - limit) / error)
+
+
+def _percent(probability: float) -> str:
+    return "over 99.9 %" if probability > 0.999 else "under 0.1 %" if probability < 0.001 else f"{100 * probability:.3g} %"
+
+
+def _verdict(limits: Sequence[Limit], confidence: float) -> str:
+    """accepted where all limits are kept with that confidence, not accepted where one is broken with it."""
+    if any(limit.probability < 1 - confidence for limit in limits):
+        return BROKEN
+    return KEPT if all(limit.probability >= confidence for limit in limits) else UNDECIDED
+
+
+def _statement(verdict: str, limits: Sequence[Limit], worst: Peak, loop: ClosedLoop | None, fit: LoopFit | None) -> str:
+    parts = [limit.sentence[0].upper() + limit.sentence[1:] for limit in limits]
+    if loop is not None and loop.unstable:
+        parts.append(f"the fitted loop is unstable, {loop.unstable} poles grow, so it cannot be the recorded one")
+    parts.append(f"measured without a model: |S| up to {worst.value:.3g} at {worst.frequency:.4g} Hz")
+    model = "" if fit is None else f" {fit_statement(fit)}"
+    return f"{verdict.capitalize()}: {'; '.join(parts)}.{model}"
+
+
+def _curves(matrix: SensitivityMatrix, file: MagneticFile | None, fit: LoopFit | None, own: CertificateSettings) -> tuple[Curve, ...]:
+    """|S| of every loop with its 95 % band, of several the largest singular value, and the real and imaginary part of L."""
+    curves = []
+    fitted = _fitted_size(matrix.frequency, file, fit, own)
+    several = len(matrix.loops) > 1
+    named = [(f"sensitivity {name}" if several else "sensitivity", matrix.size(n)) for n, name in enumerate(matrix.loops)]
+    if several:
+        named.append(("largest singular value", matrix.largest()))
+    for quantity, (size, error) in named:
+        reach = matrix.quantile * error
+        curves.append(_curve(matrix.frequency, quantity, size, (size - reach, size + reach), fitted))
+    transfer = matrix.loop_transfer()
+    for n, name in enumerate(matrix.loops):
+        label = f"L {name}" if several else "L"
+        curves.append(_curve(matrix.frequency, f"{label} real", transfer[:, n, n].real))
+        curves.append(_curve(matrix.frequency, f"{label} imaginary", transfer[:, n, n].imag))
+    return tuple(curves)
+
+
+def _fitted_size(frequency: FloatArray, file: MagneticFile | None, fit: LoopFit | None, own: CertificateSettings) -> FloatArray:
+    if file is None or fit is None or not (fit.usable or not fit.parameters):
+        return np.empty(0)
+    plant = with_unknowns(file, fit.values()).levitated()
+    return np.abs(open_loop(plant, 2 * np.pi * frequency, own.rate or file.loop.rate).sensitivity)
+
+
+def _curve(
+    frequency: FloatArray, quantity: str, values: FloatArray, ends: tuple[FloatArray, ...] = (), fitted: FloatArray | None = None
+) -> Curve:
+    low, high = ends or (np.empty(0), np.empty(0))
+    matched = np.empty(0) if fitted is None else fitted
+    lists = [tuple(part.tolist()) for part in (frequency, matched, values, low, high)]
+    return Curve("", quantity, "1", frequency=lists[0], matched=lists[1], measured=lists[2], low=lists[3], high=lists[4])
+
+
+def _findings(worst: Peak, file: MagneticFile | None, fit: LoopFit | None, loop: ClosedLoop | None) -> tuple[Finding, ...]:
+    findings = []
+    if worst.at_edge:
+        what = f"the largest sensitivity is at the edge of the band, {worst.frequency:.4g} Hz; it may be larger beyond"
+        findings.append(Finding("sensitivity-edge", what))
+    if loop is not None and loop.unstable:
+        findings.append(Finding("unstable-loop", f"the fitted loop is unstable: {loop.unstable} poles grow; check signs, mass and delay"))
+    if fit is not None:
+        findings += identifiability_findings(fit)
+        if fit.chi2_p < MISMATCH_P:
+            excess = f"chi-square per degree of freedom {fit.chi2_reduced:.3g}"
+            what = f"the fitted loop leaves more than noise ({excess}): its intervals are too short"
+            findings.append(Finding("model-mismatch", what))
+    if file is not None:
+        findings.append(note("assumptions", file.assumptions()))
+    return tuple(findings)

@@ -1,0 +1,82 @@
+"""Sensitivity of one loop or of several that are coupled, line by line from both sides of the sums where excitations are added."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.distributions import normal_quantile, student_quantile
+from labpipe.errors import ConfigError, FitError
+from labpipe.identify.measured import chosen_ports
+from labpipe.records.response import FrequencyResponse
+
+SAME_SIGNAL = 1e-9
+
+
+@dataclass(frozen=True)
+class SensitivityMatrix:
+    """S over *frequency* [Hz], (n_line, n, n) [1] by loops, covariance (n_line, n^2, n^2) [1] of its elements row by row.
+
+    dof: complex degrees of freedom behind the covariance; names of the loops.
+    """
+
+    frequency: FloatArray
+    values: ComplexArray
+    covariance: ComplexArray
+    dof: float
+    loops: tuple[str, ...]
+
+    @property
+    def quantile(self) -> float:
+        """Standard errors to either side of a 95 % interval."""
+        return student_quantile(0.975, 2 * self.dof) if np.isfinite(self.dof) else normal_quantile(0.975)
+
+    def size(self, loop: int) -> tuple[FloatArray, FloatArray]:
+        """|S_ii| of a loop and its standard error, (n_line,) each [1]."""
+        n = len(self.loops)
+        return np.abs(self.values[:, loop, loop]), np.sqrt(np.maximum(self.covariance[:, loop * (n + 1), loop * (n + 1)].real / 2, 0.0))
+
+    def largest(self) -> tuple[FloatArray, FloatArray]:
+        """The largest singular value of S and its standard error, d sigma = Re u^H dS v, (n_line,) each [1]."""
+        left, singular, right = np.linalg.svd(self.values)
+        slopes = (left[:, :, 0].conj()[:, :, None] * right[:, 0].conj()[:, None, :]).reshape(len(singular), -1)
+        variance = np.einsum("lc,lcd,ld->l", slopes, self.covariance, slopes.conj()).real
+        return singular[:, 0], np.sqrt(np.maximum(variance / 2, 0.0))
+
+    def loop_transfer(self) -> ComplexArray:
+        """L = S^-1 - I (n_line, n, n) [1]."""
+        return np.asarray(np.linalg.inv(self.values) - np.eye(len(self.loops)))
+
+
+def sensitivity_matrix(response: FrequencyResponse, before: Sequence[str], after: Sequence[str]) -> SensitivityMatrix:
+    """S = H_after (H_after - H_before)^-1; without *before* the responses behind the sums are per excitation themselves, S = H_after.
+
+    ConfigError where there is not one excitation per loop, FitError without a covariance or where both sides are one signal.
+    """
+    rows = [chosen_ports(response.outputs, (name,), "response")[0] for name in after]
+    ahead = [chosen_ports(response.outputs, (name,), "response")[0] for name in before]
+    n, n_input = len(rows), len(response.inputs)
+    if n_input != n:
+        hint = "role: input for the excitations alone, one per loop"
+        raise ConfigError(f"{n} loop(s) and {n_input} excitation(s)", hint=hint)
+    if response.covariance is None:
+        raise FitError("the noise of the response is not known, so nothing has an interval", hint="average several periods or blocks")
+    h_after = response.matrix[:, rows]
+    added = h_after - response.matrix[:, ahead] if ahead else np.broadcast_to(np.eye(n), h_after.shape).astype(np.complex128)
+    if np.any(np.linalg.svd(added, compute_uv=False)[:, -1] < SAME_SIGNAL * np.linalg.norm(h_after, axis=(1, 2))):
+        raise FitError("both sides of a sum are the same signal", hint="record one ahead of the sum and one behind it")
+    inverse = np.linalg.inv(added)
+    values = h_after @ inverse
+    # dS = (dH_after - S (dH_after - dH_before)) added^-1.
+    of_after = np.eye(n) - values if ahead else np.broadcast_to(np.eye(n), values.shape)
+    picked = np.zeros((len(values), n, len(response.outputs)), np.complex128)
+    picked[:, :, rows] += of_after
+    if ahead:
+        picked[:, :, ahead] += values
+    slopes = np.einsum("lio,lkj->lijok", picked, inverse).reshape(len(values), n * n, -1)
+    covariance = slopes @ response.covariance @ slopes.conj().swapaxes(1, 2)
+    loops = tuple(port.label for port in response.inputs)
+    return SensitivityMatrix(response.frequency, values, covariance, response.covariance_dof, loops)

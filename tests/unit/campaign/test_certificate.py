@@ -1,0 +1,198 @@
+"""Certificates: margins and decrements of the fitted loop against its truth, coupled loops, verdicts, refusals, report."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from labpipe.artefacts.typed_json import entry_of, record_of
+from labpipe.bearings.margins import margins
+from labpipe.bearings.open_loop import open_loop
+from labpipe.campaign.certificate import certificate
+from labpipe.campaign.compare import Evidence, compare
+from labpipe.campaign.loop_matrix import sensitivity_matrix
+from labpipe.campaign.settings import CompareSettings, TheorySettings
+from labpipe.errors import ConfigError, FitError
+from labpipe.records.comparison import Comparison
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.report.comparison import comparison_blocks
+from labpipe.report.document import Figure
+from tests.unit.campaign.certified import FILE, FREQUENCY, RATE, UNKNOWNS, drawn, response, with_gain
+
+OWN = {"displacement": "x", "current": "i", "rate": RATE, "zone": "A"}
+
+
+def asked(**own: object) -> CompareSettings:
+    theory = TheorySettings(bearing="bearing.yaml")
+    return CompareSettings(kind="certificate", name="certificate", theory=theory, estimate=UNKNOWNS, certificate={**OWN, **own})
+
+
+def truth() -> dict[str, float]:
+    """Margins by the open loop; the pole by the roots of 1 + L, Newton from nearby."""
+    of = margins(lambda w: open_loop(FILE.levitated(), w, RATE).loop, RATE / 2 * (1 - 1e-9))
+    s = -350.0 + 900.0j
+    for _ in range(50):
+        values = [1 + open_loop(FILE.levitated(), np.array([(s + d) / 1j]), RATE).loop[0] for d in (0.0, 1e-3)]
+        s -= values[0] * 1e-3 / (values[1] - values[0])
+    return {
+        "sensitivity_peak": of.peak,
+        "gain_margin_lower": of.gain_lower,
+        "gain_margin_upper": of.gain_upper,
+        "phase_margin": of.phase,
+        "log_decrement_1": -2 * np.pi * s.real / s.imag,
+        "pole_real_1": s.real,
+    }
+
+
+def test_a_clean_recording_gives_the_truth() -> None:
+    found = certificate(asked(), response(None, 1e-5), FILE)
+    for name, value in truth().items():
+        assert found.amount(name).value == pytest.approx(value, rel=1e-6)
+    assert found.verdict == "accepted" and "over 99.9 %" in found.statement
+    assert found.amount("negative_stiffness").value == pytest.approx(33106.0, rel=1e-6)
+
+
+def test_gain_and_delay_of_the_recorded_excitation_do_not_count(rng: np.random.Generator) -> None:
+    plain = response(rng, 0.02)
+    seen = 0.5 * np.exp(-0.7j)
+    assert plain.covariance is not None
+    other = replace(plain, matrix=plain.matrix * seen, covariance=plain.covariance * abs(seen) ** 2)
+    ours, theirs = (certificate(asked(), each, FILE) for each in (plain, other))
+    for amount in ours.amounts:
+        assert theirs.amount(amount.name).value == pytest.approx(amount.value, rel=1e-4)
+
+
+def test_one_draw_holds_the_truth_and_counts_its_equations(rng: np.random.Generator) -> None:
+    found = certificate(asked(), response(rng, 0.05), FILE)
+    assert 0.85 < found.amount("chi2_reduced").value < 1.15
+    for name, value in truth().items():
+        amount = found.amount(name)
+        assert abs(amount.value - value) < 4 * amount.std_error
+
+
+def test_without_a_model_the_peak_is_measured(rng: np.random.Generator) -> None:
+    """0.5 % of noise: the parabola's peak within its interval, L = 1/S - 1 as it is."""
+    settings = CompareSettings(kind="certificate", name="plain", certificate={"zone": "A"})
+    found = certificate(settings, response(rng, 0.005), None)
+    peak = found.amount("peak")
+    assert abs(peak.value - truth()["sensitivity_peak"]) < 4 * peak.std_error + 0.01
+    real = next(part for part in found.curves if part.quantity == "L real")
+    exact = open_loop(FILE.levitated(), 2 * np.pi * FREQUENCY, RATE).loop.real
+    np.testing.assert_allclose(real.measured[10:60], exact[10:60], atol=0.2)
+    assert "log decrement" not in found.statement
+
+
+@pytest.mark.parametrize(("limit", "verdict"), [(2.0, "accepted"), (2.72, "undecided"), (3.5, "not accepted")])
+def test_the_verdict_follows_the_probability(limit: float, verdict: str) -> None:
+    """The true decrement is 2.721, its standard error 0.7 %: probabilities of a normal estimate."""
+    found = certificate(asked(log_decrement=limit), response(np.random.default_rng(2), 0.05), FILE)
+    amount = found.amount("log_decrement_1")
+    expected = stats.norm.cdf((amount.value - limit) / amount.std_error)
+    assert found.amount("probability_log_decrement").value == pytest.approx(expected, abs=1e-9)
+    assert found.verdict == verdict
+
+
+def test_the_zone_s_probability_is_by_the_logarithm() -> None:
+    found = certificate(asked(), response(np.random.default_rng(2), 0.3), FILE)
+    peak = found.amount("sensitivity_peak")
+    expected = stats.norm.cdf(np.log(3 / peak.value) / (peak.std_error / peak.value))
+    assert found.amount("probability_zone").value == pytest.approx(expected, abs=1e-9)
+
+
+def coupled(rng: np.random.Generator | None, noise: float = 0.01, sums: bool = True) -> tuple[FrequencyResponse, np.ndarray]:
+    """Two coupled loops L, S = (I + L)^-1; both sides of both sums per excitation."""
+    s = 2j * np.pi * FREQUENCY / 600
+    loop = np.array([[1.8, 0.5], [-0.4, 1.5]])[None] * ((1 + 0.9 * s) / (s**2 * (1 + 0.1 * s) - 0.3))[:, None, None]
+    true = np.linalg.inv(np.eye(2) + loop)
+    matrix = np.concatenate([true - np.eye(2), true], axis=1) if sums else true
+    size = matrix.shape[1] * 2
+    covariance = np.broadcast_to(noise**2 * np.eye(size), (len(true), size, size)).astype(complex)
+    if rng is not None:
+        matrix = matrix + noise * drawn(rng, matrix.shape)
+    names = ["bx", "by", "ax", "ay"] if sums else ["ax", "ay"]
+    ports = tuple(Port(name, name, name) for name in names)
+    inputs = tuple(Port(name, name, name) for name in ("ex", "ey"))
+    return FrequencyResponse(FREQUENCY, matrix, ports, inputs, form="other", covariance=covariance), true
+
+
+@pytest.mark.parametrize("sums", [True, False])
+def test_coupled_loops_have_a_sensitivity_matrix(rng: np.random.Generator, sums: bool) -> None:
+    """Intervals of |S_ii| and of the largest singular value over 197 lines against the matrix inverse."""
+    noisy, true = coupled(rng, sums=sums)
+    found = sensitivity_matrix(noisy, ("bx", "by") if sums else (), ("ax", "ay"))
+    low, high = stats.binom.ppf([0.001, 0.999], FREQUENCY.size, 0.95)
+    for number in range(2):
+        size, error = found.size(number)
+        assert low <= np.sum(np.abs(size - np.abs(true[:, number, number])) <= found.quantile * error) <= high
+    size, error = found.largest()
+    assert low <= np.sum(np.abs(size - np.linalg.norm(true, 2, axis=(1, 2))) <= found.quantile * error) <= high
+    np.testing.assert_allclose(found.loop_transfer(), np.linalg.inv(found.values) - np.eye(2))
+
+
+def test_a_certificate_of_coupled_loops(rng: np.random.Generator) -> None:
+    noisy, _ = coupled(rng)
+    settings = CompareSettings(kind="certificate", name="both", certificate={"before": ["bx", "by"], "after": ["ax", "ay"]})
+    found = certificate(settings, noisy, None)
+    assert found.amount("largest_singular_value").value >= max(found.amount("peak_ex").value, found.amount("peak_ey").value) - 0.05
+    assert [part.quantity for part in found.curves][:3] == ["sensitivity ex", "sensitivity ey", "largest singular value"]
+    with pytest.raises(ConfigError, match="describes one loop"):
+        certificate(replace(asked(), certificate=settings.certificate), noisy, FILE)
+
+
+def test_a_loop_that_cannot_be_the_recorded_one_is_said() -> None:
+    """A file whose gain is half leaves the rotor unstable, and nothing is fitted."""
+    found = certificate(replace(asked(), estimate=()), response(np.random.default_rng(1), 0.05), with_gain(FILE, 0.4))
+    assert {"unstable-loop", "model-mismatch"} <= {finding.code for finding in found.findings}
+    assert "sensitivity_peak" not in [amount.name for amount in found.amounts]
+
+
+def test_a_certificate_is_recorded_and_reported(rng: np.random.Generator) -> None:
+    found = certificate(asked(), response(rng), FILE)
+    assert record_of(json.loads(json.dumps(entry_of(found))), Comparison) == found
+    figures = [block for block in comparison_blocks(found, ()) if isinstance(block, Figure)]
+    assert len(figures) == 2 and "-1" in figures[1].caption
+
+
+@pytest.mark.parametrize(
+    ("own", "message"),
+    [
+        ({"confidence": 0.3}, "between 50 and 100 %"),
+        ({"log_decrement": -1}, "above zero"),
+        ({"rate": 0}, "above zero"),
+        ({"before": ["a", "b"], "after": ["c"]}, "2 points ahead of a sum and 1 behind"),
+    ],
+)
+def test_impossible_settings_are_refused(own: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        asked(**own)
+
+
+def test_what_does_not_fit_together_is_refused(rng: np.random.Generator) -> None:
+    plain = response(rng)
+    with pytest.raises(ConfigError, match="'certificate' is not for the kind trend"):
+        CompareSettings(kind="trend", fit="a", over=("b",), certificate={})
+    with pytest.raises(ConfigError, match="no response 'z'"):
+        certificate(asked(displacement="z"), plain, FILE)
+    with pytest.raises(FitError, match="noise of the response is not known"):
+        certificate(asked(), replace(plain, covariance=None), FILE)
+    with pytest.raises(FitError, match="are the same signal"):
+        certificate(asked(before=["after"], after=["after"]), plain, FILE)
+    with pytest.raises(ConfigError, match="that of one test, not of 2"):
+        compare(asked(), Evidence((), (plain, plain), ()))
+
+
+@pytest.mark.long
+def test_intervals_hold_the_truth() -> None:
+    """100 draws at 10 % of noise: 88 to 100 of 100 for each, the 99.9 % region of 95 of 100, and 93.5 to 96.5 % of all pooled by hand."""
+    names, exact = list(truth()), truth()
+    held = dict.fromkeys(names, 0)
+    for seed in range(100):
+        found = certificate(asked(), response(np.random.default_rng(seed), 0.1), FILE)
+        for name in names:
+            low, high = found.amount(name).ci95
+            held[name] += low <= exact[name] <= high
+    assert all(count >= stats.binom.ppf(0.001, 100, 0.95) for count in held.values()), held
