@@ -59,7 +59,9 @@ def converted(response: FrequencyResponse, form: str) -> FrequencyResponse:
     if covariance is not None:
         covariance = covariance * (np.abs(factor) ** 2)[:, None, None]
     change = None if response.change is None else response.change * factor[:, None, None]
-    return dataclasses.replace(response, matrix=response.matrix * factor[:, None, None], covariance=covariance, change=change, form=form)
+    open_loop = None if response.open_loop is None else response.open_loop * factor[:, None, None]
+    matrix = response.matrix * factor[:, None, None]
+    return dataclasses.replace(response, matrix=matrix, covariance=covariance, change=change, open_loop=open_loop, form=form)
 
 
 def dynamic_stiffness(response: FrequencyResponse) -> ComplexArray:

@@ -38,6 +38,7 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
         matrix=from_left @ response.matrix @ from_right,
         covariance=covariance,
         change=None if response.change is None else from_left @ response.change @ from_right,
+        open_loop=None if response.open_loop is None else from_left @ response.open_loop @ from_right,
         outputs=ports,
         inputs=ports,
         coherence=None,
