@@ -17,6 +17,7 @@ from labpipe.records.doubt import Doubt, MatrixError
 from labpipe.records.response import Blocks, FrequencyResponse, Port
 
 SUFFIX = ".frf.parquet"
+_COMPLEX = ("change", "open_loop")
 _BY_ELEMENT = {"coherence": ":coh", "partial_coherence": ":partial_coh", "distortion": ":distortion"}
 
 
@@ -45,12 +46,14 @@ def _element(response: FrequencyResponse, o: int, i: int) -> Iterator[tuple[str,
         values = getattr(response, attribute)
         if values is not None:
             yield suffix, values[:, o, i]
-    if response.change is not None:
-        yield ":change_re", response.change[:, o, i].real
-        yield ":change_im", response.change[:, o, i].imag
     for number, error in enumerate(response.errors):
         yield f"{_error(number)}:re", error.change[:, o, i].real
         yield f"{_error(number)}:im", error.change[:, o, i].imag
+    for attribute in _COMPLEX:
+        beside = getattr(response, attribute)
+        if beside is not None:
+            yield f":{attribute}_re", beside[:, o, i].real
+            yield f":{attribute}_im", beside[:, o, i].imag
     if response.line_gains is not None:
         for neighbour, gains in enumerate(response.line_gains[:, :, o, i].T):
             yield f"{_gain(neighbour)}:re", gains.real
@@ -110,7 +113,8 @@ def read_response(path: Path) -> FrequencyResponse:
         form=contents["form"],
         covariance=_covariance(columns, len(outputs) * len(inputs)),
         **by_element,
-        change=_change(columns, pairs),
+        change=_complex(columns, pairs, "change"),
+        open_loop=_complex(columns, pairs, "open_loop"),
         multiple_coherence=np.stack([columns[f"{o.label}:multiple_coh"] for o in outputs], 1) if has_multiple else None,
         snr=np.stack([columns[f"{name}:snr"] for name in snr_channels], 1) if snr_channels else None,
         snr_channels=snr_channels,
@@ -138,10 +142,10 @@ def _line_gains(columns: dict[str, FloatArray], pairs: list[list[str]], n_gain: 
     return gains
 
 
-def _change(columns: dict[str, FloatArray], pairs: list[list[str]]) -> ComplexArray | None:
-    if pairs[0][0] + ":change_re" not in columns:
+def _complex(columns: dict[str, FloatArray], pairs: list[list[str]], name: str) -> ComplexArray | None:
+    if f"{pairs[0][0]}:{name}_re" not in columns:
         return None
-    return _matrix(columns, pairs, ":change_re") + 1j * _matrix(columns, pairs, ":change_im")
+    return _matrix(columns, pairs, f":{name}_re") + 1j * _matrix(columns, pairs, f":{name}_im")
 
 
 def _errors(columns: dict[str, FloatArray], pairs: list[list[str]], doubts: list[dict[str, Any]]) -> tuple[MatrixError, ...]:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, signal
+from scipy import linalg
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.controller_blocks import ControllerBlock, in_series
@@ -162,6 +162,9 @@ def sampled_law(loop: ControlLoop, rate: float, blocks: Sequence[ControllerBlock
     if len(continuous.zeros) > len(continuous.poles) or len(discrete.zeros) > len(discrete.poles):
         hint = "add a low-pass, or a derivative_time"
         raise ConfigError("controller: more zeros than poles cannot be sampled", hint=hint, field="controller")
+    # A second of imports that few runs need.
+    from scipy import signal
+
     zeros, poles, gain = signal.bilinear_zpk(continuous.zeros, continuous.poles, continuous.gain, rate)
     zeros, poles = np.append(zeros, discrete.zeros), np.append(poles, discrete.poles)
     return _in_sections(signal.zpk2sos(zeros, poles, float(np.real(gain)) * discrete.gain))

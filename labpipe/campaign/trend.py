@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from labpipe import display
 from labpipe.arrays import FloatArray
 from labpipe.campaign.amounts import chance, from_log, with_error
 from labpipe.campaign.common_sources import joint_errors
@@ -58,12 +59,14 @@ def _power(campaign: Campaign) -> Comparison:
     exponent = with_error("exponent", "1", float(fit.values[1]), fit.std_error(1), fit.quantile)
     level = from_log("level", campaign.unit, float(fit.values[0]), fit.std_error(0), fit.quantile)
     settings = campaign.settings
-    law = f"{campaign.subject} = {level.value:.5g} {campaign.unit} ({settings.condition} / {centre:.5g} {campaign.condition_unit})"
-    law += f"^{exponent.value:.4f}"
+    amount = display.amount_text(level.value, level.std_error, campaign.unit)
+    law = f"{campaign.subject} = ({amount}) ({settings.condition} / {centre:.5g} {campaign.condition_unit})"
+    law += f"^({display.with_error(exponent.value, exponent.std_error)})"
     amounts = [exponent, level]
     if settings.second:
         amounts.append(with_error("second_exponent", "1", float(fit.values[2]), fit.std_error(2), fit.quantile))
-        law += f" ({settings.second} / {_centre(campaign, campaign.second):.5g} {campaign.second_unit})^{fit.values[2]:.4f}"
+        second = display.with_error(float(fit.values[2]), fit.std_error(2))
+        law += f" ({settings.second} / {_centre(campaign, campaign.second):.5g} {campaign.second_unit})^({second})"
     return _comparison(campaign, fit, amounts, law, np.column_stack([x, values]))
 
 
@@ -78,14 +81,16 @@ def _line(campaign: Campaign) -> Comparison:
     level = with_error("level", campaign.unit, float(fit.values[0]), fit.std_error(0), fit.quantile)
     drawn = _drawn(x)
     settings = campaign.settings
-    where = f"{level.value:.5g} {campaign.unit} at {settings.condition} {centre:.5g} {campaign.condition_unit}"
-    change = f"{slope.value:.4g} {slope.unit}"
+    where = (
+        f"{display.amount_text(level.value, level.std_error, campaign.unit)} at {settings.condition} {centre:.5g} {campaign.condition_unit}"
+    )
+    change = display.with_error(slope.value, slope.std_error, slope.unit)
     amounts = [slope, level]
     if settings.second:
         unit = f"{campaign.unit}/{campaign.second_unit}"
         amounts.append(with_error("second_slope", unit, float(fit.values[2]), fit.std_error(2), fit.quantile))
         where += f" and {settings.second} {float(np.mean(campaign.second)):.5g} {campaign.second_unit}"
-        change += f" and {fit.values[2]:.4g} {unit}"
+        change += f" and {display.with_error(float(fit.values[2]), fit.std_error(2), unit)}"
     law = f"{campaign.subject} is {where} and changes by {change}"
     return _comparison(campaign, fit, amounts, law, np.column_stack([drawn, level.value + slope.value * (drawn - centre)]))
 

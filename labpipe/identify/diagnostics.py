@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.identify.corrections import is_direct
+from labpipe.identify.loops import held_findings, is_stiffness
 from labpipe.identify.statistics import Estimate, condition_number
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Goodness, Parameter
@@ -146,20 +147,22 @@ def excess_findings(estimate: Estimate, estimator: str) -> list[Finding]:
     return [Finding("model-mismatch", message)]
 
 
-def parameter_findings(parameters: Sequence[Parameter], *, driving: bool = True) -> list[Finding]:
+def parameter_findings(parameters: Sequence[Parameter], *, driving: bool = True, held: bool = False) -> list[Finding]:
     """Warnings on the reported parameters: insignificant ones, and values impossible for a passive support.
 
-    *driving*: False for the response at another point than the force's, whose coefficients have either sign.
+    *driving*: False for the response at another point than the force's, whose coefficients have either sign. *held*: by a closed loop, in
+    which negative stiffness floats.
     """
     warnings: list[Finding] = []
     weak = [p.name for p in parameters if p.significant is False and not p.derived and p.name not in OPTIONAL]
     if weak:
         message = f"{', '.join(weak)} cannot be told from zero at 95 %; a fit without them (`eliminate: true`) is as good"
         warnings.append(Finding("insignificant", message))
-    negative = [p.name for p in parameters if driving and is_direct(p.name) and p.value < 0 and p.significant]
+    judged = [p for p in parameters if driving and is_direct(p.name) and not (held and is_stiffness(p))]
+    negative = [p.name for p in judged if p.value < 0 and p.significant]
     if negative:
         warnings.append(Finding("unphysical", f"{', '.join(negative)} is negative; check the mass, the sign of the channels and the band"))
-    return [*warnings, *_modal_findings(parameters)]
+    return [*warnings, *(held_findings(parameters) if held else ()), *_modal_findings(parameters)]
 
 
 def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:

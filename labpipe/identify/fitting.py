@@ -28,6 +28,7 @@ from labpipe.identify.drift import drift_findings
 from labpipe.identify.given_mass import mass_findings
 from labpipe.identify.leakage import expected
 from labpipe.identify.likelihood import maximum_likelihood_from
+from labpipe.identify.loops import is_of_closed_loop, with_feedback
 from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.mismatch import Judgement, judge
 from labpipe.identify.model import DynamicModel
@@ -65,6 +66,8 @@ def identify(measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings
         form_view(measured.form, settings)
     linear = settings.kind.fit is fit_linear
     fits = fit_linear(measured, settings, judging=judging) if linear else settings.kind.fit(measured, settings)  # type: ignore[arg-type]
+    if isinstance(measured, FrequencyResponse):
+        fits = tuple(with_feedback(fit, measured.findings) for fit in fits)
     if settings.kind.times_mass:
         fits = tuple(with_given_mass(fit, settings) for fit in fits)
     return tuple(with_contributions(fit, settings.coverage) for fit in fits)
@@ -83,7 +86,7 @@ def fit_linear(response: FrequencyResponse, settings: FitSettings, *, judging: b
     rows, columns = select_ports(response, settings.input, settings.output)
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
-    setup = Setup(outputs, inputs, settings)
+    setup = Setup(outputs, inputs, settings, is_of_closed_loop(response.findings))
     view, model = form_view(response.form, settings), _model(setup)
     fits, bands = [], _bands(response, settings)
     for band, lines in bands:
@@ -255,7 +258,7 @@ def _parameter_findings(parameters: tuple[Parameter, ...], band: Band, setup: Se
     """Warnings on the parameters; those on the one mode of sdof say more than those on its coefficients."""
     of_mode = mode_findings(parameters, band, setup)
     driving = setup.settings.mass != ESTIMATE or not transfer_of(setup)
-    others = parameter_findings(parameters, driving=driving)
+    others = parameter_findings(parameters, driving=driving, held=setup.closed_loop)
     return [*(finding for finding in others if not (of_mode and finding.code == "unphysical")), *of_mode]
 
 

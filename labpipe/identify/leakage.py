@@ -64,12 +64,20 @@ class Leakage:
 
     def averaged(self, values: ComplexArray) -> ComplexArray:
         """Mean over the kernel of values (..., n_every, n_dof, n_input) at all points, (..., n_line, n_dof, n_input) [unit of values]."""
-        place = self.grid[1]
-        weights = self.kernel.weights * self._factors
-        total = np.zeros((*values.shape[:-3], self.numbers.size, *values.shape[-2:]), np.complex128)
-        for point in range(place.shape[1]):
-            total += weights[:, point, None, None] * values[..., place[:, point], :, :]
-        return total
+        cases = np.ascontiguousarray(values, np.complex128).reshape(-1, values.shape[-3], values.shape[-2] * values.shape[-1])
+        # Real weights on pairs of real and imaginary part, one pass over each case.
+        means = [(self._weights @ case.view(np.float64)).view(np.complex128) for case in cases]
+        return np.asarray(means).reshape(*values.shape[:-3], self.numbers.size, *values.shape[-2:])
+
+    @cached_property
+    def _weights(self) -> Any:
+        """Weights of the points of every line as a sparse matrix (n_line, n_every) [1]."""
+        from scipy import sparse
+
+        omega, place = self.grid
+        n_line, n_point = place.shape
+        weights = (self.kernel.weights * self._factors).ravel()
+        return sparse.csr_array((weights, place.ravel(), np.arange(0, n_line * n_point + 1, n_point)), shape=(n_line, omega.size))
 
 
 @dataclass(frozen=True)

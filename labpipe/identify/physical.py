@@ -15,12 +15,13 @@ def mode_findings(parameters: Sequence[Parameter], band: tuple[float, float], se
     """Warnings on the one mode of sdof or base in its *band* [Hz]: negative mass at a driving point, negative damping, resonance beside it.
 
     They do not wait for significance, which is for coefficients that may be zero: a mode has a mass and damping. Without an estimated
-    mass the band may well lie beside the resonance, and coefficients stand for themselves.
+    mass the band may well lie beside the resonance, and coefficients stand for themselves. What a closed loop holds need have no resonance.
     """
     if setup.settings.model not in ("sdof", BASE) or setup.settings.mass != ESTIMATE:
         return []
     by_name = {parameter.name: parameter for parameter in parameters}
-    said = [*_negative(by_name, driving=not transfer_of(setup)), *_beside(by_name, band)]
+    beside = [] if setup.closed_loop else _beside(by_name, band)
+    said = [*_negative(by_name, driving=not transfer_of(setup)), *beside]
     return [Finding("unphysical", f"{'; '.join(said)}; its numbers are not those of a mode of the structure")] if said else []
 
 

@@ -15,11 +15,12 @@ UNITS = {"stiffness": "N/m", "damping": "N.s/m", "mass": "kg", "force": "1"}
 
 @dataclass(frozen=True)
 class Setup:
-    """What a model needs to know of the measurement: its ports, and the fit's settings."""
+    """What a model needs to know of the measurement: its ports, whether in a closed loop, and the fit's settings."""
 
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
     settings: FitSettings
+    closed_loop: bool = False
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -9,6 +9,7 @@ from labpipe.identify.measured import Measured
 from labpipe.identify.model import Matrices
 from labpipe.identify.modes import modes
 from labpipe.records.finding import Finding
+from labpipe.spectra.joint import ESTIMATOR
 
 # Lines in the half-power width of a mode below which its damping is biased by more than its standard error; below which the expected
 # leakage, though part of the model (ml of an H1), decides on it.
@@ -27,7 +28,8 @@ def leakage_findings(measured: Measured, whole: Matrices, estimator: str) -> lis
     """
     blocks = measured.blocks
     narrowest = None if blocks is None else _narrowest(measured, whole)
-    if blocks is None or narrowest is None:
+    # In a closed loop the force rings as the response does: what leaks are the poles of the loop, not those of the fitted model.
+    if blocks is None or narrowest is None or blocks.estimator == ESTIMATOR:
         return []
     frequency, width = narrowest
     lines, modelled = blocks.length * width, estimator == "ml" and measured.leakage is not None

@@ -43,7 +43,7 @@ class Port:
 
 @dataclass(frozen=True)
 class Blocks:
-    """Blocks of random data averaged to an FRF: length [s], window, overlap of neighbours [1], number, estimator (H1, H2, Hv).
+    """Blocks of random data averaged to an FRF: length [s], window, overlap of neighbours [1], number, estimator (H1, H2, Hv, joint).
 
     degree: of the local polynomials that take the place of the window; 0 for Welch's averages. derivatives: in time of what was averaged,
     beyond those of the response's form; -2 for a transmissibility from an accelerometer on the base and a probe on the mass.
@@ -74,6 +74,7 @@ class FrequencyResponse:
     distortion       (n_frequency, n_output, n_input) the part of the standard deviation [unit of the form] that is due to
                      nonlinearity, or None; the variance less its square is noise
     change           (n_frequency, n_output, n_input) complex, H of the second half of the record less that of the first, or None
+    open_loop        (n_frequency, n_output, n_input) complex, H1 beside an FRF of a closed loop, which it takes as open, or None: biased
     snr              (n_frequency, n_channel) signal-to-noise amplitude ratio per channel at the line (periodic data), or None;
                      its columns are named by snr_channels
     covariance_dof   effective number of complex degrees of freedom behind the covariance estimate (inf: known)
@@ -97,6 +98,7 @@ class FrequencyResponse:
     partial_coherence: FloatArray | None = None
     distortion: FloatArray | None = None
     change: ComplexArray | None = None
+    open_loop: ComplexArray | None = None
     snr: FloatArray | None = None
     snr_channels: tuple[str, ...] = ()
     averages: float = 1.0
@@ -130,6 +132,7 @@ class FrequencyResponse:
             "partial_coherence": (np.float64, (n_f, n_o, n_i)),
             "distortion": (np.float64, (n_f, n_o, n_i)),
             "change": (np.complex128, (n_f, n_o, n_i)),
+            "open_loop": (np.complex128, (n_f, n_o, n_i)),
             "snr": (np.float64, (n_f, len(self.snr_channels))),
             "line_gains": (np.complex128, (n_f, np.shape(self.line_gains)[1] if self.line_gains is not None else 1, n_o, n_i)),
         }

@@ -116,7 +116,15 @@ def _point_row(comparison: Comparison, point: ComparedPoint) -> tuple[str, ...]:
         text(point.value),
         "" if point.ci95 is None else f"{text(point.ci95[0])} to {text(point.ci95[1])}",
         text(point.theory),
-        "" if point.ratio is None else f"{point.ratio:.4f}",
-        "" if point.ratio_ci95 is None else f"{point.ratio_ci95[0]:.4f} to {point.ratio_ci95[1]:.4f}",
+        *_ratio(point),
         "" if point.p_value is None else f"{point.p_value:.2g}",
     )
+
+
+def _ratio(point: ComparedPoint) -> tuple[str, str]:
+    """The ratio and its interval, to the second digit of the interval's half width."""
+    if point.ratio is None or point.ratio_ci95 is None:
+        return "" if point.ratio is None else number(point.ratio), ""
+    low, high = point.ratio_ci95
+    value, _, *ends = written(point.ratio, (high - low) / 2, low, high)
+    return value, " to ".join(ends)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.display import with_error
+from labpipe.display import with_error, written
 from labpipe.records.run_up_result import (
     HELD_OUT,
     REJECTED,
@@ -212,10 +212,9 @@ def parameter_table(method: RunUpMethod) -> Table:
     """The physical parameters of a joint fit: factors on the rotor file's values, exponents for the slopes."""
     rows = []
     for parameter in method.parameters:
-        interval = "at bound" if parameter.ci95 is None else f"{parameter.ci95[0]:.3f} to {parameter.ci95[1]:.3f}"
         kind = "exponent" if parameter.name.startswith("viscosity_") else "factor"
-        error = "none" if parameter.std_error is None else f"{parameter.std_error:.2g}"
-        rows.append((parameter.name, kind, f"{parameter.value:.3f}", error, interval))
+        value, error, *ends = written(parameter.value, parameter.std_error, *(parameter.ci95 or ()))
+        rows.append((parameter.name, kind, value, error or "none", " to ".join(ends) or "at bound"))
     caption = f"{method.title}: posterior values with their standard deviations, as factors on the rotor file's bearing"
     return Table(("parameter", "kind", "value", "std. deviation", "95 % interval"), tuple(rows), caption, (2, 3, 4))
 

@@ -60,8 +60,9 @@ def converted(response: FrequencyResponse, form: str) -> FrequencyResponse:
         covariance = covariance * (np.abs(factor) ** 2)[:, None, None]
     change = None if response.change is None else response.change * factor[:, None, None]
     errors = tuple(dataclasses.replace(error, change=error.change * factor[:, None, None]) for error in response.errors)
+    open_loop = None if response.open_loop is None else response.open_loop * factor[:, None, None]
     matrix = response.matrix * factor[:, None, None]
-    return dataclasses.replace(response, matrix=matrix, covariance=covariance, change=change, errors=errors, form=form)
+    return dataclasses.replace(response, matrix=matrix, covariance=covariance, change=change, open_loop=open_loop, errors=errors, form=form)
 
 
 def dynamic_stiffness(response: FrequencyResponse) -> ComplexArray:

@@ -39,6 +39,7 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
         covariance=covariance,
         change=None if response.change is None else from_left @ response.change @ from_right,
         errors=tuple(dataclasses.replace(error, change=from_left @ error.change @ from_right) for error in response.errors),
+        open_loop=None if response.open_loop is None else from_left @ response.open_loop @ from_right,
         outputs=ports,
         inputs=ports,
         coherence=None,

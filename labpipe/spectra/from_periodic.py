@@ -13,6 +13,8 @@ from labpipe.records.recording import SampleSource
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.halves import cut_at, rest_of_mean
 from labpipe.spectra.independence import force_inverse
+from labpipe.spectra.joint import check_references, open_loop_note
+from labpipe.spectra.neighbours import covariance_by_neighbours
 from labpipe.spectra.parts import POOR_SHARE, Parts, lines_left
 from labpipe.spectra.periodic import LineSpectrum, PeriodAverage, excited_lines, samples_per_period, smoothed_noise
 from labpipe.spectra.ports import Layout
@@ -33,6 +35,8 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     spectra = [spectrum for spectrum, _ in averaged]
     acting = _acting(spectra, layout)
     lines = np.all(acting, axis=1)
+    if settings.reference and np.any(lines):
+        lines = _injected(spectra, sources, settings)
     if not np.any(lines):
         _refuse_lines(acting)
     spectra = [spectrum.select(lines) for spectrum in spectra]
@@ -42,9 +46,16 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     inverse = force_inverse(forces, layout)
     matrix = responses @ inverse
     noises = [layout.padded(e, s.noise, 2) for e, s in enumerate(spectra) if s.noise is not None]
-    covariance = covariance_of_periodic(matrix, inverse, np.stack(noises)) if len(noises) == len(spectra) else None
+    covariance = None
+    if len(noises) == len(spectra) and settings.reference:
+        covariance = covariance_by_neighbours(spectra[0].frequency, matrix, mean, noises)
+    elif len(noises) == len(spectra):
+        covariance = covariance_of_periodic(matrix, inverse, np.stack(noises))
     snr = None if covariance is None else _signal_to_noise(mean, np.stack(noises))
     findings = _no_covariance_finding(spectra[0].n_period) if covariance is None else _snr_findings(snr, mean, layout)
+    open_loop = None if covariance is None or not settings.reference else _open_loop(spectra, mean, noises, n_input)
+    if open_loop is not None and covariance is not None:
+        findings = (*findings, open_loop_note(spectra[0].frequency, matrix, covariance, open_loop))
     averages = float(min(spectrum.n_period for spectrum in spectra))
     dof = min(spectrum.dof for spectrum in spectra) if covariance is not None else np.inf
     return Parts(
@@ -56,7 +67,36 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
         findings=findings,
         snr=snr,
         change=_change(spectra, [half for _, half in averaged], lines, layout),
+        open_loop=open_loop,
     )
+
+
+def _injected(spectra: Sequence[LineSpectrum], sources: Sequence[SampleSource], settings: FrfSettings) -> BoolArray:
+    """Lines (n_line,) at which a reference acts in every recording: what else repeats is a disturbance that the loop answers.
+
+    Not where a force exceeds its noise: to choose lines by the force's noise prefers errors of one sign. DataError for a reference without
+    lines.
+    """
+    check_references(sources, settings)
+    injected = np.ones(spectra[0].frequency.size, bool)
+    for spectrum, source in zip(spectra, sources, strict=True):
+        columns = [number for number, channel in enumerate(source.channels) if channel.name in settings.reference]
+        columns = [column for column in columns if np.any(spectrum.mean[:, column] != 0)]
+        lines = excited_lines(spectrum, columns) if columns else np.zeros_like(injected)
+        if not np.any(lines):
+            what = f"recording '{source.name}': no line of the reference {', '.join(settings.reference)} exceeds its noise"
+            raise DataError(what, hint="is it what is injected into this loop, and `period` its period?")
+        injected &= lines
+    if not np.any(injected):
+        raise DataError("no line is excited by a reference in all recordings", hint="inject the same lines into every axis, one by one")
+    return injected
+
+
+def _open_loop(spectra: Sequence[LineSpectrum], mean: ComplexArray, noises: Sequence[ComplexArray], n_input: int) -> ComplexArray:
+    """H1 = S_yu S_uu^-1 of all periods as if the loop were open, (n_line, n_output, n_input); *mean* (n_line, n_channel, n_recording)."""
+    power = mean @ mean.conj().swapaxes(1, 2)
+    power = power + np.sum([spectrum.n_period * noise for spectrum, noise in zip(spectra, noises, strict=True)], axis=0)
+    return np.asarray(power[:, n_input:, :n_input] @ np.linalg.pinv(power[:, :n_input, :n_input], hermitian=True))
 
 
 def _change(

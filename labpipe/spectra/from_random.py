@@ -15,7 +15,7 @@ from labpipe.spectra.bands import line_range
 from labpipe.spectra.coherence import multiple_coherence, ordinary_coherence, partial_coherence
 from labpipe.spectra.estimators import ESTIMATORS, INSTRUMENTS
 from labpipe.spectra.from_local import local_parts
-from labpipe.spectra.halves import Halved, change_of_random, cut_at, joined_spectra
+from labpipe.spectra.halves import Halved, change_of_random, cut_at, estimated_by, joined_spectra
 from labpipe.spectra.independence import check_forces, check_responses
 from labpipe.spectra.parts import Parts, coherence_findings, lines_left
 from labpipe.spectra.ports import Layout
@@ -30,13 +30,14 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     """The FRF from Welch averages of all recordings, or by local polynomials; DataError for recordings or forces that do not allow one."""
     if settings.local == "polynomial":
         return local_parts(sources, settings, layout)
-    halved = [_welch_average(source, settings) for source in sources]
+    halved = [welch_average(source, settings) for source in sources]
     spectra = [whole for whole, _ in halved]
     assert settings.block is not None
     n_block = sum(spectrum.n_block for spectrum in spectra)
     blocks = Blocks(settings.block, settings.window, settings.overlap, n_block, settings.estimator, derivatives=layout.derivatives)
     parts = parts_of_spectra(spectra, settings, layout)
-    change = change_of_random(halved, settings.estimator, layout, lines_left(halved[0][0].frequency, settings))
+    n_input, chosen = len(layout.inputs), lines_left(halved[0][0].frequency, settings)
+    change = change_of_random(halved, layout, chosen, estimated_by(settings.estimator, n_input), n_input + 1)
     return replace(parts, blocks=blocks, change=change)
 
 
@@ -71,15 +72,18 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
     )
 
 
-def _welch_average(source: SampleSource, settings: FrfSettings) -> Halved:
+def welch_average(source: SampleSource, settings: FrfSettings) -> Halved:
+    """Spectra of forces, responses and the named references of a recording, and those of its first half; DataError where it is short."""
     assert settings.block is not None
     n_sample = round(settings.block * source.sample_rate)
     if n_sample < 4:
         raise DataError(f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'", hint="lengthen `block`")
     step = max(1, round(n_sample * (1 - settings.overlap)))
     lines = line_range(n_sample, source.sample_rate, settings.band)
-    # References (tacho, temperature) are not part of the FRF matrix.
-    columns = [number for number, channel in enumerate(source.channels) if channel.role != "reference"]
+    # Other references (tacho, temperature) are not part of the FRF matrix.
+    columns = [
+        number for number, channel in enumerate(source.channels) if channel.role != "reference" or channel.name in settings.reference
+    ]
     average = WelchAverage(window_values(settings.window, n_sample), step, len(columns), lines, settings.detrend)
     half: CrossSpectra | None = None
     for block, ends_half in cut_at(checked_blocks(source), source.n_sample // 2):
@@ -90,7 +94,7 @@ def _welch_average(source: SampleSource, settings: FrfSettings) -> Halved:
 
 
 def _in_all_channels(spectra: CrossSpectra, columns: list[int], n_channel: int) -> CrossSpectra:
-    """The spectra with zeros in the rows and columns of reference channels."""
+    """The spectra with zeros in the rows and columns of the other channels."""
     if len(columns) == n_channel:
         return spectra
     matrix = np.zeros((spectra.frequency.size, n_channel, n_channel), np.complex128)

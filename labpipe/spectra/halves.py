@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,17 +36,19 @@ def joined_spectra(spectra: Sequence[CrossSpectra], layout: Layout) -> ComplexAr
     return joined
 
 
-def change_of_random(halved: Sequence[Halved], estimator: str, layout: Layout, chosen: BoolArray) -> ComplexArray | None:
+def change_of_random(
+    halved: Sequence[Halved], layout: Layout, chosen: BoolArray, response_of: Callable[[ComplexArray], ComplexArray], least: float
+) -> ComplexArray | None:
     """H of the second half of all records less that of the first, (n_line, n_output, n_input) [output unit / N], at the *chosen* lines.
 
-    None where a half has too few averages for the noise of an FRF of so many forces.
+    *response_of*: H of the spectra (n_line, n_channel, n_channel) [unit^2/Hz] of the layout's channels. None where a half has no more
+    than *least* averages, too few for the noise of an FRF of so many forces.
     """
     first = [half for _, half in halved if half is not None]
-    n_input = len(layout.inputs)
-    if len(first) < len(halved) or min(half.averages for half in first) <= n_input + 1:
+    if len(first) < len(halved) or min(half.averages for half in first) <= least:
         return None
     rest = [_rest(whole, half) for (whole, _), half in zip(halved, first, strict=True)]
-    before, after = (_response(joined_spectra(half, layout)[chosen], estimator, n_input) for half in (first, rest))
+    before, after = (response_of(joined_spectra(half, layout)[chosen]) for half in (first, rest))
     return after - before
 
 
@@ -55,8 +57,13 @@ def _rest(whole: CrossSpectra, half: CrossSpectra) -> CrossSpectra:
     return replace(whole, matrix=(whole.matrix * whole.n_block - half.matrix * half.n_block) / n_block, n_block=n_block)
 
 
-def _response(matrix: ComplexArray, estimator: str, n_input: int) -> ComplexArray:
-    return ESTIMATORS[estimator](matrix[:, :n_input, :n_input], matrix[:, n_input:, :n_input], matrix[:, n_input:, n_input:])
+def estimated_by(estimator: str, n_input: int) -> Callable[[ComplexArray], ComplexArray]:
+    """The *estimator* (H1, H2, Hv) as a function of the spectra (n_line, n_channel, n_channel) [unit^2/Hz], *n_input* forces first."""
+
+    def response_of(matrix: ComplexArray) -> ComplexArray:
+        return ESTIMATORS[estimator](matrix[:, :n_input, :n_input], matrix[:, n_input:, :n_input], matrix[:, n_input:, n_input:])
+
+    return response_of
 
 
 def rest_of_mean(mean: ComplexArray, count: int, part: ComplexArray, part_count: int) -> ComplexArray:

@@ -17,7 +17,7 @@ from labpipe.records.response import FrequencyResponse, Port
 # Relative tolerance between the frequency axes, which files print with six digits.
 SAME_AXIS = 1e-5
 # What a response has for each element beside H.
-QUALITIES = ("coherence", "partial_coherence", "distortion", "change", "line_gains")
+QUALITIES = ("coherence", "partial_coherence", "distortion", "change", "open_loop", "line_gains")
 
 
 def joined(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:

@@ -21,6 +21,7 @@ from labpipe.spectra.from_random import random_parts
 from labpipe.spectra.from_stepped import stepped_parts
 from labpipe.spectra.from_sweep import sweep_parts
 from labpipe.spectra.joining import joined
+from labpipe.spectra.joint import joint_parts
 from labpipe.spectra.masks import mask_findings, masked_bands
 from labpipe.spectra.parts import Parts
 from labpipe.spectra.ports import Layout, check_rates, find_layout, source_findings
@@ -97,7 +98,8 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
     cleaned = sources
     monitors = [AliasingMonitor(source, settings.excitation == "impact") for source in sources]
     sources = list(monitors)
-    parts = EXCITATIONS[settings.excitation](sources, settings, layout)
+    evaluate = joint_parts if settings.reference and settings.excitation == "random" else EXCITATIONS[settings.excitation]
+    parts = evaluate(sources, settings, layout)
     aliasing = aliasing_findings(monitors, settings.band, _coherent_outputs(parts, layout))
     findings = (*source_findings(sources), *doubt_findings(sources), *mask_findings(bands), *shaft, *aliasing, *parts.findings)
     sensor_factor = layout.sensor_factor(parts.frequency)
@@ -115,6 +117,7 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
         multiple_coherence=parts.multiple_coherence,
         partial_coherence=parts.partial_coherence,
         change=None if parts.change is None else parts.change * sensor_factor,
+        open_loop=None if parts.open_loop is None else parts.open_loop * sensor_factor,
         snr=parts.snr,
         snr_channels=tuple(port.label for port in (*layout.inputs, *layout.outputs)) if parts.snr is not None else (),
         averages=parts.averages,

@@ -25,7 +25,7 @@ class Parts:
     """FRF matrix (n_line, n_output, n_input) [output unit / N], covariance and quality on the measured lines.
 
     frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input; coherences and snr [1] as in
-    FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour, n_output, n_input) likewise, change and blocks.
+    FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour, n_output, n_input) likewise, change, open_loop and blocks.
     """
 
     frequency: FloatArray
@@ -42,6 +42,7 @@ class Parts:
     line_gains: ComplexArray | None = None
     blocks: Blocks | None = None
     change: ComplexArray | None = None
+    open_loop: ComplexArray | None = None
 
 
 def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:

@@ -48,16 +48,14 @@ def random_lines(sources: Sequence[SampleSource], settings: FrfSettings, layout:
         raise DataError(
             f"{averages:.2g} effective averages are too few for the noise of the channels", hint="record longer, or shorten `block`"
         )
-    lower = _lower(matrix[:, n:, n:], drives)
+    lower = lower_of_drives(matrix[:, n:, n:], drives)
     transform = layout.transform(frequency)
     s_zr = transform @ matrix[:, :n, n:]
     s_zz = transform @ matrix[:, :n, :n] @ hermitian(transform)
-    columns = hermitian(np.linalg.solve(lower, hermitian(s_zr)))
+    columns, residual = due_to_drives(s_zz, s_zr, lower, averages)
     # The amplitude, 0 to peak, of the lines of one block.
     assert settings.block is not None
     width = 2 / settings.block
-    dof = averages - n_drive
-    residual = (s_zz - columns @ hermitian(columns)) * (averages / dof)
     covariance = np.repeat((residual * (width / averages))[:, None], n_drive, axis=1)
     vectors = np.sqrt(width) * columns.swapaxes(1, 2)
     excited = np.zeros(vectors.shape, bool)
@@ -68,7 +66,7 @@ def random_lines(sources: Sequence[SampleSource], settings: FrfSettings, layout:
         vectors=vectors,
         covariance=covariance,
         runs=drives,
-        dof=dof,
+        dof=averages - n_drive,
         line_correlation=tuple(complex(value) for value in spectra[0].line_correlation),
         findings=(*findings, *_unexplained(s_zz, residual, layout)),
         weak=weak,
@@ -111,16 +109,26 @@ def _welch(source: SampleSource, settings: FrfSettings, layout: ChannelLayout, n
     return average.spectra(source.sample_rate)
 
 
-def _lower(s_rr: ComplexArray, drives: Sequence[str]) -> ComplexArray:
-    """L of S_rr = L L^H (n_line, n_drive, n_drive); DataError where a drive is silent or follows from the others."""
+def due_to_drives(s_zz: ComplexArray, s_zr: ComplexArray, lower: ComplexArray, averages: float) -> tuple[ComplexArray, ComplexArray]:
+    """W = S_zr L^-H (n_line, n, n_drive) and the noise (S_zz - W W^H) n / (n - n_drive) (n_line, n, n) [unit^2/Hz], n *averages*.
+
+    s_zz (n_line, n, n), s_zr (n_line, n, n_drive) [unit^2/Hz] of channels and drives, *lower* L of the drives (n_line, n_drive, n_drive).
+    """
+    columns = hermitian(np.linalg.solve(lower, hermitian(s_zr)))
+    return columns, (s_zz - columns @ hermitian(columns)) * (averages / (averages - lower.shape[1]))
+
+
+def lower_of_drives(s_rr: ComplexArray, drives: Sequence[str], word: str = "drive") -> ComplexArray:
+    """L of S_rr = L L^H (n_line, n_drive, n_drive) [unit^2/Hz]; DataError where a drive is silent or follows from the others."""
     power = np.einsum("lrr->lr", s_rr).real
     if np.any(power <= 0):
         silent = drives[int(np.flatnonzero(np.any(power <= 0, axis=0))[0])]
-        raise DataError(f"the drive {silent} is silent in the band", hint="is it the drive of this shaker?")
+        raise DataError(f"the {word} {silent} is silent in the band", hint=f"is it the {word} of this excitation? narrow `band` to it")
     scale = np.sqrt(power)
     smallest = np.linalg.eigvalsh(s_rr / (scale[:, :, None] * scale[:, None, :]))[:, 0]
     if np.any(smallest < INDEPENDENT):
-        raise DataError(f"the drives {', '.join(drives)} are not independent", hint="drive the shakers by independent random signals")
+        hint = "excite by independent random signals, one after the other or together"
+        raise DataError(f"the {word}s {', '.join(drives)} are not independent", hint=hint)
     return np.linalg.cholesky(s_rr)
 
 

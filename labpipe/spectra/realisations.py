@@ -59,8 +59,9 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
         matrix=matrix,
         covariance=(covariance + uncorrelated(distortion**2)) / m,
         distortion=distortion / np.sqrt(m),
-        change=_mean_change(responses),
         errors=_mean_errors(responses),
+        change=_mean_of(responses, "change"),
+        open_loop=_mean_of(responses, "open_loop"),
         snr=None if first.snr is None else np.mean([response.snr for response in responses if response.snr is not None], axis=0),
         averages=sum(response.averages for response in responses),
         covariance_dof=min(sum(response.covariance_dof for response in responses), (m - 1) * (2 * half_width + 1.0)),
@@ -68,9 +69,10 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
     )
 
 
-def _mean_change(responses: Sequence[FrequencyResponse]) -> ComplexArray | None:
-    changes = [response.change for response in responses if response.change is not None]
-    return np.asarray(np.mean(changes, axis=0)) if len(changes) == len(responses) else None
+def _mean_of(responses: Sequence[FrequencyResponse], name: str) -> ComplexArray | None:
+    """The mean of an array that every response has, or None."""
+    present = [values for response in responses if (values := getattr(response, name)) is not None]
+    return np.asarray(np.mean(present, axis=0)) if len(present) == len(responses) else None
 
 
 def _mean_errors(responses: Sequence[FrequencyResponse]) -> tuple[MatrixError, ...]:

@@ -142,7 +142,9 @@ class FrfSettings(Settings):
         "choice", "one response matrix, or the spectra of all channels side by side with their noise", choices=RESULTS, default="response"
     )
     reference: tuple[str, ...] = setting(
-        "names", "drives of the shakers (random, result: spectra); default: voltages and currents of role reference", default=()
+        "names",
+        "what is injected into a closed loop (random, periodic); with result: spectra the drives of the shakers (random)",
+        default=(),
     )
     directional: bool = setting("flag", "the response in forward and backward terms (two responses, two forces)", default=False)
 
@@ -163,8 +165,7 @@ class FrfSettings(Settings):
     def _check_result(self) -> None:
         """ConfigError for keys of a response matrix beside spectra, and for drives that nothing uses."""
         if self.result == "response":
-            if self.reference:
-                raise ConfigError("'reference' belongs to result: spectra", hint="add result: spectra", field="reference")
+            self._check_reference()
             return
         if self.excitation not in ("periodic", "random"):
             what = f"'result: spectra' is for periodic and random excitation, not for {self.excitation}"
@@ -174,6 +175,19 @@ class FrfSettings(Settings):
         matrix_only = {"directional": self.directional, "realisations": self.realisations, "local": self.local != "none"}
         for name in (name for name, is_set in matrix_only.items() if is_set):
             raise ConfigError(f"'{name}' belongs to a response matrix, not to result: spectra", hint="leave it out", field=name)
+
+    def _check_reference(self) -> None:
+        """ConfigError for a reference where no loop can be opened by it, and beside another estimator."""
+        if not self.reference:
+            return
+        if self.excitation not in ("periodic", "random"):
+            what = f"'reference' is for periodic and random excitation, not for {self.excitation}"
+            raise ConfigError(what, hint="inject a random or a periodic signal", field="reference")
+        if self.local != "none":
+            raise ConfigError("'local' takes the loop as open, 'reference' as closed", hint="leave one of them out", field="local")
+        if self.estimator != "H1":
+            what = f"with 'reference' the FRF is estimated by the joint input-output method, not by {self.estimator}"
+            raise ConfigError(what, hint="leave `estimator` out", field="estimator")
 
     def _check_found(self) -> None:
         """ConfigError for a settling time without steps, and for a mask without width where no block or period sets one."""

@@ -17,7 +17,7 @@ from tests.unit.modal.structures import chain_response
 
 GAIN = Doubt("x0.sensitivity", 0.01, "1")
 DELAY = Doubt("x1.delay", 5e-5, "s")
-NUMBER = Doubt("m_s, 2 kg", 2e-4, "kg")
+NUMBER = Doubt("m_s, 2 kg", 5e-5, "kg")
 
 
 def modal(response: FrequencyResponse, **settings: object) -> Fit:
@@ -34,7 +34,7 @@ def doubted(known: bool) -> FrequencyResponse:
     outputs = tuple(replace(port, doubts=of_port) for port, of_port in zip(response.outputs, doubts, strict=False))
     # A mass that moves with the structure and is taken off by a sum: dH = H (w^2 dm) H.
     omega = 2 * np.pi * response.frequency[:, None, None]
-    change = 2e-4 * omega**2 * response.matrix[:, :, :1] @ response.matrix[:, :1, :]
+    change = 5e-5 * omega**2 * response.matrix[:, :, :1] @ response.matrix[:, :1, :]
     covariance = uncorrelated(np.full(response.matrix.shape, std**2)) if known else None
     return replace(response, matrix=response.matrix + noise, outputs=outputs, covariance=covariance, errors=(MatrixError(NUMBER, change),))
 

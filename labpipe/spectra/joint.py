@@ -1,0 +1,178 @@
+"""Closed loops: the FRF by the joint input-output method, from what a reference injected from outside makes of forces and responses.
+
+In a loop u = r - C y, y = G u + v the force u holds the disturbance v, so that H1 = S_yu S_uu^-1 goes to
+(G S_r - C* S_v) / (S_r + |C|^2 S_v), to -1 / C without r. Since r knows nothing of v, G = S_yr S_ur^-1 does not (Ljung, System
+Identification, 1999, chapter 13). With w = y - G u and n averages, cov(G_oi, G_pj) = S_ww[o, p] (S_ur^-H S_rr S_ur^-1)[j, i] / n.
+Periodic data need no other average: what the periods share is due to r, and the covariance of force and response together holds what v
+makes of both.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import ConfigError, DataError
+from labpipe.records.finding import Finding, note
+from labpipe.records.recording import SampleSource
+from labpipe.records.response import Blocks
+from labpipe.registry import nearest
+from labpipe.spectra.from_random import welch_average
+from labpipe.spectra.halves import change_of_random, joined_spectra
+from labpipe.spectra.matrices import hermitian
+from labpipe.spectra.neighbours import covariance_by_neighbours
+from labpipe.spectra.parts import POOR_SHARE, Parts, lines_left
+from labpipe.spectra.ports import Layout
+from labpipe.spectra.random_lines import due_to_drives, lower_of_drives
+from labpipe.spectra.settings import FrfSettings
+
+ESTIMATOR = "joint"
+# A force's part that is due to the references, over the standard deviation of that part: below the first, a ratio to it is no longer
+# normal; where half of the lines lie below the second, the references might as well be noise.
+LOW_SNR, SILENT = 5.0, 2.0
+# Lines next to one that share its noise by the window (0.44 of it, of a Hann window; 0.03 two lines away).
+GAP = 1
+
+
+@dataclass(frozen=True)
+class JointEstimate:
+    """G (n_line, n_output, n_input) [output unit / N], and what it is made of.
+
+    columns (n_line, n_input + n_output, n_reference) [unit/Hz^0.5]: the parts due to the references, forces first;
+    noise (n_line, n, n) [unit^2/Hz]: of the part due to one reference, forces first; strength (n_line,) [1]: of the force that they move
+    least, over its standard deviation.
+    """
+
+    matrix: ComplexArray
+    columns: ComplexArray
+    noise: ComplexArray
+    strength: FloatArray
+
+
+def joint_estimate(spectra: ComplexArray, references: Sequence[str], n_input: int, averages: float) -> JointEstimate:
+    """G of averaged *spectra* (n_line, n, n) [unit^2/Hz], *references* first, then *n_input* forces, then responses.
+
+    With more references than forces, least squares over them. DataError for references that are silent or follow from each other.
+    """
+    n = len(references)
+    lower = lower_of_drives(spectra[:, :n, :n], references, "reference")
+    columns, residual = due_to_drives(spectra[:, n:, n:], spectra[:, n:, :n], lower, averages)
+    forces, noise = columns[:, :n_input], residual / averages
+    size = np.sqrt(np.einsum("lii->li", spectra[:, n : n + n_input, n : n + n_input]).real)
+    inverse = np.linalg.pinv(forces / size[:, :, None]) / size[:, None, :]
+    return JointEstimate(columns[:, n_input:] @ inverse, columns, noise, _strength(forces, noise[:, :n_input, :n_input]))
+
+
+def _strength(forces: ComplexArray, noise: ComplexArray) -> FloatArray:
+    """Signal over noise of the combination of forces that the references move least, (n_line,)."""
+    moved = forces @ hermitian(forces)
+    white = np.linalg.inv(np.linalg.cholesky(moved + noise + np.finfo(float).tiny * np.eye(forces.shape[1])))
+    share = np.clip(np.linalg.eigvalsh(white @ moved @ hermitian(white))[:, 0], 0.0, 1.0)
+    return np.asarray(np.sqrt(share / np.maximum(1 - share, np.finfo(float).eps)))
+
+
+def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
+    """The FRF of random data under the references of the settings, with H1 beside it.
+
+    ConfigError for references that are none, DataError for too few of them, and for such as do not move the forces.
+    """
+    references, n_input = settings.reference, len(layout.inputs)
+    whole = _with_references(sources, settings, layout)
+    halved = [welch_average(source, settings) for source in sources]
+    spectra = [spectrum for spectrum, _ in halved]
+    chosen, n = lines_left(spectra[0].frequency, settings), len(references)
+    averages = sum(spectrum.averages for spectrum in spectra)
+    if averages <= n + 2:
+        hint = "record longer, or shorten `block`"
+        raise DataError(f"{averages:.2g} effective averages are too few for the noise of an FRF by references", hint=hint)
+    matrix = joined_spectra(spectra, whole)[chosen]
+    estimate = joint_estimate(matrix, references, n_input, averages)
+    findings = _strength_findings(estimate, spectra[0].frequency[chosen], settings, layout)
+    frequency = spectra[0].frequency[chosen]
+    covariance = covariance_by_neighbours(frequency, estimate.matrix, estimate.columns, [estimate.noise] * n, GAP)
+    open_loop = matrix[:, n + n_input :, n : n + n_input] @ np.linalg.pinv(matrix[:, n : n + n_input, n : n + n_input], hermitian=True)
+
+    def response_of(part: ComplexArray) -> ComplexArray:
+        return joint_estimate(part, references, n_input, averages / 2).matrix
+
+    assert settings.block is not None
+    n_block = sum(spectrum.n_block for spectrum in spectra)
+    return Parts(
+        frequency=frequency,
+        matrix=estimate.matrix,
+        covariance=covariance,
+        averages=averages,
+        dof=averages - n,
+        findings=(*findings, open_loop_note(frequency, estimate.matrix, covariance, open_loop)),
+        line_correlation=spectra[0].line_correlation,
+        blocks=Blocks(settings.block, settings.window, settings.overlap, n_block, ESTIMATOR, derivatives=layout.derivatives),
+        change=change_of_random(halved, whole, chosen, response_of, n + 2),
+        open_loop=open_loop,
+    )
+
+
+def check_references(sources: Sequence[SampleSource], settings: FrfSettings) -> None:
+    """ConfigError unless the references are channels of the recordings outside of the FRF, DataError for a recording without any."""
+    roles = {channel.name: channel.role for source in sources for channel in source.channels}
+    for name in settings.reference:
+        if name not in roles:
+            raise ConfigError(f"'{name}' is no channel of the recordings", hint=nearest(name, roles), field="reference")
+        if roles[name] != "reference":
+            part = "force" if roles[name] == "input" else "response"
+            what = f"'{name}' is a {part} of the FRF; the reference is what is injected into the loop from outside"
+            raise ConfigError(what, hint="record it, and give it role: reference in the rig file", field="reference")
+    for source in sources:
+        if not {channel.name for channel in source.channels} & set(settings.reference):
+            raise DataError(f"recording '{source.name}' has none of the references {', '.join(settings.reference)}")
+
+
+def _with_references(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Layout:
+    """The layout with the references before the forces, -1 where a recording lacks one; DataError for too few of them."""
+    check_references(sources, settings)
+    if len(settings.reference) < len(layout.inputs):
+        forces = ", ".join(port.label for port in layout.inputs)
+        what = f"{len(layout.inputs)} forces ({forces}) need as many references, named: {', '.join(settings.reference)}"
+        raise DataError(what, hint="inject independent signals into every axis, and name all of them under `reference`")
+    columns = []
+    for source, forces_of in zip(sources, layout.input_columns, strict=True):
+        names = [channel.name for channel in source.channels]
+        columns.append((*(names.index(name) if name in names else -1 for name in settings.reference), *forces_of))
+    return dataclasses.replace(layout, input_columns=tuple(columns))
+
+
+def _strength_findings(estimate: JointEstimate, frequency: FloatArray, settings: FrfSettings, layout: Layout) -> tuple[Finding, ...]:
+    """A warning where the references hardly move the forces; DataError where they do not."""
+    named, weak = ", ".join(settings.reference), estimate.strength < LOW_SNR
+    forces = ", ".join(port.label for port in layout.inputs)
+    if np.median(estimate.strength) < SILENT:
+        what = f"the reference {named} does not move the force {forces} beyond its noise in {frequency[0]:g}-{frequency[-1]:g} Hz"
+        raise DataError(what, hint="is it what is injected into this loop? Raise its level, record longer, or narrow `band` to it")
+    if np.mean(weak) <= POOR_SHARE:
+        return ()
+    what = (
+        f"the part of the force {forces} that is due to the reference {named} is less than {LOW_SNR:g} times its noise at "
+        f"{100 * np.mean(weak):.0f} % of the lines: the FRF is uncertain there beyond its covariance"
+    )
+    return (Finding("low-snr", what),)
+
+
+def open_loop_note(frequency: FloatArray, matrix: ComplexArray, covariance: ComplexArray, open_loop: ComplexArray) -> Finding:
+    """How far H1, *open_loop*, is from the FRF *matrix* (n_line, n_output, n_input) [unit of H] at *frequency* (n_line,) [Hz], in words.
+
+    *covariance* (n_line, n, n) [unit^2 of H] of the FRF.
+    """
+    size = np.linalg.norm(matrix, axis=(1, 2))
+    apart = np.linalg.norm(open_loop - matrix, axis=(1, 2)) / size
+    error = np.sqrt(np.einsum("lii->l", covariance).real) / size
+    worst = int(np.argmax(np.where(apart > 2 * error, apart, 0.0)))
+    far = f", most at {frequency[worst]:.4g} Hz: {100 * apart[worst]:.3g} %" if apart[worst] > 2 * error[worst] else ""
+    message = (
+        f"the FRF is taken from what the reference makes of force and response. H1, which takes the force as given from outside, differs "
+        f"from it by {100 * np.median(apart):.2g} % of |H| (median over the lines; the FRF's standard error is "
+        f"{100 * np.median(error):.2g} %){far}: that is its bias, and noise"
+    )
+    return note("closed-loop", message)
