@@ -22,6 +22,7 @@ from labpipe.campaign.limits import Limit, below, verdict_of, words
 from labpipe.campaign.loop_file import with_unknowns
 from labpipe.campaign.loop_fit import LoopFit, LoopObservation, fit_statement, goodness, identifiability_findings, loop_fit
 from labpipe.campaign.loop_matrix import SensitivityMatrix, sensitivity_matrix
+from labpipe.campaign.measured_margins import measured_margins
 from labpipe.campaign.sensitivity import MeasuredSensitivity, Peak, peak_of
 from labpipe.campaign.settings import CompareSettings
 from labpipe.distributions import normal_quantile
@@ -87,12 +88,13 @@ def _peaks(matrix: SensitivityMatrix, response: FrequencyResponse) -> list[Peak]
 
 
 def _measured_amounts(matrix: SensitivityMatrix, peaks: Sequence[Peak]) -> list[Parameter]:
-    """Measured peaks of all loops, and of several the largest singular value."""
+    """Measured peaks and margins of all loops, and of several the largest singular value."""
     amounts = []
-    for loop, peak in zip(matrix.loops, peaks, strict=True):
+    for number, (loop, peak) in enumerate(zip(matrix.loops, peaks, strict=True)):
         suffix = f"_{loop}" if len(peaks) > 1 else ""
         amounts.append(with_error(f"peak{suffix}", "1", peak.value, peak.error, matrix.quantile))
         amounts.append(Parameter(f"peak_frequency{suffix}", peak.frequency, "Hz", derived=True))
+        amounts += measured_margins(matrix.frequency, matrix.loop_transfer(number), matrix.quantile, suffix)
     if len(peaks) > 1:
         size, error = matrix.largest()
         top = int(np.argmax(size))
@@ -180,11 +182,11 @@ def _curves(matrix: SensitivityMatrix, file: MagneticFile | None, fit: LoopFit |
     for quantity, (size, error) in named:
         reach = matrix.quantile * error
         curves.append(_curve(matrix.frequency, quantity, size, (size - reach, size + reach), fitted))
-    transfer = matrix.loop_transfer()
     for n, name in enumerate(matrix.loops):
         label = f"L {name}" if several else "L"
-        curves.append(_curve(matrix.frequency, f"{label} real", transfer[:, n, n].real))
-        curves.append(_curve(matrix.frequency, f"{label} imaginary", transfer[:, n, n].imag))
+        transfer, _ = matrix.loop_transfer(n)
+        curves.append(_curve(matrix.frequency, f"{label} real", transfer.real))
+        curves.append(_curve(matrix.frequency, f"{label} imaginary", transfer.imag))
     return tuple(curves)
 
 

@@ -46,9 +46,10 @@ class SensitivityMatrix:
         variance = np.einsum("lc,lcd,ld->l", slopes, self.covariance, slopes.conj()).real
         return singular[:, 0], np.sqrt(np.maximum(variance / 2, 0.0))
 
-    def loop_transfer(self) -> ComplexArray:
-        """L = S^-1 - I (n_line, n, n) [1]."""
-        return np.asarray(np.linalg.inv(self.values) - np.eye(len(self.loops)))
+    def loop_transfer(self, loop: int) -> tuple[ComplexArray, FloatArray]:
+        """L = 1 / S_ii - 1 of a loop that is cut alone, the others closed, and its variance |S_ii|^-4 var S_ii, (n_line,) each [1]."""
+        size, error = self.size(loop)
+        return np.asarray(1 / self.values[:, loop, loop] - 1), 2 * error**2 / size**4
 
 
 def sensitivity_matrix(response: FrequencyResponse, before: Sequence[str], after: Sequence[str]) -> SensitivityMatrix:

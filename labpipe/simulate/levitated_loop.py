@@ -1,6 +1,6 @@
 """The virtual levitated rig as matrices: rotor, bearings and amplifiers in continuous time, the loop closed from step to step.
 
-M q'' + (C + W G) q' = B (k_i i + k_s B' q + ...) + Q, y = S q + n, i_c = -C(z) X (y + r_in) + r_out, held and one delay late. The
+M q'' + (C + W G) q' = B (k_i i - k_s B' q + ...) + Q, y = S q + n, i_c = -C(z) X (y + r_in) + r_out, held and one delay late. The
 coordinates q of a rotor on two bearings are x_c, y_c, dx/dz, dy/dz of its centre of gravity, then the bending mode in x and in y.
 """
 
@@ -83,14 +83,14 @@ def _shapes(rotor: LongRotor, unbalance: float) -> tuple[FloatArray, FloatArray,
 
 
 def bearing_stiffness(rig: LevitatedRig) -> FloatArray:
-    """Stiffness of the bearings without their currents (n_axis, n_axis) [N/m]: -k_s, and what couples x with y."""
+    """Stiffness of the bearings without their currents (n_axis, n_axis) [N/m]: k_s, and what couples x with y."""
     n = len(rig.labels)
     coupling = np.array([[0.0, 1.0], [-1.0, 0.0]]) * rig.cross_stiffness if rig.axes == "xy" else np.zeros((1, 1))
     return np.asarray(-rig.negative_stiffness * np.eye(n) + np.kron(np.eye(n // coupling.shape[0]), coupling))
 
 
 def rotor_receptance(rig: LevitatedRig, frequency: FloatArray) -> ComplexArray:
-    """S (-w^2 M + j w C + K - B' k_s B)^-1 B', (n_line, n_axis, n_axis) [m/N] at *frequency* (n_line,) [Hz]: reading per force k_i i."""
+    """S (-w^2 M + j w C + K + B' k_s B)^-1 B', (n_line, n_axis, n_axis) [m/N] at *frequency* (n_line,) [Hz]: reading per force k_i i."""
     of = mechanics(rig)
     jw = 2j * np.pi * np.asarray(frequency, float)[:, None, None]
     dynamic = jw**2 * of.mass + jw * of.damping + of.stiffness + of.at_bearings.T @ bearing_stiffness(rig) @ of.at_bearings

@@ -164,7 +164,7 @@ def _measuring_noise(rig: LevitatedRig, channel: Channel) -> float:
 
 
 def truth(rig: LevitatedRig) -> dict[str, Any]:
-    """k_i, k_s per bearing, the rotor's matrices, and the poles of the closed loop [SI, 1/s]."""
+    """k_i, k_s per bearing (negative where the magnet pulls), the rotor's matrices, and the poles of the closed loop [SI, 1/s]."""
     of = mechanics(rig)
     poles = levitated_loop(rig).poles
     slowest = poles[np.argsort(-poles.real)]
@@ -179,7 +179,8 @@ def truth(rig: LevitatedRig) -> dict[str, Any]:
     return {
         "mass": rig.mass,
         "k_i": rig.force_per_current,
-        "k_s": rig.negative_stiffness,
+        "k_s": -rig.negative_stiffness,
+        "negative_stiffness": rig.negative_stiffness,
         "axes": list(rig.labels),
         **{name: matrix.tolist() for name, matrix in matrices.items()},
         "poles": [[float(pole.real), float(pole.imag)] for pole in slowest if pole.imag >= 0],
@@ -194,7 +195,7 @@ def _simulate(rig: LevitatedRig, seed: int, runs: Sequence[str]) -> Simulation:
 
 def _parameters(rig: LevitatedRig, _runs: Sequence[str]) -> Truth:
     """Of every fit that this rig is for: k_i, k_s; k, c of one mass in force over displacement; k_x_x ... of two axes of one bearing."""
-    values = {"k_i": rig.force_per_current, "k_s": rig.negative_stiffness, "m": rig.mass}
+    values = {"k_i": rig.force_per_current, "k_s": -rig.negative_stiffness, "m": rig.mass, **_magnets(rig)}
     if rig.rotor is not None:
         return values
     values |= {"k": -rig.negative_stiffness, "c": rig.damping}
@@ -202,6 +203,16 @@ def _parameters(rig: LevitatedRig, _runs: Sequence[str]) -> Truth:
         term = f"{rig.labels[row]}_{rig.labels[column]}"
         values |= {f"k_{term}": float(stiffness), f"c_{term}": rig.damping if row == column else 0.0}
     return values
+
+
+def _magnets(rig: LevitatedRig) -> dict[str, float]:
+    """k_i_xx, k_s_xx, c_xx and so on of two axes, k_i_ax_ax of two bearings, as a magnet's fit names them."""
+    found: dict[str, float] = {}
+    glue = "" if rig.rotor is None else "_"
+    for (row, column), stiffness in np.ndenumerate(bearing_stiffness(rig)):
+        term, direct = f"{rig.labels[row]}{glue}{rig.labels[column]}", float(row == column)
+        found |= {f"k_i_{term}": direct * rig.force_per_current, f"k_s_{term}": float(stiffness), f"c_{term}": direct * rig.damping}
+    return found
 
 
 def _at_level(rig: LevitatedRig, level: float) -> LevitatedRig:

@@ -119,7 +119,7 @@ class LevitatedRig(Settings):
     axes: str = setting("choice", "directions", choices=tuple(AXES), default="x")
     rotor: LongRotor | None = setting("section", "rotor on two bearings; without it, a mass on one", section=LongRotor, default=None)
     force_per_current: float = setting("value", "k_i of one bearing", unit="N/A", default=80.0)
-    negative_stiffness: float = setting("value", "k_s of one bearing: force k_i i + k_s x", unit="N/m", default=2e5)
+    negative_stiffness: float = setting("value", "pull of one bearing's bias field per displacement, -k_s", unit="N/m", default=2e5)
     damping: float = setting("value", "passive damping at every bearing", unit="N.s/m", default=0.0)
     cross_stiffness: float = setting("value", "k_xy = -k_yx at every bearing, as of a seal", unit="N/m", default=0.0)
     amplifier_bandwidth: float = setting("value", "-3 dB bandwidth of the current amplifiers", unit="Hz", default=2000.0)

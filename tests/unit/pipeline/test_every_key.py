@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 
+from labpipe.campaign.certificate_settings import CertificateSettings
 from labpipe.config.rig import ChannelSettings, RigSettings
 from labpipe.config.rotor_parts import RotorSettings
 from labpipe.config.uncertainty import UncertaintySettings
@@ -22,6 +23,7 @@ from labpipe.decay.settings import DecaySettings
 from labpipe.dynamic_stiffness.settings import DynamicStiffnessSettings
 from labpipe.errors import LabpipeError
 from labpipe.identify.settings import FitSettings
+from labpipe.magnet.settings import MagnetSettings
 from labpipe.records.settings import Setting, settings_of
 from labpipe.sections import sections
 from labpipe.spectra.settings import FreeDecaySettings, FrfSettings
@@ -41,6 +43,8 @@ DECLARED: dict[tuple[str, tuple[str, ...]], type] = {
     ("pipeline.yaml", ("identify", "*")): FitSettings,
     ("pipeline.yaml", ("identify", "*", "decay")): DecaySettings,
     ("pipeline.yaml", ("identify", "*", "dynamic_stiffness")): DynamicStiffnessSettings,
+    ("pipeline.yaml", ("identify", "*", "magnet")): MagnetSettings,
+    ("pipeline.yaml", ("compare", "*", "certificate")): CertificateSettings,
     **{("pipeline.yaml", (name,)): entry.load("settings") for name, entry in sections() if not entry.named},
     **{("pipeline.yaml", (name, "*")): entry.load("settings") for name, entry in sections() if entry.named and name != "identify"},
     ("rotor.yaml", ()): RotorSettings,
@@ -325,3 +329,58 @@ def test_a_changed_key_of_a_floating_bearing_reaches_the_result(
 ) -> None:
     tree = changed(yaml.safe_load(FLOATING["pipeline.yaml"]), change[1], change[2])
     same_as_a_new_folder(floating, {"pipeline.yaml": yaml.safe_dump(tree, sort_keys=False)}, tmp_path)
+
+
+# A levitated rotor: the keys of its magnet and of its certificate.
+
+
+def levitated_rotor() -> str:
+    """Ten lines of r added behind a PD controller that holds 4 kg x'' = 80 N/A i + 200 kN/m x, periods of 1 s, with noise."""
+    rng, time = np.random.default_rng(4), np.arange(8 * 256) / 256
+    signals = np.zeros((time.size, 4))
+    for frequency in np.arange(8.0, 108.0, 10.0):
+        w = 2 * np.pi * frequency
+        plant = 80 / (-4 * w**2 - 2e5)
+        current = np.exp(1j * frequency**2) / (1 + plant * (5000 + 12j * w))
+        vector = np.array([current, plant * current, current, np.exp(1j * frequency**2)])
+        signals = signals + (vector * np.exp(1j * w * time)[:, None]).real
+    columns = signals + rng.normal(size=signals.shape) * [2e-3, 1e-7, 2e-3, 1e-9]
+    return "i,x,u,r\n" + "".join(",".join(f"{value:.9g}" for value in row) + "\n" for row in columns)
+
+
+LEVITATED = {
+    "rig.yaml": "name: r\nsample_rate: 256 Hz\nmass: 4 kg +- 4 g\nchannels:\n"
+    "  i: {quantity: current, unit: A, role: output, dof: x}\n"
+    "  x: {quantity: displacement, unit: m, role: output, dof: x}\n"
+    "  u: {quantity: current, unit: A, role: output, dof: u}\n"
+    "  r: {quantity: current, unit: A, role: input, dof: r}\n",
+    "pipeline.yaml": "title: r\nrig: rig.yaml\nrecordings: run.csv\n"
+    "frf: {excitation: periodic, period: 1 s, result: spectra, band: 5-110 Hz}\n"
+    "identify:\n  magnet: {model: magnet, input: i, magnet: {coupling: direct}}\n"
+    "compare:\n  loop: {kind: certificate, certificate: {after: u, displacement: x, injection: output}}\nreport: {formats: []}\n",
+    "run.csv": levitated_rotor(),
+}
+LEVITATED_CHANGES = [
+    change
+    for change in changes("pipeline.yaml", yaml.safe_load(LEVITATED["pipeline.yaml"]))
+    if change[1][2:3] in (("magnet",), ("certificate",))
+]
+
+
+@pytest.fixture(scope="module")
+def levitated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return finished_laboratory(tmp_path_factory.mktemp("levitated"), LEVITATED)
+
+
+@pytest.mark.parametrize("change", LEVITATED_CHANGES, ids=described)
+def test_a_changed_key_of_a_levitated_rotor_reaches_the_result(
+    levitated: Path, change: tuple[str, tuple[str, ...], Any], tmp_path: Path
+) -> None:
+    tree = changed(yaml.safe_load(LEVITATED["pipeline.yaml"]), change[1], change[2])
+    same_as_a_new_folder(levitated, {"pipeline.yaml": yaml.safe_dump(tree, sort_keys=False)}, tmp_path)
+
+
+def test_every_declared_setting_of_a_levitated_rotor_is_changed() -> None:
+    seen = {keys[-1] for _, keys, value in LEVITATED_CHANGES if value is not None}
+    for owner in (MagnetSettings, CertificateSettings):
+        assert {key for key, (setting, _) in settings_of(owner).items() if other_value(setting, None) is not None} <= seen

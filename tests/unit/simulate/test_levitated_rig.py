@@ -138,7 +138,7 @@ def test_the_truth_holds_what_a_fit_looks_for() -> None:
     known = truth(shipped(rotor=BENT))
     assert known["axes"] == ["ax", "ay", "bx", "by"]
     assert np.shape(known["mass_matrix"]) == (6, 6) and np.shape(known["at_sensors"]) == (4, 6)
-    assert (known["k_i"], known["k_s"]) == (80.0, 2e5)
+    assert (known["k_i"], known["k_s"], known["negative_stiffness"]) == (80.0, -2e5, 2e5)
 
 
 def test_what_cannot_float_is_refused() -> None:

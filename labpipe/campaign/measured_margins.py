@@ -1,0 +1,92 @@
+"""Margins of a measured loop transfer function without a model, from the lines around its crossings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.campaign.amounts import with_error
+from labpipe.records.identification import Parameter
+
+# A margin by its name, of L (2,) at the lines around a crossing at omega (2,) [rad/s].
+Margin = Callable[[ComplexArray, FloatArray], float]
+STEP = 1e-4
+# Lines of one local parabola.
+LOCAL = 11
+
+
+def measured_margins(
+    frequency: FloatArray, transfer: tuple[ComplexArray, FloatArray], quantile: float, suffix: str = ""
+) -> list[Parameter]:
+    """Gain margins to either side, phase and delay margin of L (n_line,) [1] with its variance (n_line,) [1], as far as it crosses.
+
+    L follows a parabola over LOCAL lines, since noise makes it cross several times; intervals of 95 %, *quantile* standard errors to
+    either side, hold the noise of these lines. *frequency* (n_line,) [Hz].
+    """
+    plain, variance = transfer
+    if frequency.size < LOCAL:
+        return []
+    omega, smoother = 2 * np.pi * frequency, _smoother(frequency)
+    values, covariance = smoother @ plain, smoother * variance @ smoother.T
+    candidates: dict[str, list[tuple[float, float]]] = {}
+    for n in _changes(values.imag):
+        if values[n].real + values[n + 1].real < 0:
+            gain = _with_error(_gain, values, omega, covariance, n)
+            candidates.setdefault("gain_margin_lower" if gain[0] < 1 else "gain_margin_upper", []).append(gain)
+    for n in _changes(np.abs(values) - 1):
+        for name, margin in (("phase_margin", _phase), ("delay_margin", _delay)):
+            candidates.setdefault(name, []).append(_with_error(margin, values, omega, covariance, n))
+    units = {"phase_margin": "rad", "delay_margin": "s"}
+    chosen = {name: (max if name == "gain_margin_lower" else min)(found) for name, found in candidates.items()}
+    return [with_error(f"measured_{name}{suffix}", units.get(name, "1"), value, error, quantile) for name, (value, error) in chosen.items()]
+
+
+def _smoother(frequency: FloatArray) -> FloatArray:
+    """(n_line, n_line) [1]: the value at every line of the parabola through the LOCAL lines around it."""
+    n = frequency.size
+    matrix = np.zeros((n, n))
+    for line in range(n):
+        first = min(max(line - LOCAL // 2, 0), n - LOCAL)
+        x = frequency[first : first + LOCAL] - frequency[line]
+        matrix[line, first : first + LOCAL] = np.linalg.pinv(np.column_stack([np.ones(LOCAL), x, x**2]))[0]
+    return matrix
+
+
+def _changes(values: FloatArray) -> list[int]:
+    """Numbers of the lines behind which a function changes its sign."""
+    return [int(n) for n in np.flatnonzero(values[:-1] * values[1:] < 0)]
+
+
+def _gain(values: ComplexArray, _: FloatArray) -> float:
+    """-1 / Re L where Im L = 0."""
+    share = values[0].imag / (values[0].imag - values[1].imag)
+    return float(-1 / (values[0] + share * (values[1] - values[0])).real)
+
+
+def _crossing(values: ComplexArray) -> float:
+    """Share of the way to the next line where |L| = 1."""
+    sizes = np.log(np.abs(values))
+    return float(sizes[0] / (sizes[0] - sizes[1]))
+
+
+def _phase(values: ComplexArray, _: FloatArray) -> float:
+    share = _crossing(values)
+    return float(abs(np.angle(-(values[0] + share * (values[1] - values[0])))))
+
+
+def _delay(values: ComplexArray, omega: FloatArray) -> float:
+    share = _crossing(values)
+    angle = float(np.angle(-(values[0] + share * (values[1] - values[0])))) % (2 * np.pi)
+    return angle / float(omega[0] + share * (omega[1] - omega[0]))
+
+
+def _with_error(margin: Margin, values: ComplexArray, omega: FloatArray, covariance: FloatArray, n: int) -> tuple[float, float]:
+    """A margin and its standard error; half of the covariance (n_line, n_line) [1] of L is of its real and half of its imaginary part."""
+    pair, places, total = values[n : n + 2], omega[n : n + 2], 0.0
+    for direction in (1.0, 1.0j):
+        steps = STEP * np.abs(pair).mean() * direction * np.eye(2)
+        slopes = np.array([(margin(pair + step, places) - margin(pair - step, places)) / (2 * abs(step).max()) for step in steps])
+        total += float(slopes @ covariance[n : n + 2, n : n + 2] @ slopes) / 2
+    return margin(pair, places), float(np.sqrt(total))
