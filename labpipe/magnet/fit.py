@@ -8,7 +8,6 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.dynamic_stiffness.budget import budgeted
-from labpipe.dynamic_stiffness.given import mass_source
 from labpipe.dynamic_stiffness.values import SAME, Valued
 from labpipe.errors import ConfigError
 from labpipe.identify import statistics
@@ -120,7 +119,8 @@ def _given(rotor: Levitation, settings: FitSettings, mass: FloatArray | float) -
     given: list[tuple[Doubt, FloatArray]] = []
     of_mass = dict(settings.doubts).get("mass")
     if of_mass is not None and of_mass.std_error > 0 and isinstance(mass, float):
-        given.append((doubt_of(of_mass, mass_source(of_mass), "kg"), _mass_of(rotor, own, mass + of_mass.std_error) - rotor.mass))
+        source = f"mass of the rotor, {of_mass.value:g} kg +- {of_mass.std_error:g} kg"
+        given.append((doubt_of(of_mass, source, "kg"), _mass_of(rotor, own, mass + of_mass.std_error) - rotor.mass))
     if own.inertia is not None and own.inertia.std_error > 0:
         larger = replace(own, inertia=Uncertain(own.inertia.value + own.inertia.std_error))
         change = _mass_of(rotor, larger, mass) - rotor.mass
