@@ -34,6 +34,8 @@ WRITERS = Registry(
         "uff58b": "labpipe.formats.exports:write_uff58b",
         "mat": "labpipe.formats.exports:write_mat",
         "shapes": "labpipe.formats.exports:write_shapes",
+        "covariance": "labpipe.formats.covariance_table:write_covariance_csv",
+        "covariance-parquet": "labpipe.formats.covariance_table:write_covariance_parquet",
         "band": "labpipe.formats.robust_plant:write_band_csv",
         "plant": "labpipe.formats.robust_plant:write_plant_mat",
         "matrix": "labpipe.formats.matrix_table:write_matrix_csv",
