@@ -14,6 +14,8 @@ from labpipe.bearings.sampled_loop import SampledLaw, Suspended, sampled_law, sa
 # Signals of a loop that an injection e moves; the units are per volt at either place.
 SIGNALS = ("before", "after", "output", "displacement", "current")
 INPUT, OUTPUT = "input", "output"
+# Distance of z from a pole of the controller below which it is there.
+AT_A_POLE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,9 @@ class OpenLoop:
     @property
     def loop(self) -> ComplexArray:
         """L (n_line,) [1]."""
-        return -self.sensor * self.motion * self.controller
+        # Of an integrator at rest no number, though L is infinite.
+        with np.errstate(invalid="ignore"):
+            return -self.sensor * self.motion * self.controller
 
     @property
     def sensitivity(self) -> ComplexArray:
@@ -76,12 +80,16 @@ def open_loop(plant: Levitated, omega: FloatArray, rate: float | None = None, fi
 
 
 def law_response(law: SampledLaw, omega: FloatArray, rate: float) -> ComplexArray:
-    """C(z) (n_line,) [1] of a sampled controller at omega (n_line,) [rad/s]."""
+    """C(z) (n_line,) [1] of a sampled controller at omega (n_line,) [rad/s]; infinite at a pole, as of an integrator at rest."""
     if not len(law.a):
         return np.full(np.shape(omega), law.d, np.complex128)
-    z = np.exp(1j * np.asarray(omega) / rate)[:, None, None]
-    states = np.linalg.solve(z * np.eye(len(law.a)) - law.a, np.broadcast_to(law.b[:, None], (z.shape[0], len(law.b), 1)))
-    return np.asarray(law.c @ states[..., 0].T + law.d)
+    z = np.exp(1j * np.asarray(omega) / rate)
+    values = np.full(z.shape, np.inf, np.complex128)
+    away = np.min(np.abs(z[:, None] - np.linalg.eigvals(law.a)), axis=1) > AT_A_POLE
+    shifted = z[away, None, None] * np.eye(len(law.a)) - law.a
+    states = np.linalg.solve(shifted, np.broadcast_to(law.b[:, None], (len(shifted), len(law.b), 1)))
+    values[away] = law.c @ states[..., 0].T + law.d
+    return values
 
 
 def _sampled_motion(plant: Suspended, omega: FloatArray, rate: float) -> tuple[ComplexArray, ComplexArray]:

@@ -7,7 +7,7 @@ all that was recorded, and what the fitted loop says holds between the lines and
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,12 +18,13 @@ from labpipe.bearings.open_loop import open_loop
 from labpipe.campaign.amounts import with_error
 from labpipe.campaign.certificate_settings import CertificateSettings
 from labpipe.campaign.closed_loop import ClosedLoop, closed_loop
+from labpipe.campaign.limits import Limit, below, verdict_of, words
 from labpipe.campaign.loop_file import with_unknowns
 from labpipe.campaign.loop_fit import LoopFit, LoopObservation, fit_statement, goodness, identifiability_findings, loop_fit
 from labpipe.campaign.loop_matrix import SensitivityMatrix, sensitivity_matrix
 from labpipe.campaign.sensitivity import MeasuredSensitivity, Peak, peak_of
 from labpipe.campaign.settings import CompareSettings
-from labpipe.distributions import normal_quantile, normal_tail
+from labpipe.distributions import normal_quantile
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.diagnostics import MISMATCH_P
 from labpipe.identify.measured import chosen_ports, measured_part
@@ -32,18 +33,8 @@ from labpipe.records.finding import Finding, note
 from labpipe.records.identification import Parameter
 from labpipe.records.response import FrequencyResponse
 
-KEPT, BROKEN, UNDECIDED = "accepted", "not accepted", "undecided"
 # Modes are looked for up to this multiple of the measured band.
 BEYOND = 1.5
-
-
-@dataclass(frozen=True)
-class Limit:
-    """A limit of acceptance: its *name*, the probability that it is kept, and the sentence that says so."""
-
-    name: str
-    probability: float
-    sentence: str
 
 
 def certificate(settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None) -> Comparison:
@@ -69,7 +60,7 @@ def certificate(settings: CompareSettings, response: FrequencyResponse, file: Ma
         limits += [_decrement_limit(own, loop)] if loop.modes() and not loop.unstable else []
     amounts += [Parameter(f"probability_{limit.name}", limit.probability, "1", derived=True) for limit in limits]
     amounts += [] if fit is None else [*goodness(fit), *fit.parameters]
-    verdict = _verdict(limits, own.confidence)
+    verdict = verdict_of(limits, own.confidence)
     return Comparison(
         name=settings.name,
         kind="certificate",
@@ -155,8 +146,8 @@ def _observation(own: CertificateSettings, response: FrequencyResponse, file: Ma
 def _zone_limit(own: CertificateSettings, peak: float, error: float, whose: str) -> Limit:
     """Probability that the peak of |S| lies within the demanded zone, by its logarithm."""
     end = dict(ZONES)[own.zone]
-    probability = _below(np.log(peak), error / peak, np.log(end))
-    said = f"zone {zone_of(peak)} of ISO 14839-3 (peak {peak:.3g} {whose}); zone {own.zone} or better with {_percent(probability)}"
+    probability = below(np.log(peak), error / peak, np.log(end))
+    said = f"zone {zone_of(peak)} of ISO 14839-3 (peak {peak:.3g} {whose}); zone {own.zone} or better with {words(probability)}"
     return Limit("zone", probability, said)
 
 
@@ -164,27 +155,9 @@ def _decrement_limit(own: CertificateSettings, loop: ClosedLoop) -> Limit:
     """Probability that the least damped mode has its decrement."""
     least = min(loop.modes(), key=lambda name: loop.amounts[name])
     value = loop.amounts[least]
-    probability = min(_below(-loop.amounts[name], loop.error(name), -own.log_decrement) for name in loop.modes())
-    said = f"log decrement {value:.3g} of mode {least.rpartition('_')[2]}; above {own.log_decrement:g} with {_percent(probability)}"
+    probability = min(below(-loop.amounts[name], loop.error(name), -own.log_decrement) for name in loop.modes())
+    said = f"log decrement {value:.3g} of mode {least.rpartition('_')[2]}; above {own.log_decrement:g} with {words(probability)}"
     return Limit("log_decrement", probability, said)
-
-
-def _below(value: float, error: float, limit: float) -> float:
-    """Probability that a normal estimate's truth lies below a limit."""
-    if error <= 0:
-        return float(value < limit)
-    return 1 - normal_tail((limit - value) / error) if value <= limit else normal_tail((value - limit) / error)
-
-
-def _percent(probability: float) -> str:
-    return "over 99.9 %" if probability > 0.999 else "under 0.1 %" if probability < 0.001 else f"{100 * probability:.3g} %"
-
-
-def _verdict(limits: Sequence[Limit], confidence: float) -> str:
-    """accepted where all limits are kept with that confidence, not accepted where one is broken with it."""
-    if any(limit.probability < 1 - confidence for limit in limits):
-        return BROKEN
-    return KEPT if all(limit.probability >= confidence for limit in limits) else UNDECIDED
 
 
 def _statement(verdict: str, limits: Sequence[Limit], worst: Peak, loop: ClosedLoop | None, fit: LoopFit | None) -> str:

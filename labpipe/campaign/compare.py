@@ -9,9 +9,11 @@ from typing import Any
 from labpipe.campaign.bandwise import bandwise, two_tests
 from labpipe.campaign.certificate import certificate
 from labpipe.campaign.components import repeatability
+from labpipe.campaign.decrements import decrement_certificate
 from labpipe.campaign.difference import difference
 from labpipe.campaign.loop_view import View, checked_view
 from labpipe.campaign.observations import Campaign, campaign_of, condition_of, group_of
+from labpipe.campaign.per_injection import per_injection
 from labpipe.campaign.prediction import MagneticTheory, prediction
 from labpipe.campaign.ratio import rayleigh, stiffness_ratio
 from labpipe.campaign.reciprocal import reciprocal
@@ -21,6 +23,7 @@ from labpipe.campaign.theory import Matched, Rig, TheoryAt, match, overlay
 from labpipe.campaign.trend import trend
 from labpipe.errors import ConfigError, LabpipeError
 from labpipe.identify.settings import FitSettings
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.comparison import Comparison, Overlay
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
@@ -43,8 +46,8 @@ class _Solved:
 class Evidence:
     """Inputs of a comparison: fits and responses of the tests, and the settings of the fits.
 
-    *conditions* of tests without a response (free decays), by their names. *solved*: cache of matched theories by fit, term and theory,
-    since several comparisons use the same.
+    *spectra* of tests that have no response. *conditions* of tests without a response (free decays), by their names. *solved*: cache of
+    matched theories by fit, term and theory, since several comparisons use the same.
     """
 
     fits: tuple[Fit, ...]
@@ -52,6 +55,7 @@ class Evidence:
     fit_settings: tuple[FitSettings, ...]
     solved: dict[tuple[str, str, TheorySettings], _Solved] = field(default_factory=dict)
     conditions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    spectra: tuple[ChannelSpectra, ...] = ()
 
     def campaign(self, settings: CompareSettings) -> Campaign:
         measured = {response.name: response.conditions for response in self.responses}
@@ -182,10 +186,13 @@ def _sensitivity(settings: CompareSettings, evidence: Evidence, theory: Magnetic
 
 
 def _certificate(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory | None) -> Comparison:
-    if len(evidence.responses) != 1:
-        hint = "one pipeline per setting of the loop"
-        raise ConfigError(f"a certificate is that of one test, not of {len(evidence.responses)}", hint=hint)
-    return certificate(settings, evidence.responses[0], None if theory is None else theory(None, ""))
+    if settings.fit:
+        return decrement_certificate(settings, [fit for fit in evidence.fits if fit.name == settings.fit])
+    tests = [*evidence.responses, *evidence.spectra]
+    if len(tests) != 1:
+        raise ConfigError(f"a certificate is that of one test, not of {len(tests)}", hint="one pipeline per setting of the loop")
+    response = evidence.responses[0] if evidence.responses else per_injection(evidence.spectra[0])
+    return certificate(settings, response, None if theory is None else theory(None, ""))
 
 
 # The theory is a rolling bearing's or, for the kinds of a control loop, a magnetic bearing's.

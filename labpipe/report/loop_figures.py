@@ -157,6 +157,8 @@ def sensitivity_figures(comparison: Comparison) -> list[Figure]:
 
 def certificate_figures(comparison: Comparison) -> list[Figure]:
     """|S| of every loop with its 95 % band and the zones, and L in the complex plane around -1."""
+    if not comparison.curves:
+        return []
     sizes = [part for part in comparison.curves if not part.quantity.startswith("L ") and part.measured]
     series: list[Series] = []
     for number, part in enumerate(sizes):

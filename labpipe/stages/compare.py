@@ -30,7 +30,7 @@ def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparis
     Otherwise LabpipeError names the comparison.
     """
     conditions = {test.name: test.conditions for test in work.tests}
-    evidence = Evidence(tuple(work.fits), tuple(work.responses), work.pipeline.fits, conditions=conditions)
+    evidence = Evidence(tuple(work.fits), tuple(work.responses), work.pipeline.fits, conditions=conditions, spectra=tuple(work.spectra))
     comparisons: list[Comparison] = []
     for comparison in settings:
         try:

@@ -19,7 +19,7 @@ def labpipe(labpipe_without_report):
     return labpipe_without_report
 
 
-@pytest.mark.parametrize("name", ["magnetic-loop", "magnetic-gains", "magnetic-sensitivity"])
+@pytest.mark.parametrize("name", ["magnetic-loop", "magnetic-gains", "magnetic-sensitivity", "levitated-magnet", "levitated-certificate"])
 def test_shipped_pipelines_meet_their_rules(name: str, root: Path, labpipe) -> None:
     ended = labpipe("check", root / f"pipelines/{name}.yaml")
     assert ended.code == 0, ended

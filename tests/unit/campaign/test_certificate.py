@@ -15,9 +15,13 @@ from labpipe.bearings.open_loop import open_loop
 from labpipe.campaign.certificate import certificate
 from labpipe.campaign.compare import Evidence, compare
 from labpipe.campaign.loop_matrix import sensitivity_matrix
+from labpipe.campaign.per_injection import per_injection
 from labpipe.campaign.settings import CompareSettings, TheorySettings
 from labpipe.errors import ConfigError, FitError
+from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.comparison import Comparison
+from labpipe.records.identification import Fit, Goodness, Parameter
+from labpipe.records.recording import Channel
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure
@@ -101,6 +105,47 @@ def test_the_zone_s_probability_is_by_the_logarithm() -> None:
     peak = found.amount("sensitivity_peak")
     expected = stats.norm.cdf(np.log(3 / peak.value) / (peak.std_error / peak.value))
     assert found.amount("probability_zone").value == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(("name", "zeta"), [("zeta_2", 0.03), ("zeta", 0.2)])
+def test_decrements_of_a_fit(name: str, zeta: float) -> None:
+    """2 pi z / sqrt(1 - z^2), its slope 2 pi / (1 - z^2)^1.5; probability of a normal estimate."""
+    ratio = Parameter(name, zeta, "1", std_error=0.01, ci95=(zeta - 0.02, zeta + 0.02))
+    sizes = {"band_hz": (1.0, 2.0), "lines": 1, "equations": 2, "dof": 1, "condition_number": 1.0, "correlation": np.eye(1)}
+    fit = Fit("modes", "modal", "ml", gof=Goodness(1, 1), parameters=(ratio,), **sizes)
+    settings = CompareSettings(kind="certificate", name="c", fit="modes", certificate={"log_decrement": 0.1})
+    found = compare(settings, Evidence((fit,), (), ()))
+    amount = found.amount(f"log_decrement{name.removeprefix('zeta')}")
+    assert amount.value == pytest.approx(2 * np.pi * zeta / np.sqrt(1 - zeta**2))
+    assert amount.std_error == pytest.approx(0.01 * 2 * np.pi / (1 - zeta**2) ** 1.5)
+    expected = stats.norm.cdf((amount.value - 0.1) / amount.std_error)
+    assert found.amount("probability_log_decrement").value == pytest.approx(expected)
+    assert comparison_blocks(found, ())
+    with pytest.raises(ConfigError, match="no damping ratio"):
+        compare(settings, Evidence((replace(fit, parameters=()),), (), ()))
+
+
+def test_spectra_of_all_channels_give_the_same_certificate(rng: np.random.Generator) -> None:
+    """Injection, command, current and reading side by side, of several quantities; the injection without noise."""
+    plain = response(rng, 0.02)
+    quantities = {"before": "voltage", "after": "voltage", "x": "displacement", "i": "current"}
+    channels = [Channel("e", "voltage", "input", "e")] + [Channel(name, what, "output", name) for name, what in quantities.items()]
+    covariance = np.zeros((FREQUENCY.size, 1, 5, 5), complex)
+    covariance[:, 0, 1:, 1:] = 4 * plain.covariance
+    vectors = np.concatenate([np.full((FREQUENCY.size, 1), 2.0), 2 * plain.matrix[:, :, 0]], axis=1)[:, None]
+    spectra = ChannelSpectra(FREQUENCY, vectors, covariance, tuple(channels), ("run",))
+    again = per_injection(spectra)
+    np.testing.assert_allclose(again.matrix, plain.matrix)
+    np.testing.assert_allclose(again.covariance, plain.covariance)
+    noisy = np.array(covariance)
+    noisy[:, 0, 0, 0] = 0.01
+    with_noise = per_injection(replace(spectra, covariance=noisy))
+    # E|H dR|^2 / |R|^2 more.
+    np.testing.assert_allclose(
+        with_noise.covariance - plain.covariance, 0.0025 * plain.matrix @ plain.matrix.conj().swapaxes(1, 2), atol=1e-12
+    )
+    with pytest.raises(ConfigError, match=r"1 run\(s\) for 2 injection"):
+        per_injection(replace(spectra, channels=(channels[0], replace(channels[1], role="input"), *channels[2:])))
 
 
 def coupled(rng: np.random.Generator | None, noise: float = 0.01, sums: bool = True) -> tuple[FrequencyResponse, np.ndarray]:
