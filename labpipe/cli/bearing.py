@@ -10,6 +10,7 @@ import click
 from labpipe.artefacts.writing import output_file, output_folder
 from labpipe.cli import options
 from labpipe.cli.bearing_table import echo_bearing, echo_sweep
+from labpipe.cli.output import echo
 from labpipe.config.bearing import BearingFile, open_bearing
 from labpipe.stages.bearing import bearing_entry, bearing_json, swept, write_bearing, write_sweep
 from labpipe.stages.sweep import parse_sweep
@@ -49,7 +50,7 @@ def bearing(
     name = settings.name or bearing_path.stem
     text = bearing_json(bearing_entry(file, name, coefficients))
     if str(json_path) == "-":
-        click.echo(text, nl=False)
+        echo(text, nl=False)
         return
     if json_path is not None:
         with output_file(json_path) as target:
@@ -60,7 +61,7 @@ def bearing(
     if not quiet:
         echo_bearing(name, file.kind_name, coefficients)
         if output is not None:
-            click.echo(f"written to {output}: {', '.join(names)}")
+            echo(f"written to {output}: {', '.join(names)}")
 
 
 def _sweep(file: BearingFile, sweep_text: str, output: Path, quiet: bool, tell: Callable[[str], None]) -> None:
@@ -72,4 +73,4 @@ def _sweep(file: BearingFile, sweep_text: str, output: Path, quiet: bool, tell: 
         names = write_sweep(name, sweep, coefficients, folder)
     if not quiet:
         echo_sweep(name, sweep, coefficients)
-        click.echo(f"written to {output}: {', '.join(names)}")
+        echo(f"written to {output}: {', '.join(names)}")

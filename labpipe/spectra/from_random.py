@@ -77,7 +77,7 @@ def _welch_average(source: SampleSource, settings: FrfSettings) -> Halved:
     if n_sample < 4:
         raise DataError(f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'", hint="lengthen `block`")
     step = max(1, round(n_sample * (1 - settings.overlap)))
-    lines = line_range(n_sample, source.sample_rate, settings.band)
+    lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
     # References (tacho, temperature) are not part of the FRF matrix.
     columns = [number for number, channel in enumerate(source.channels) if channel.role != "reference"]
     average = WelchAverage(window_values(settings.window, n_sample), step, len(columns), lines, settings.detrend)
