@@ -247,7 +247,18 @@ def test_a_bearing_file_without_a_shaft_is_no_theory(tmp_path: Path) -> None:
 
 def test_the_schema_knows_comparisons() -> None:
     properties = pipeline_schema()["properties"]["compare"]["additionalProperties"]["properties"]
-    kinds = {"trend", "difference", "repeatability", "ratio", "rayleigh", "reciprocity", "prediction", "bands", "sensitivity"}
+    kinds = {
+        "trend",
+        "difference",
+        "repeatability",
+        "ratio",
+        "rayleigh",
+        "reciprocity",
+        "prediction",
+        "bands",
+        "sensitivity",
+        "certificate",
+    }
     assert set(properties["kind"]["enum"]) == kinds
     assert "bearing" in properties["theory"]["properties"]
 
