@@ -48,9 +48,17 @@ _Loader.yaml_implicit_resolvers = {
 }
 
 
+# A file that people write has fewer entries and characters, also when its aliases stand for what they name.
+MOST_NODES, MOST_BYTES = 200_000, 1 << 24
+
+
 def load_marked(path: Path) -> Marked:
     """The marked tree of a YAML file; ConfigError with the place of a fault."""
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise ConfigError("is no regular file", where=str(path))
+        if path.is_file() and path.stat().st_size > MOST_BYTES:
+            raise ConfigError(f"has more than {MOST_BYTES >> 20} MB", where=str(path), hint="a YAML file of settings is needed")
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ConfigError("no such file", where=str(path)) from None
@@ -72,46 +80,62 @@ def parse_marked(text: str, name: str) -> Marked:
         mark = error.problem_mark or error.context_mark
         place = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
         raise ConfigError(f"not valid YAML: {error.problem or error.context}", where=place) from None
-    except (yaml.YAMLError, RecursionError) as error:
-        raise ConfigError(f"not valid YAML: {str(error).splitlines()[0]}", where=name) from None
+    except RecursionError:
+        raise ConfigError("not valid YAML: nested too deeply", where=name) from None
+    except (yaml.YAMLError, ValueError) as error:
+        raise ConfigError(f"not valid YAML: {(str(error).splitlines() or ['unreadable'])[0]}", where=name) from None
     if node is None:
         raise ConfigError("the file is empty", where=name)
-    duplicates: list[ConfigError] = []
-    tree = _marked(node, name, frozenset(), duplicates)
-    if duplicates:
-        raise ConfigErrors(duplicates)
-    return tree
+    tree = _Tree(name)
+    try:
+        marked = tree.marked(node, frozenset())
+    except RecursionError:
+        raise ConfigError("not valid YAML: nested too deeply", where=name) from None
+    if tree.duplicates:
+        raise ConfigErrors(tree.duplicates)
+    return marked
 
 
 def _place(mark: yaml.Mark, name: str) -> str:
     return f"{name}:{mark.line + 1}:{mark.column + 1}"
 
 
-def _marked(node: yaml.Node, name: str, above: frozenset[int], duplicates: list[ConfigError]) -> Marked:
-    where = _place(node.start_mark, name)
-    if id(node) in above:
-        raise ConfigError("an alias refers to the node that contains it", where=where)
-    above = above | {id(node)}
-    if isinstance(node, yaml.MappingNode):
-        return Marked(_mapping(node, name, above, duplicates), where)
-    if isinstance(node, yaml.SequenceNode):
-        return Marked([_marked(item, name, above, duplicates) for item in node.value], where)
-    return Marked(_scalar(node), where, text=str(node.value))
+class _Tree:
+    """The marked nodes of one file: counted, since a few aliases of aliases stand for more than any memory holds."""
 
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._count = 0
+        self.duplicates: list[ConfigError] = []
 
-def _mapping(node: yaml.MappingNode, name: str, above: frozenset[int], duplicates: list[ConfigError]) -> dict[str, Marked]:
-    entries: dict[str, Marked] = {}
-    for key_node, value_node in node.value:
-        where = _place(key_node.start_mark, name)
-        if not isinstance(key_node, yaml.ScalarNode):
-            raise ConfigError("a key must be a plain name", where=where)
-        key = str(key_node.value)
-        if key in entries:
-            duplicates.append(ConfigError(f"{key}: the key appears twice", where=where, hint=f"first at {entries[key].key_where}"))
-            continue
-        entries[key] = _marked(value_node, name, above, duplicates)
-        entries[key].key_where = where
-    return entries
+    def marked(self, node: yaml.Node, above: frozenset[int]) -> Marked:
+        """The marked node; *above*: the nodes that contain it."""
+        where = _place(node.start_mark, self._name)
+        self._count += 1
+        if self._count > MOST_NODES:
+            raise ConfigError(f"aliases make more than {MOST_NODES} entries of the file", where=where)
+        if id(node) in above:
+            raise ConfigError("an alias refers to the node that contains it", where=where)
+        above = above | {id(node)}
+        if isinstance(node, yaml.MappingNode):
+            return Marked(self._mapping(node, above), where)
+        if isinstance(node, yaml.SequenceNode):
+            return Marked([self.marked(item, above) for item in node.value], where)
+        return Marked(_scalar(node), where, text=str(node.value))
+
+    def _mapping(self, node: yaml.MappingNode, above: frozenset[int]) -> dict[str, Marked]:
+        entries: dict[str, Marked] = {}
+        for key_node, value_node in node.value:
+            where = _place(key_node.start_mark, self._name)
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise ConfigError("a key must be a plain name", where=where)
+            key = str(key_node.value)
+            if key in entries:
+                self.duplicates.append(ConfigError(f"{key}: the key appears twice", where=where, hint=f"first at {entries[key].key_where}"))
+                continue
+            entries[key] = self.marked(value_node, above)
+            entries[key].key_where = where
+        return entries
 
 
 def _scalar(node: yaml.Node) -> Any:

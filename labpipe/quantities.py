@@ -130,6 +130,14 @@ QUANTITIES: dict[str, Quantity] = {
     )
 }
 
+# No number in SI units that a laboratory meets is larger, no signal smaller: squares of squares stay within what a computer holds, so
+# that a slip of the keyboard ends at its place and not as an infinity in a result.
+LARGEST, SMALLEST = 1e36, 1e-36
+MOST_POWER = 20
+MOST_FACTOR = 1e100
+# Characters of a text from a file in a message.
+ECHO = 80
+
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _VALUE = re.compile(rf"^\s*({_NUMBER})\s*(.*?)\s*$")
 # The g of a gram that may as well be standard gravity, with the prefix of either; kg is a mass, always.
@@ -164,7 +172,11 @@ def _power(text: str) -> float:
     match = re.fullmatch(r"\^\(?([+-]?\d+(?:\.\d+)?)(?:/(\d+))?\)?", text)
     if match is None:
         raise UnitError(f"unreadable exponent '{text}'", "write it as s^2 or m^(10/9)")
-    return float(match[1]) / float(match[2] or 1)
+    divisor = float(match[2] or 1)
+    power = float(match[1]) / divisor if divisor else math.inf
+    if abs(power) > MOST_POWER:
+        raise UnitError(f"no unit has the exponent '{text[:ECHO]}'", "write it as s^2 or m^(10/9)")
+    return power
 
 
 def _factors(text: str) -> list[tuple[str, float]]:
@@ -188,6 +200,8 @@ def parse_unit(text: str) -> Unit:
 
     ``N.s/m``, ``m/(N.s^2)``, ``N/m^1.5`` are read as an engineer writes them. Raises UnitError with the nearest known unit.
     """
+    if len(text) > ECHO:
+        raise UnitError(f"unreadable unit '{text[: ECHO - 3]}...'", "write it as N.s/m or m/(N.s^2)")
     text = text.strip().replace("²", "^2").replace("³", "^3")
     if text in _FIXED:
         return _FIXED[text]
@@ -198,6 +212,8 @@ def parse_unit(text: str) -> Unit:
         if unit.offset and len(factors) > 1:
             raise UnitError(f"'{symbol}' has an offset and cannot be part of a compound unit", "use K")
         factor *= unit.factor**power
+        if not 1 / MOST_FACTOR <= factor <= MOST_FACTOR:
+            raise UnitError(f"the unit '{text[:ECHO]}' is beyond all measure")
         dimension = [d + power * u for d, u in zip(dimension, unit.dimension, strict=True)]
     return Unit(factor, (dimension[0], dimension[1], dimension[2], dimension[3], dimension[4], dimension[5]))
 
@@ -242,6 +258,8 @@ def parse_value(text: str | float, si_unit: str) -> float:
             return _finite(number, text)
         raise UnitError(f"'{text}' has no unit", f"write it with its unit, e.g. '{match[1]} {si_unit}'")
     unit = unit_of(unit_text, si_unit)
+    if si_unit == "kg" and 0 < abs(number * unit.factor) < SMALLEST:
+        raise UnitError(f"'{str(text)[:ECHO]}' is no mass that anybody weighs", _example(si_unit))
     return _finite((number * unit.factor + unit.offset) / target.factor * _angle_per_period(unit, target), text)
 
 
@@ -293,7 +311,9 @@ def name_of_dimension(dimension: Dimension) -> str:
 
 def _finite(value: float, text: str | float) -> float:
     if not math.isfinite(value):
-        raise UnitError(f"'{text}' is not a finite value")
+        raise UnitError(f"'{str(text)[:ECHO]}' is not a finite value")
+    if abs(value) > LARGEST:
+        raise UnitError(f"'{str(text)[:ECHO]}' is beyond all measure", f"no amount in SI units is larger than {LARGEST:g}")
     return value
 
 

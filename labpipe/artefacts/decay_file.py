@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.artefacts.header import Header
-from labpipe.artefacts.parquet import read_header, read_table, write_columns
+from labpipe.artefacts.parquet import as_written, read_header, read_table, write_columns
 from labpipe.records.free_decay import FreeDecay, FreeDecays
 from labpipe.records.response import Port
 
@@ -37,6 +37,11 @@ def write_decays(path: Path, decays: FreeDecays, header: Header) -> None:
 def read_decays(path: Path) -> FreeDecays:
     """The decays of a ``*.decay.parquet`` file; DataError when the file is not one."""
     header = read_header(path, "decay")
+    with as_written(path):
+        return _decay_of(header, path)
+
+
+def _decay_of(header: Header, path: Path) -> FreeDecays:
     contents = header.contents
     table = read_table(path)
     outputs = tuple(Port(**entry) for entry in contents["outputs"])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +84,32 @@ def _upgraded_curve(curve: dict[str, Any] | None) -> dict[str, Any] | None:
     return None if curve is None else {**curve, "frequency": curve["frequency_hz"]}
 
 
+_REFERENCES = tuple[Mapping[str, str], ...]
+# Entries that are kept as they are, by the type that readers rely on.
+_PLAIN: dict[str, Any] = {
+    "title": str, "pipeline": str, "labpipe": str, "code": str, "settings": Mapping[str, Any], "rig": Mapping[str, Any],
+    "sources": _REFERENCES, "inputs": _REFERENCES, "found": Mapping[str, tuple[str, ...]],
+}  # fmt: skip
+
+
+def _check_plain(entries: dict[str, Any]) -> None:
+    """TypeError for a plain entry of another type, and for tests that are no tests."""
+    for name, kind in _PLAIN.items():
+        if name in entries:
+            record_of(entries[name], kind)
+    for reference in (*entries.get("sources", ()), *entries.get("inputs", ())):
+        record_of({"path": reference["path"], "sha256": reference["sha256"]}, Mapping[str, str])
+    tests = record_of(entries.get("settings", {}).get("tests", []), tuple[Mapping[str, Any], ...])
+    for test in tests:
+        record_of(test["name"], str)
+    for test in (*tests, *entries.get("responses", ()), *entries.get("spectra", ())):
+        for condition in record_of(test["conditions"], Mapping[str, Any]).values():
+            if not isinstance(condition, (str, int, float)):
+                raise TypeError(f"{cut(repr(condition))} is no condition")
+
+
 def _identification(entries: dict[str, Any]) -> Identification:
+    _check_plain(entries)
     outcomes = [outcome for key in ("accept", "expect") for outcome in _outcomes(entries, key)]
     return Identification(
         fits=tuple(read_fit(entry) for entry in entries["fits"]),

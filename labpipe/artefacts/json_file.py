@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from labpipe.artefacts.digest import AGAIN, DamagedError, mismatch
 from labpipe.errors import cut
 
@@ -84,9 +86,17 @@ def _lines(entry: Any) -> str:
 def _line(entry: Any) -> str:
     # With an indent, Python's json takes its slow way: ten times the time, a line for every number.
     try:
-        return json.dumps(entry, allow_nan=False, ensure_ascii=False)
+        return json.dumps(entry, allow_nan=False, ensure_ascii=False, default=plain)
     except ValueError:
-        return json.dumps(_without_nan(entry), allow_nan=False, ensure_ascii=False)
+        return json.dumps(_without_nan(entry), allow_nan=False, ensure_ascii=False, default=plain)
+
+
+def plain(entry: Any) -> Any:
+    """The Python number of a numpy number, which JSON does not know; TypeError for anything else."""
+    if isinstance(entry, np.generic):
+        number = entry.item()
+        return None if isinstance(number, float) and not math.isfinite(number) else number
+    raise TypeError(f"a {type(entry).__name__} has no place in JSON")
 
 
 def _without_nan(entry: Any) -> Any:

@@ -12,7 +12,8 @@ import pyarrow.parquet as pq
 
 from labpipe.artefacts.digest import BLANK, DIGEST_KEY, DamagedError, parquet_digest, stamp_parquet
 from labpipe.artefacts.header import Header, header_from_json
-from labpipe.errors import DataError
+from labpipe.artefacts.typed_json import RECORD_FAULTS
+from labpipe.errors import DataError, cut
 
 HEADER_KEY = b"labpipe"
 # What damaged bytes make pyarrow raise; MemoryError where a damaged length asks for more than there is.
@@ -49,6 +50,17 @@ def batches(path: Path, columns: Sequence[str], n_row: int) -> Iterator[pa.Recor
     with _in_plain_words(path):
         for group in range(file.num_row_groups):
             yield from file.iter_batches(batch_size=n_row, row_groups=[group], columns=list(columns))
+
+
+@contextmanager
+def as_written(path: Path) -> Iterator[None]:
+    """DamagedError where header or columns are not those of the artefact: only a file without a digest gets so far."""
+    try:
+        yield
+    except RECORD_FAULTS as error:
+        if isinstance(error, DataError):
+            raise
+        raise DamagedError(f"is not as labpipe writes it ({type(error).__name__}: {cut(str(error))})", where=str(path)) from None
 
 
 def read_table(path: Path) -> pa.Table:

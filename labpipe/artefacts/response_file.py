@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.header import Header
-from labpipe.artefacts.parquet import read_header, read_table, write_columns
+from labpipe.artefacts.parquet import as_written, read_header, read_table, write_columns
 from labpipe.records.doubt import Doubt, MatrixError
 from labpipe.records.response import Blocks, FrequencyResponse, Port
 
@@ -94,6 +94,11 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
 def read_response(path: Path) -> FrequencyResponse:
     """The response of a ``*.frf.parquet`` file; DataError when the file is not one."""
     header = read_header(path, "frf")
+    with as_written(path):
+        return _response_of(header, path)
+
+
+def _response_of(header: Header, path: Path) -> FrequencyResponse:
     contents = header.contents
     table = read_table(path)
     columns = {name: table.column(name).to_numpy() for name in table.column_names}

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.header import Header
-from labpipe.artefacts.parquet import read_header, read_table, write_columns
+from labpipe.artefacts.parquet import as_written, read_header, read_table, write_columns
 from labpipe.artefacts.typed_json import entry_of, record_of
 from labpipe.records.channel_spectra import ChannelSpectra, UncertainFactor
 from labpipe.records.recording import Channel
@@ -56,6 +56,11 @@ def _contents(spectra: ChannelSpectra) -> dict[str, Any]:
 def read_spectra(path: Path) -> ChannelSpectra:
     """The spectra of a ``*.spectra.parquet`` file; DataError when the file is not one."""
     header = read_header(path, "spectra")
+    with as_written(path):
+        return _spectra_of(header, path)
+
+
+def _spectra_of(header: Header, path: Path) -> ChannelSpectra:
     contents = header.contents
     table = read_table(path)
     channels = tuple(Channel(**{key: value for key, value in entry.items() if key != "unit"}) for entry in contents["channels"])

@@ -22,6 +22,8 @@ from labpipe.records.settings import Settings, settings_of
 # What an entry of another type than the declared one raises, here and where its record is checked at birth.
 RECORD_FAULTS = (KeyError, TypeError, IndexError, ValueError, AttributeError, OverflowError, RecursionError, MemoryError)
 
+LARGEST_COUNT = 1 << 63
+
 
 def entry_of(record: Any) -> Any:
     """JSON entries of a record; TypeError for a type without a JSON form."""
@@ -125,9 +127,17 @@ def _scalar(entry: Any, kind: Any) -> Any:
     if kind is float:
         if isinstance(entry, bool) or not isinstance(entry, (int, float, types.NoneType)):
             raise TypeError(f"{cut(repr(entry))} is not a number")
+        if entry is not None:
+            # OverflowError for an integer that is larger than any number.
+            float(entry)
         return math.nan if entry is None else entry
     if kind in (str, bool, int) and (not isinstance(entry, kind) or (kind is int and isinstance(entry, bool))):
         raise TypeError(f"{cut(repr(entry))} is not a {kind.__name__}")
+    if kind is int and abs(entry) >= LARGEST_COUNT:
+        raise OverflowError(f"{cut(str(entry))} is no count")
+    if kind is str:
+        # UnicodeEncodeError for half a letter, which no file or terminal takes.
+        entry.encode()
     return entry
 
 

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
+import socket
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import IO
 
 from labpipe.errors import DataError
 
+try:
+    import fcntl
+except ImportError:  # Windows, where a folder of a killed run stays
+    fcntl = None  # type: ignore[assignment]
+
 # What is being made stands in folders whose names begin like this, and is not looked at by anyone else.
 STAGING = ".labpipe-"
+LOCK = ".lock"
 
 
 def finished(paths: Iterable[Path]) -> list[Path]:
@@ -64,14 +73,47 @@ def output_folder(target: Path, scratch: Path | None = None, remarks: list[str] 
     folder's remarks.
     """
     home = existing_home(target)
-    staging = Path(tempfile.mkdtemp(prefix=STAGING, dir=scratch or home))
-    try:
+    with staging_folder(scratch or home) as staging:
         folder = OutputFolder(target, staging, remarks=[] if remarks is None else remarks)
         yield folder
         _remove(folder)
         _move_all(staging, target)
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
+
+
+@contextmanager
+def staging_folder(home: Path) -> Iterator[Path]:
+    """A hidden folder in *home* for what is being made, removed at the end in every case; those that killed runs left go as well."""
+    _remove_abandoned(home)
+    staging = Path(tempfile.mkdtemp(prefix=f"{STAGING}{socket.gethostname()}-", dir=home))
+    with (staging / LOCK).open("w") as lock:
+        _locked(lock)
+        try:
+            yield staging
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+
+
+def _remove_abandoned(home: Path) -> None:
+    """Remove the staging folders of this machine's processes that are no more: nobody holds their locks."""
+    for staging in home.glob(f"{STAGING}{socket.gethostname()}-*"):
+        try:
+            with (staging / LOCK).open("r+") as lock:
+                if _locked(lock):
+                    shutil.rmtree(staging, ignore_errors=True)
+        except OSError:
+            # Just made, and not yet locked; or not ours to remove.
+            continue
+
+
+def _locked(lock: IO[str]) -> bool:
+    """Take the lock of a staging folder, which goes with the process that holds it; False where another one does."""
+    if fcntl is None:
+        return False
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
 
 
 def _remove(folder: OutputFolder) -> None:
@@ -81,10 +123,29 @@ def _remove(folder: OutputFolder) -> None:
 
 
 def _move_all(staging: Path, target: Path) -> None:
-    for source in sorted(path for path in staging.rglob("*") if path.is_file()):
-        goal = target / source.relative_to(staging)
+    """Move the files to their places: on the disk before their names are, so that no cut of power leaves a name without its content."""
+    sources = sorted(path for path in staging.rglob("*") if path.is_file() and path != staging / LOCK)
+    for source in sources:
+        _sync(source)
+    goals = [target / source.relative_to(staging) for source in sources]
+    for source, goal in zip(sources, goals, strict=True):
         goal.parent.mkdir(parents=True, exist_ok=True)
         os.replace(source, goal)
+    for folder in dict.fromkeys(goal.parent for goal in goals):
+        _sync(folder)
+
+
+def _sync(path: Path) -> None:
+    """Have the disk hold a file or the names of a folder."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        # Some file systems cannot for folders; a full or broken disk is said.
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF):
+            raise
+    finally:
+        os.close(descriptor)
 
 
 @contextmanager

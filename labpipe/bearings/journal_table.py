@@ -20,6 +20,7 @@ from labpipe.arrays import FloatArray
 from labpipe.bearings.journal import DEFAULT_MESH, JournalBearing, JournalEquilibrium, journal_equilibrium
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.errors import ConfigError, FitError
+from labpipe.processes import end_with_parent
 
 AXES = ("wear depth", "wear angle", "Sommerfeld number", "cavitation pressure")
 # In the order of the derivatives.
@@ -139,7 +140,7 @@ def journal_table(
     nodes = _nodes(bearing, float(np.hypot(*load)), speed, ranges)
     lines = [(bearing, load, speed, mesh, root, nodes[1], s, p) for root, s, p in product(nodes[0], nodes[2], nodes[3])]
     if workers > 1:
-        with ProcessPoolExecutor(workers) as pool:
+        with ProcessPoolExecutor(workers, initializer=end_with_parent) as pool:
             rows = list(pool.map(_line, lines, chunksize=max(1, len(lines) // (4 * workers))))
     else:
         rows = [_line(line) for line in lines]

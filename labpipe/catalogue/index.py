@@ -9,16 +9,18 @@ import json
 import sqlite3
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 from labpipe import __version__
+from labpipe.artefacts.code import code_digest
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.json_file import read_bytes
+from labpipe.artefacts.typed_json import RECORD_FAULTS
 from labpipe.artefacts.writing import finished, output_file
-from labpipe.errors import DataError
+from labpipe.errors import DataError, cut
 from labpipe.quantities import UnitError, si_amount
 from labpipe.records.finding import WARNING
 from labpipe.records.identification import Identification, Parameter
@@ -48,8 +50,8 @@ CREATE INDEX condition_name ON condition (result, test, name);
 """
 # Where SQLite keeps a number for the application.
 _STAMP = slice(60, 64)
-# An index of another version, or of other tables, is made anew.
-MADE_BY = f"{__version__} {zlib.crc32(_TABLES.encode()):08x}"
+# An index of another version or build is made anew.
+MADE_BY = f"{__version__} {code_digest()}"
 
 
 @contextmanager
@@ -136,15 +138,23 @@ def _remove(connection: sqlite3.Connection, name: str) -> None:
 
 def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file_date: str) -> None:
     try:
-        identification = read_identification(path)
-    except DataError as error:
-        _insert(connection, "result", {"path": name, "stamp": stamp, "date": file_date, "verdict": "unreadable", "fault": error.what})
-        return
-    conditions = identification.test_conditions
+        rows = _rows(read_identification(path), file_date)
+    except (DataError, *RECORD_FAULTS) as error:
+        what = error.what if isinstance(error, DataError) else f"holds what no labpipe wrote ({type(error).__name__}: {error})"
+        rows = [("result", {"date": file_date, "verdict": "unreadable", "fault": cut(what)})]
+    number = 0
+    for table, row in rows:
+        if table == "result":
+            number = _insert(connection, table, {"path": name, "stamp": stamp, **row})
+        else:
+            _insert(connection, table, {"result": number, **row})
+
+
+def _rows(identification: Identification, file_date: str) -> list[tuple[str, dict[str, Any]]]:
+    """The rows of a result with their tables; one of RECORD_FAULTS for entries of other types than labpipe writes."""
+    conditions = {test: _texts(of_test) for test, of_test in identification.test_conditions.items()}
     dates = sorted(of_test[DATE] for of_test in conditions.values() if DATE in of_test)
     entry = {
-        "path": name,
-        "stamp": stamp,
         "title": identification.title,
         "rig": identification.rig.get("name", ""),
         "pipeline": identification.pipeline,
@@ -154,28 +164,47 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file
         "verdict": verdict(identification),
         "warnings": ", ".join(sorted(_all_codes(identification))),
     }
-    number = _insert(connection, "result", entry)
+    rows = [("result", _checked(entry))]
     for listed in listed_parameters(identification):
-        _add_value(connection, number, listed, conditions.get(listed.test, {}).get(DATE, str(entry["date"])))
+        rows.append(("value", _checked(_value_row(listed, conditions.get(listed.test, {}).get(DATE, str(entry["date"]))))))
     for test, of_test in conditions.items():
         for condition, text in of_test.items():
             amount, unit = _amount(text)
-            row = {"result": number, "test": test, "name": condition, "text": text, "amount": amount, "unit": unit}
-            _insert(connection, "condition", row)
+            rows.append(("condition", _checked({"test": test, "name": condition, "text": text, "amount": amount, "unit": unit})))
+    return rows
 
 
-def _add_value(connection: sqlite3.Connection, number: int, listed: ListedParameter, date: str) -> None:
+def _texts(conditions: Mapping[str, Any]) -> dict[str, str]:
+    """Conditions as texts: people write numbers as well."""
+    for condition in conditions.values():
+        if not isinstance(condition, (str, int, float)):
+            raise TypeError(f"{condition!r} is no condition")
+    return {str(name): str(condition) for name, condition in conditions.items()}
+
+
+def _checked(row: dict[str, Any]) -> dict[str, Any]:
+    """The row; TypeError or OverflowError for what the index cannot hold."""
+    for name, entry in row.items():
+        if entry is not None and not isinstance(entry, (str, int, float)):
+            raise TypeError(f"{name} is a {type(entry).__name__}")
+        if isinstance(entry, str):
+            entry.encode()
+        if isinstance(entry, int) and abs(entry) >= 1 << 63:
+            raise OverflowError(f"{name} is too large")
+    return row
+
+
+def _value_row(listed: ListedParameter, date: str) -> dict[str, Any]:
     parameter = listed.parameter
     low, high = interval(parameter)
-    row = {
+    return {
         **{name: getattr(listed, name) for name in ("fit", "term", "test", "model", "estimator")},
-        **{"result": number, "low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1]},
+        **{"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1]},
         **{"parameter": parameter.name, "value": parameter.value, "unit": parameter.unit},
         **{"std_error": parameter.full_error, "random_error": listed.random_error, "changes": json.dumps(dict(listed.changes))},
         **{"ci_low": low, "ci_high": high},
         **{"significant": parameter.significant, "warnings": ", ".join(listed.warnings), "date": date},
     }
-    _insert(connection, "value", row)
 
 
 def interval(parameter: Parameter) -> tuple[float | None, float | None]:

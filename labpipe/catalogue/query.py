@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import math
 import re
 import sqlite3
 from collections.abc import Sequence
@@ -82,6 +83,9 @@ class ValueRow:
 
 VALUE_COLUMNS = tuple(field.name for field in dataclasses.fields(ValueRow) if field.name not in ("conditions", "amounts"))
 
+# Columns of which no result lacks the number, though it may not be one.
+NUMBERS = ("value", "low_hz", "high_hz")
+
 
 def results(index: sqlite3.Connection, criteria: Filter) -> list[ResultRow]:
     """The results with at least one test that meets the criteria, the oldest first."""
@@ -116,7 +120,9 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
     cache: dict[tuple[int, str], tuple[dict[str, str], dict[str, tuple[float, str]]]] = {}
     value_rows = []
     for *row, number in rows:
-        entries = dict(zip(VALUE_COLUMNS, row, strict=True))
+        # SQLite has no not-a-number.
+        named = zip(VALUE_COLUMNS, row, strict=True)
+        entries: dict[str, Any] = {name: math.nan if entry is None and name in NUMBERS else entry for name, entry in named}
         key = (number, entries["test"])
         if key not in cache:
             cache[key] = _conditions(index, *key)

@@ -71,7 +71,7 @@ class Series:
 
 
 def trends(rows: Sequence[ValueRow], over: str) -> list[Series]:
-    """One series for each fit, term and band; tests without the condition are ignored.
+    """One series for each fit, term and band; tests without the condition, or with a date that is none, are ignored.
 
     ConfigError when no test has the condition as an amount, or tests have it in different dimensions.
     """
@@ -80,7 +80,7 @@ def trends(rows: Sequence[ValueRow], over: str) -> list[Series]:
         raise ConfigError(f"no test has the amount '{over}'", hint=nearest(over, (*names, DATE)))
     groups: dict[tuple[str, str, str], list[ValueRow]] = {}
     for row in rows:
-        if over == DATE or over in row.amounts:
+        if _day(row) is not None if over == DATE else over in row.amounts:
             band = f" {row.low_hz:g}-{row.high_hz:g} Hz" if row.high_hz > row.low_hz else ""
             name = f"{row.fit} of {row.term}" if row.term else row.fit
             groups.setdefault((name + band, row.parameter, row.unit), []).append(row)
@@ -89,7 +89,7 @@ def trends(rows: Sequence[ValueRow], over: str) -> list[Series]:
 
 def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Series:
     if over == DATE:
-        first = min(row.date for row in rows)
+        first = min(row.date for row in rows if _day(row) is not None)
         pairs, unit = [(float(_days(first, row.date)), row) for row in rows], f"d since {first}"
     else:
         units = sorted({row.amounts[over][1] for row in rows})
@@ -98,6 +98,19 @@ def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Se
         pairs, unit = [(row.amounts[over][0], row) for row in rows], units[0]
     pairs.sort(key=lambda pair: (pair[0], pair[1].date, pair[1].path))
     return Series(fit, parameter, over, unit, np.array([x for x, _ in pairs]), tuple(row for _, row in pairs))
+
+
+def _day(row: ValueRow) -> datetime.date | None:
+    """The day of a value; None for a condition `date` that is no date."""
+    try:
+        return datetime.date.fromisoformat(row.date[:10])
+    except ValueError:
+        return None
+
+
+def undated(rows: Sequence[ValueRow]) -> list[ValueRow]:
+    """The values whose date is none."""
+    return [row for row in rows if _day(row) is None]
 
 
 def _days(first: str, day: str) -> int:

@@ -10,6 +10,7 @@ import click
 from labpipe.artefacts.writing import output_file, output_folder
 from labpipe.cli import options
 from labpipe.cli.bearing_table import echo_bearing, echo_sweep
+from labpipe.cli.output import echo
 from labpipe.config.bearing import BearingFile, open_bearing
 from labpipe.stages.bearing import bearing_entry, bearing_json, evaluated, swept, write_bearing, write_sweep
 from labpipe.stages.sweep import parse_sweep
@@ -48,7 +49,7 @@ def bearing(
     whole = evaluated(file)
     text = bearing_json(bearing_entry(file, name, whole))
     if str(json_path) == "-":
-        click.echo(text, nl=False)
+        echo(text, nl=False)
         return
     if json_path is not None:
         with output_file(json_path) as target:
@@ -59,7 +60,7 @@ def bearing(
     if not quiet:
         echo_bearing(name, file.kind_name, whole)
         if output is not None:
-            click.echo(f"written to {output}: {', '.join(names)}")
+            echo(f"written to {output}: {', '.join(names)}")
 
 
 def _sweep(file: BearingFile, sweep_text: str, output: Path, quiet: bool, tell: Callable[[str], None]) -> None:
@@ -71,4 +72,4 @@ def _sweep(file: BearingFile, sweep_text: str, output: Path, quiet: bool, tell: 
         names = write_sweep(name, sweep, points, folder)
     if not quiet:
         echo_sweep(name, sweep, [point.coefficients for point in points])
-        click.echo(f"written to {output}: {', '.join(names)}")
+        echo(f"written to {output}: {', '.join(names)}")

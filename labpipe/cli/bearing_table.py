@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import click
 import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.bearings.coefficients import Amount, BearingCoefficients
 from labpipe.bearings.doubts import BearingDoubts
+from labpipe.cli.output import echo
 from labpipe.display import amount_text
 from labpipe.quantities import display_unit, to_display
 from labpipe.report.wording import unit_text
@@ -27,7 +27,7 @@ MAX_SHARES, LEAST_SHARE = 3, 0.01
 def echo_bearing(name: str, kind: str, whole: Evaluated) -> None:
     """The matrices, their doubts, the equilibrium, the range over one ball passage, and the warnings."""
     coefficients = whole.coefficients
-    click.echo(f"{name}: {kind}")
+    echo(f"{name}: {kind}")
     _echo_matrix("stiffness", coefficients, coefficients.stiffness, coefficients.relative)
     if coefficients.damping.any():
         _echo_matrix("damping", coefficients, coefficients.damping, None)
@@ -43,35 +43,35 @@ def echo_bearing(name: str, kind: str, whole: Evaluated) -> None:
         ("shaft", coefficients.shaft),
     ):
         if amounts:
-            click.echo(f"{title}: {', '.join(_amount(amount, _rounding(amounts)) for amount in amounts)}")
+            echo(f"{title}: {', '.join(_amount(amount, _rounding(amounts)) for amount in amounts)}")
     for word, verdict in coefficients.words.items():
-        click.echo(f"{word.replace('_', ' ')}: {verdict}")
+        echo(f"{word.replace('_', ' ')}: {verdict}")
     if coefficients.poles is not None:
         poles = ", ".join(f"{pole.real:.4g} {pole.imag:+.4g}j" for pole in coefficients.poles)
-        click.echo(f"poles [rad/s]: {poles}")
+        echo(f"poles [rad/s]: {poles}")
     if coefficients.shaft:
-        click.echo("(sdof_k: stiffness from a one-dof fit at the dof's main peak; coupled dofs make it differ from the diagonal term)")
+        echo("(sdof_k: stiffness from a one-dof fit at the dof's main peak; coupled dofs make it differ from the diagonal term)")
     _echo_passage(coefficients)
     for finding in coefficients.findings:
-        click.echo(f"warning {finding.code}: {finding.message}")
+        echo(f"warning {finding.code}: {finding.message}")
 
 
 def _echo_matrix(title: str, coefficients: BearingCoefficients, matrix: FloatArray, relative: FloatArray | None) -> None:
     second = "" if title == "stiffness" else " s"
     tilts = "" if len(set(coefficients.dofs) & {"bx", "by"}) == 0 else f", N{second}/rad, N m{second}/rad"
-    click.echo(f"{title} [N{second}/m{tilts}]: load of the row per displacement of the column")
-    click.echo("      " + "".join(f"{dof:>12}" for dof in coefficients.dofs))
+    echo(f"{title} [N{second}/m{tilts}]: load of the row per displacement of the column")
+    echo("      " + "".join(f"{dof:>12}" for dof in coefficients.dofs))
     for row, dof in enumerate(coefficients.dofs):
         numbers = [
             "0" if relative is not None and abs(relative[row, column]) < STRUCTURAL_ZERO else f"{matrix[row, column]:.4g}"
             for column in range(len(coefficients.dofs))
         ]
-        click.echo(f"  {dof:<4}" + "".join(f"{number:>12}" for number in numbers))
+        echo(f"  {dof:<4}" + "".join(f"{number:>12}" for number in numbers))
 
 
 def _echo_doubts(coefficients: BearingCoefficients, doubts: BearingDoubts) -> None:
     """Every coefficient with its standard uncertainty and the sources of it, the largest first."""
-    click.echo("with standard uncertainties, and the shares of their sources:")
+    echo("with standard uncertainties, and the shares of their sources:")
     parts = (("k", coefficients.stiffness, doubts.stiffness, ""), ("c", coefficients.damping, doubts.damping, ".s"))
     for symbol, matrix, changes, per_speed in parts:
         for (i, row), (j, column) in ((r, c) for r in enumerate(coefficients.dofs) for c in enumerate(coefficients.dofs)):
@@ -82,7 +82,7 @@ def _echo_doubts(coefficients: BearingCoefficients, doubts: BearingDoubts) -> No
             largest = [(source, share) for source, share in doubts.shares(changes[:, i, j])[:MAX_SHARES] if share >= LEAST_SHARE]
             shares = ", ".join(f"{source} {100 * share:.0f} %" for source, share in largest)
             amount = amount_text(float(matrix[i, j]), error, f"{force}{per_speed}/{motion}")
-            click.echo(f"  {f'{symbol}_{row}_{column}':<10}{amount:<32}{shares}".rstrip())
+            echo(f"  {f'{symbol}_{row}_{column}':<10}{amount:<32}{shares}".rstrip())
 
 
 def _rounding(amounts: Sequence[Amount]) -> float:
@@ -104,25 +104,25 @@ def _echo_passage(coefficients: BearingCoefficients) -> None:
     low, high = np.diag(coefficients.lowest), np.diag(coefficients.highest)
     spread = np.divide(high - low, high + low, out=np.zeros_like(low), where=high + low > 0)
     if spread.max() < LEAST_SPREAD:
-        click.echo(f"over one ball passage the direct stiffness varies by less than {100 * LEAST_SPREAD:g} %")
+        echo(f"over one ball passage the direct stiffness varies by less than {100 * LEAST_SPREAD:g} %")
         return
     ranges = ", ".join(f"{dof} +- {100 * part:.2g} %" for dof, part in zip(coefficients.dofs, spread, strict=True))
-    click.echo(f"over one ball passage the direct stiffness varies: {ranges}")
+    echo(f"over one ball passage the direct stiffness varies: {ranges}")
 
 
 def echo_sweep(name: str, sweep: Sweep, cases: Sequence[BearingCoefficients]) -> None:
     """The direct stiffness over the sweep, shortened in the middle; the table on disk is complete."""
     dofs = cases[0].dofs
-    click.echo(f"{name}: direct stiffness over {sweep.label}, {len(cases)} values")
-    click.echo(f"{sweep.label:>20}" + "".join(f"{f'k_{dof}_{dof}':>12}" for dof in dofs))
+    echo(f"{name}: direct stiffness over {sweep.label}, {len(cases)} values")
+    echo(f"{sweep.label:>20}" + "".join(f"{f'k_{dof}_{dof}':>12}" for dof in dofs))
     numbers = range(len(cases)) if len(cases) <= MAX_ROWS else [*range(MAX_ROWS // 2), *range(len(cases) - MAX_ROWS // 2, len(cases))]
     for number in numbers:
         if len(cases) > MAX_ROWS and number == len(cases) - MAX_ROWS // 2:
-            click.echo(f"{'...':>20}")
+            echo(f"{'...':>20}")
         diagonal = np.diag(cases[number].stiffness)
-        click.echo(f"{sweep.values[number]:>20.6g}" + "".join(f"{value:>12.4g}" for value in diagonal))
+        echo(f"{sweep.values[number]:>20.6g}" + "".join(f"{value:>12.4g}" for value in diagonal))
     codes = sorted({finding.code for case in cases for finding in case.findings})
     for code in codes:
         affected = [case for case in cases if any(finding.code == code for finding in case.findings)]
         message = next(finding.message for finding in affected[0].findings if finding.code == code)
-        click.echo(f"warning {code} (in {len(affected)} of {len(cases)} values; the first:) {message}")
+        echo(f"warning {code} (in {len(affected)} of {len(cases)} values; the first:) {message}")

@@ -14,9 +14,11 @@ import click
 
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
+from labpipe.cli.output import echo
 from labpipe.config.pipeline import load_pipeline
 from labpipe.errors import DataError
 from labpipe.pipeline.run import Manner, run
+from labpipe.processes import end_with_parent
 from labpipe.records.identification import RuleOutcome
 
 
@@ -33,9 +35,9 @@ def check(pipelines: tuple[Path, ...], jobs: int, overrides: tuple[str, ...], qu
         wrong = [outcome for outcome in outcomes if not outcome.passed]
         failed += len(wrong)
         if not quiet:
-            click.echo(f"{path}: {len(outcomes) - len(wrong)} of {len(outcomes)} rules hold")
+            echo(f"{path}: {len(outcomes) - len(wrong)} of {len(outcomes)} rules hold")
         for outcome in wrong:
-            click.echo(_failure(path, outcome))
+            echo(_failure(path, outcome))
     return 1 if failed else 0
 
 
@@ -50,7 +52,7 @@ def _checked(
         return
     studies = [path for path in pipelines if "study" in load_pipeline(path, overrides).sections]
     others = [path for path in pipelines if path not in studies]
-    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent) as pool:
         try:
             yield from zip(others, pool.map(work, others), strict=True)
         except BaseException:

@@ -11,6 +11,7 @@ from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.catalogue.differences import LEVEL, Difference, differences
 from labpipe.cli import options
 from labpipe.cli.columns import echo_table
+from labpipe.cli.output import echo
 from labpipe.display import difference_in, shown_unit, unit_label, written
 from labpipe.formats.rows_csv import write_rows
 from labpipe.quantities import to_display
@@ -36,7 +37,7 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
         echo_table(header, [_cells(pair) for pair in selected], right=(3, 4, 5, 6, 8))
     tested = [pair for pair in pairs if pair.p_value is not None]
     n_different = sum(pair.differs for pair in tested)
-    click.echo(f"{n_different} of {len(tested)} parameters differ (level {100 * LEVEL:g} %, corrected for their number)")
+    echo(f"{n_different} of {len(tested)} parameters differ (level {100 * LEVEL:g} %, corrected for their number)")
 
 
 def _result(path: Path) -> Identification:

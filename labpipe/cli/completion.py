@@ -5,6 +5,8 @@ from __future__ import annotations
 import click
 from click.shell_completion import get_completion_class
 
+from labpipe.cli.output import echo
+
 SHELLS = {"bash": "~/.bashrc", "zsh": "~/.zshrc", "fish": "~/.config/fish/completions/labpipe.fish"}
 
 
@@ -22,4 +24,4 @@ def completion(shell: str) -> None:
 
     completion_class = get_completion_class(shell)
     assert completion_class is not None
-    click.echo(completion_class(group, {}, "labpipe", "_LABPIPE_COMPLETE").source())
+    echo(completion_class(group, {}, "labpipe", "_LABPIPE_COMPLETE").source())

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import click
 
 from labpipe import __version__
+from labpipe.cli.output import echo
 
 # Packages of one feature each, by the distribution's name: the module, and the feature with its installation.
 OPTIONAL = {
@@ -41,9 +42,9 @@ def doctor() -> int:
     checks = [*_machine(), *_packages(), _temporary_folder()]
     width = max(len(check.what) for check in checks)
     for check in checks:
-        click.echo(f"{check.what:<{width}}  {check.state}" + (f"  <- {check.fault}" if check.fault else ""))
+        echo(f"{check.what:<{width}}  {check.state}" + (f"  <- {check.fault}" if check.fault else ""))
     broken = [check for check in checks if check.fault and check.needed]
-    click.echo("all is well" if not broken else f"{len(broken)} fault(s) to correct")
+    echo("all is well" if not broken else f"{len(broken)} fault(s) to correct")
     return 2 if broken else 0
 
 

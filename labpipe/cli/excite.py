@@ -10,6 +10,7 @@ from typing import TypeVar
 import click
 
 from labpipe.cli import options
+from labpipe.cli.output import echo
 from labpipe.errors import ConfigError
 from labpipe.formats.signal_file import write_signal
 from labpipe.quantities import UnitError, parse_value
@@ -65,14 +66,14 @@ def excite(
         swept = Sweep(limits, times[0], rms, sweep, direction, times[1])
         write_signal(output, swept.samples(sample_rate, periods), sample_rate)
         if not quiet:
-            click.echo(f"{periods} sweep(s) {direction}, {limits[0]:g}-{limits[1]:g} Hz, {sweep}, {_rate(swept)}; pauses of {times[1]:g} s")
+            echo(f"{periods} sweep(s) {direction}, {limits[0]:g}-{limits[1]:g} Hz, {sweep}, {_rate(swept)}; pauses of {times[1]:g} s")
         return
     signal = design_multisine(limits, line_spacing, rms, phases=phases, odd_only=odd, leave_out=leave_out, seed=seed)
     write_signal(output, signal.samples(sample_rate, periods), sample_rate)
     if quiet:
         return
     lines = f"{signal.lines.size} lines, {signal.lines[0] * line_spacing:g}-{signal.lines[-1] * line_spacing:g} Hz"
-    click.echo(f"{lines}, period {1 / line_spacing:g} s, {phases} phases: crest factor {signal.crest_factor:.3f}")
+    echo(f"{lines}, period {1 / line_spacing:g} s, {phases} phases: crest factor {signal.crest_factor:.3f}")
 
 
 def _rate(swept: Sweep) -> str:

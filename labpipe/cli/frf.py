@@ -9,6 +9,7 @@ import click
 
 from labpipe.cli import options
 from labpipe.cli.many import echo_failed, manner
+from labpipe.cli.output import echo
 from labpipe.config.pipeline import Pipeline, load_pipeline
 from labpipe.config.recordings import SourceFile
 from labpipe.config.tests import Test
@@ -69,9 +70,9 @@ def with_recordings(pipeline: Pipeline, recordings: tuple[Path, ...]) -> Pipelin
 def echo_measured(measured: MeasuredTest, quiet: bool) -> None:
     """One line on a response, on free decays or on spectra, and its findings."""
     if not quiet:
-        click.echo(_line(measured))
+        echo(_line(measured))
     for finding in of_level(WARNING, measured.findings) if quiet else measured.findings:
-        click.echo(f"  {finding.level} {finding.code}: {finding.message}")
+        echo(f"  {finding.level} {finding.code}: {finding.message}")
 
 
 def _line(measured: MeasuredTest) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from labpipe.cli import options
+from labpipe.cli.output import echo
 from labpipe.config.rig import load_rig
 from labpipe.stages.ingest import ingest_all
 
@@ -27,6 +28,6 @@ def ingest(sources: tuple[Path, ...], rig_path: Path, output: Path, overrides: t
     for recording in recordings:
         if not quiet:
             seconds = recording.n_sample / recording.sample_rate
-            click.echo(f"{recording.name}: {recording.n_sample} samples, {recording.sample_rate:g} Hz, {seconds:g} s")
+            echo(f"{recording.name}: {recording.n_sample} samples, {recording.sample_rate:g} Hz, {seconds:g} s")
         for finding in recording.findings:
-            click.echo(f"  {finding.level} {finding.code}: {finding.message}")
+            echo(f"  {finding.level} {finding.code}: {finding.message}")

@@ -9,6 +9,7 @@ import click
 
 from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
+from labpipe.cli.output import echo
 from labpipe.errors import ConfigError
 from labpipe.simulate.magnetic_settings import VirtualMagneticRig
 from labpipe.stages.examples import copy_example, examples
@@ -32,7 +33,7 @@ def init(folder: Path | None, recordings: tuple[Path, ...], example: str | None)
         raise ConfigError("--example has its own recordings", hint="leave out one of the two")
     if example == "list":
         for name, pipelines in examples().items():
-            click.echo(f"{name}: {', '.join(path.stem for path in pipelines)}")
+            echo(f"{name}: {', '.join(path.stem for path in pipelines)}")
         return
     if folder is None:
         raise click.UsageError("Missing argument 'DIR'.", click.get_current_context())
@@ -50,7 +51,7 @@ def init(folder: Path | None, recordings: tuple[Path, ...], example: str | None)
 
 def _example(name: str, folder: Path, output: OutputFolder) -> None:
     pipelines = copy_example(name, output)
-    click.echo(f"written to {folder}: {', '.join(pipelines)}, configs, sample_data")
+    echo(f"written to {folder}: {', '.join(pipelines)}, configs, sample_data")
     _next(folder / "pipelines" / pipelines[0], folder)
 
 
@@ -60,9 +61,9 @@ def _from_recordings(recordings: tuple[Path, ...], folder: Path, output: OutputF
         if text:
             output.write_path(name).write_text(text, encoding="utf-8")
     names = [name for name, text in zip(SCAFFOLD, (project.rig, project.pipeline), strict=True) if text]
-    click.echo(f"written to {folder}: {', '.join(names)}")
+    echo(f"written to {folder}: {', '.join(names)}")
     if project.decisions:
-        click.echo(f"to be decided, marked '{MARK}': {', '.join(project.decisions)}")
+        echo(f"to be decided, marked '{MARK}': {', '.join(project.decisions)}")
     _next(folder / "pipeline.yaml", folder)
 
 
@@ -70,9 +71,9 @@ def _sample(folder: Path, output: OutputFolder) -> None:
     for name in SCAFFOLD:
         output.write_path(name).write_bytes(files("labpipe.cli").joinpath("scaffold", name).read_bytes())
     simulate_files(VirtualMagneticRig("virtual-magnetic-rig"), 1, ["pedestal"], output)
-    click.echo(f"written to {folder}: {', '.join(SCAFFOLD)}, pedestal.csv, truth.json")
+    echo(f"written to {folder}: {', '.join(SCAFFOLD)}, pedestal.csv, truth.json")
     _next(folder / "pipeline.yaml", folder)
 
 
 def _next(pipeline: Path, folder: Path) -> None:
-    click.echo(f"next: labpipe run {pipeline} -o {folder / 'out'}")
+    echo(f"next: labpipe run {pipeline} -o {folder / 'out'}")

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from labpipe.cli import options
+from labpipe.cli.output import echo
 from labpipe.config.rig import load_rig
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.overview import Overview
@@ -38,31 +39,31 @@ def inspect(file: Path, rig_path: Path | None, output: Path | None) -> None:
     else:
         _echo_recording(content)
     if output is not None:
-        click.echo(f"written: {output}", err=True)
+        echo(f"written: {output}", err=True)
 
 
 def _echo_response(response: FrequencyResponse, file: str) -> None:
     frequency = response.frequency
     lines = f"{frequency.size} lines, {frequency[0]:g} to {frequency[-1]:g} Hz"
-    click.echo(f"{file}: {response.form} [{FORMS[response.form]}], {lines}")
+    echo(f"{file}: {response.form} [{FORMS[response.form]}], {lines}")
     for title, ports in (("responses", response.outputs), ("bases" if response.form == "transmissibility" else "forces", response.inputs)):
-        click.echo(f"  {title:<9} " + ", ".join(_port(port) for port in ports))
+        echo(f"  {title:<9} " + ", ".join(_port(port) for port in ports))
     qualities = [name for name in ("covariance", "coherence") if getattr(response, name) is not None]
-    click.echo(f"  with {' and '.join(qualities)}" if qualities else "  without covariance or coherence")
+    echo(f"  with {' and '.join(qualities)}" if qualities else "  without covariance or coherence")
 
 
 def _echo_spectra(spectra: ChannelSpectra, file: str) -> None:
     frequency = spectra.frequency
     lines = f"{frequency.size} lines, {frequency[0]:g} to {frequency[-1]:g} Hz"
-    click.echo(f"{file}: spectra of all channels, {lines}, runs {', '.join(spectra.runs)}")
+    echo(f"{file}: spectra of all channels, {lines}, runs {', '.join(spectra.runs)}")
     width = max(len(channel.name) for channel in spectra.channels)
-    click.echo(f"  {'channel':<{max(width, 7)}}  {'rms of a line':>14}{'noise':>12}  unit")
+    echo(f"  {'channel':<{max(width, 7)}}  {'rms of a line':>14}{'noise':>12}  unit")
     for number, channel in enumerate(spectra.channels):
         size = (abs(spectra.vectors[:, :, number]) ** 2).mean() ** 0.5 / 2**0.5
         noise = (spectra.covariance[:, :, number, number].real.mean() / 2) ** 0.5
-        click.echo(f"  {channel.name:<{max(width, 7)}}  {size:>14.4g}{noise:>12.3g}  {channel.unit}, {channel.role} {channel.dof}")
+        echo(f"  {channel.name:<{max(width, 7)}}  {size:>14.4g}{noise:>12.3g}  {channel.unit}, {channel.role} {channel.dof}")
     for finding in spectra.findings:
-        click.echo(f"  {finding.level} {finding.code}: {finding.message}")
+        echo(f"  {finding.level} {finding.code}: {finding.message}")
 
 
 def _port(port: Port) -> str:
@@ -71,19 +72,19 @@ def _port(port: Port) -> str:
 
 def _echo_recording(overview: Overview) -> None:
     if overview.kind == "raw file":
-        click.echo(f"{overview.file}: {overview.n_sample} rows, {len(overview.channels)} columns, {overview.rate}")
+        echo(f"{overview.file}: {overview.n_sample} rows, {len(overview.channels)} columns, {overview.rate}")
         labels = [channel.label for channel in overview.channels]
     else:
-        click.echo(f"{overview.kind} {overview.file}: {overview.n_sample} samples, {overview.rate}")
+        echo(f"{overview.kind} {overview.file}: {overview.n_sample} samples, {overview.rate}")
         labels = [f"{channel.name} [{channel.unit}] {channel.about}" for channel in overview.channels]
     width = max(len(label) for label in labels)
-    click.echo(f"  {'channel':<{width}}{'min':>13}{'max':>13}{'mean':>13}{'rms (ac)':>13}")
+    echo(f"  {'channel':<{width}}{'min':>13}{'max':>13}{'mean':>13}{'rms (ac)':>13}")
     for label, channel in zip(labels, overview.channels, strict=True):
         levels = (channel.minimum, channel.maximum, channel.mean, channel.rms)
-        click.echo(f"  {label:<{width}}" + "".join(f"{level:>13.5g}" for level in levels))
+        echo(f"  {label:<{width}}" + "".join(f"{level:>13.5g}" for level in levels))
     for finding in overview.findings:
-        click.echo(f"  {finding.level} {finding.code}: {finding.message}")
+        echo(f"  {finding.level} {finding.code}: {finding.message}")
     if not overview.findings:
-        click.echo("  no gaps, no clipping")
+        echo("  no gaps, no clipping")
     for contradiction in overview.contradictions or ():
-        click.echo(f"  warning rig: {contradiction}")
+        echo(f"  warning rig: {contradiction}")

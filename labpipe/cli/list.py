@@ -12,6 +12,7 @@ from labpipe.catalogue.index import open_index
 from labpipe.catalogue.query import Filter, ResultRow, ValueRow, results, values
 from labpipe.cli import options
 from labpipe.cli.columns import echo_table, value_cells
+from labpipe.cli.output import echo
 from labpipe.formats.rows_csv import write_rows
 from labpipe.quantities import readable_unit
 
@@ -33,7 +34,7 @@ def list_results(folder: Path, parameter: str, table: Path | None, **filters: ob
     if table is not None:
         write_rows(table, [row_entry(row) for row in rows])
     if not rows:
-        click.echo("nothing found")
+        echo("nothing found")
     elif isinstance(rows[0], ValueRow):
         echo_values([row for row in rows if isinstance(row, ValueRow)])
     else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 
 # Matrices are small: one thread is faster, and results do not depend on the number of processors.
 for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -14,9 +15,12 @@ from typing import Any, NoReturn
 import click
 
 from labpipe import __version__
+from labpipe.cli.output import echo, message_line
 from labpipe.errors import ConfigErrors, LabpipeError
 from labpipe.registry import Registry, nearest
 
+# Faults of one file that are printed one by one.
+MOST_FAULTS = 40
 COMMANDS = {
     "init": "Scaffold a project: rig, pipeline and a sample recording; runs as it is.",
     "inspect": "Content of a recording: channels, rate, length, gaps, clipping, levels.",
@@ -80,6 +84,7 @@ def main() -> NoReturn:
 
 def run_command(arguments: list[str]) -> int:
     """The exit code of one command; errors of the input go to standard error as one readable message."""
+    warnings.showwarning = _echo_warning
     try:
         outcome: Any = group.main(arguments, prog_name="labpipe", standalone_mode=False)
         sys.stdout.flush()
@@ -98,6 +103,8 @@ def run_command(arguments: list[str]) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except MemoryError:
+        return _fail("there is not enough memory for this; check lengths, rates and block sizes, or use fewer processes")
     except OSError as error:
         if error.errno is None:
             raise
@@ -105,9 +112,16 @@ def run_command(arguments: list[str]) -> int:
     return outcome if isinstance(outcome, int) else 0
 
 
+def _echo_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
+    """A warning of a library as one line, without the place in its source."""
+    echo(message_line(f"warning: {message} ({category.__name__})"), err=True)
+
+
 def _fail(*messages: str) -> int:
-    for message in messages:
-        click.echo(f"error: {message}", err=True)
+    for message in messages[:MOST_FAULTS]:
+        echo(message_line(f"error: {message}"), err=True)
+    if len(messages) > MOST_FAULTS:
+        echo(f"error: and {len(messages) - MOST_FAULTS} more faults of this kind", err=True)
     return 2
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 
-import click
-
 from labpipe.cli import options
+from labpipe.cli.output import echo, message_line
 from labpipe.cli.progress import Progress, silent
 from labpipe.errors import ConfigError
 from labpipe.pipeline.executors import Execute, in_processes, on_cluster, serially
@@ -32,6 +31,6 @@ def _execute(jobs: int, cluster: str | None) -> Execute:
 def echo_failed(failed: Sequence[Failed]) -> None:
     """List the failed tests on standard error, at the end."""
     for failure in failed:
-        click.echo(f"error: {failure.name}: {failure.message}", err=True)
+        echo(message_line(f"error: {failure.name}: {failure.message}"), err=True)
     if failed:
-        click.echo(f"{len(failed)} failed, the rest is finished; correct the fault and run the same command again", err=True)
+        echo(f"{len(failed)} failed, the rest is finished; correct the fault and run the same command again", err=True)

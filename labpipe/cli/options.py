@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from labpipe.artefacts.writing import OutputFolder, output_folder
+from labpipe.cli.output import echo
 
 PATH = click.Path(path_type=Path)
 
@@ -54,11 +55,11 @@ def results_folder(path: Path) -> Iterator[OutputFolder]:
             yield folder
     finally:
         for remark in remarks:
-            click.echo(f"warning: {remark}", err=True)
+            echo(f"warning: {remark}", err=True)
 
 
 def teller(quiet: bool, verbose: bool) -> Callable[[str], None]:
     """The output of progress messages: to a terminal, or anywhere with -v; none with -q."""
     if quiet or not (verbose or sys.stderr.isatty()):
         return lambda _message: None
-    return lambda message: click.echo(message, err=True)
+    return lambda message: echo(message, err=True)

@@ -8,6 +8,7 @@ import click
 
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
+from labpipe.cli.output import echo
 from labpipe.config.rig import load_rig
 from labpipe.errors import ConfigError
 from labpipe.quantities import QUANTITIES, UnitError, parse_value, to_display
@@ -69,12 +70,12 @@ def orders(
     if quiet:
         return
     between = f"{run.speeds.min():.4g}-{run.speeds.max():.4g} rpm"
-    click.echo(f"{run.name}: order {order:g}, {run.speeds.size} segments of {revolutions} revolutions, {between}")
+    echo(f"{run.name}: order {order:g}, {run.speeds.size} segments of {revolutions} revolutions, {between}")
     quantity = QUANTITIES.get(run.quantity)
     unit = quantity.display_unit if quantity else "SI"
     for row in order_lines(run, unit, lambda value: to_display(value, unit) if quantity else value):
-        click.echo(f"  {row}")
-    click.echo(f"written to {output}: {', '.join(names)}" + (f"; {save_run_up}, {speeds} speeds" if speeds else ""))
+        echo(f"  {row}")
+    echo(f"written to {output}: {', '.join(names)}" + (f"; {save_run_up}, {speeds} speeds" if speeds else ""))
 
 
 def _run_conditions(load: str | None, unbalance: tuple[str, ...]) -> tuple[float, dict[str, complex]]:

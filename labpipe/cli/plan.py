@@ -8,6 +8,7 @@ import click
 
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
+from labpipe.cli.output import echo
 from labpipe.config.plan import load_plan
 from labpipe.report.plan import goal_sentence, sentence
 from labpipe.stages.plan import plan_files
@@ -29,5 +30,5 @@ def plan(plan_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool,
         return
     for line in (sentence(planned), goal_sentence(planned), *planned.notes):
         if line:
-            click.echo(line)
-    click.echo(f"written to {output}: {', '.join(names)}")
+            echo(line)
+    echo(f"written to {output}: {', '.join(names)}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 
-import click
+from labpipe.cli.output import echo
 
 # Duration below which no progress is shown.
 QUIET_SECONDS = 1.0
@@ -23,10 +23,10 @@ class Progress:
         elapsed = time.monotonic() - self._begin
         remaining = f", {duration(elapsed / finished * (total - finished))} left" if finished < total else f" in {duration(elapsed)}"
         if self._verbose:
-            click.echo(f"test {finished} of {total}  {name}{remaining}", err=True)
+            echo(f"test {finished} of {total}  {name}{remaining}", err=True)
         elif sys.stderr.isatty() and (elapsed > QUIET_SECONDS or self._shown):
             self._shown = True
-            click.echo(f"\r\x1b[K{finished} of {total} tests{remaining}", err=True, nl=finished == total)
+            echo(f"\r\x1b[K{finished} of {total} tests{remaining}", err=True, nl=finished == total)
 
 
 def silent(_finished: int, _total: int, _name: str) -> None:

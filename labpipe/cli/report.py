@@ -10,6 +10,7 @@ import click
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.writing import finished
 from labpipe.cli import options
+from labpipe.cli.output import echo, message_line
 from labpipe.errors import DataError
 from labpipe.stages.report import write_campaign, write_report, write_test_report
 
@@ -41,7 +42,16 @@ def report(results: tuple[Path, ...], output: Path, figures: Path | None, test: 
     """
     paths = result_files(results)
     tell = options.teller(quiet, verbose)
-    identifications = [read_identification(path) for path in paths]
+    identifications = []
+    for path in list(paths):
+        try:
+            identifications.append(read_identification(path))
+        except DataError as error:
+            # One bad file among the many of a folder is named and passed over.
+            if path in results or path.parent in results or len(paths) == 1:
+                raise
+            paths.remove(path)
+            echo(message_line(f"warning: {error}"), err=True)
     if test and len(paths) > 1:
         raise click.UsageError("--test is of one result; several are named")
     if test:
@@ -54,7 +64,7 @@ def report(results: tuple[Path, ...], output: Path, figures: Path | None, test: 
         tell(f"report    {len(paths)} results together")
         write_campaign(list(zip(_names(paths), identifications, strict=True)), output, figures)
     if not quiet:
-        click.echo(f"written: {output}" + (f", figures in {figures}" if figures is not None else ""), err=True)
+        echo(f"written: {output}" + (f", figures in {figures}" if figures is not None else ""), err=True)
 
 
 def result_files(results: Sequence[Path]) -> list[Path]:

@@ -8,6 +8,7 @@ import click
 
 from labpipe.cli import options
 from labpipe.cli.many import echo_failed, manner
+from labpipe.cli.output import echo
 from labpipe.cli.terminal import echo_identification
 from labpipe.config.pipeline import load_pipeline
 from labpipe.pipeline.run import run as run_pipeline
@@ -37,6 +38,6 @@ def run(pipeline_path: Path, output: Path, jobs: int, cluster: str | None, overr
     write_reports(identification, output, pipeline.report.formats, how.tell)
     echo_identification(identification, quiet)
     if not quiet:
-        click.echo(f"written: {output}/identification.json" + "".join(f", report.{name}" for name in pipeline.report.formats))
+        echo(f"written: {output}/identification.json" + "".join(f", report.{name}" for name in pipeline.report.formats))
     echo_failed(identification.failed)
     return 2 if identification.failed else 0 if identification.accepted else 1

@@ -9,6 +9,7 @@ import click
 
 from labpipe.artefacts.writing import output_file
 from labpipe.cli import options
+from labpipe.cli.output import echo
 from labpipe.config.schema import pipeline_schema, rig_schema
 
 SCHEMAS = {"pipeline": pipeline_schema, "rig": rig_schema}
@@ -25,7 +26,7 @@ def schema(kind: str, output: Path | None) -> None:
     """
     text = json.dumps(SCHEMAS[kind](), indent=2) + "\n"
     if output is None:
-        click.echo(text, nl=False)
+        echo(text, nl=False)
         return
     with output_file(output) as target:
         target.write_text(text, encoding="utf-8")

@@ -8,6 +8,7 @@ import click
 
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
+from labpipe.cli.output import echo
 from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.stages.simulate import simulate_files
 
@@ -29,4 +30,4 @@ def simulate(
     with output_folder(output) as folder:
         names = simulate_files(rig, seed, runs or None, folder)
     if not quiet:
-        click.echo(f"written to {output}: {', '.join(names)}")
+        echo(f"written to {output}: {', '.join(names)}")

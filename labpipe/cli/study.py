@@ -9,6 +9,7 @@ import click
 
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
+from labpipe.cli.output import echo
 from labpipe.cli.terminal import echo_identification
 from labpipe.config.pipeline import load_pipeline
 from labpipe.errors import ConfigError
@@ -44,5 +45,5 @@ def study(pipeline_path: Path, output: Path, jobs: int, overrides: tuple[str, ..
     write_reports(identification, output, pipeline.report.formats, options.teller(quiet, verbose))
     echo_identification(identification, quiet)
     if not quiet:
-        click.echo(f"written: {output}/identification.json, study.csv" + "".join(f", report.{name}" for name in pipeline.report.formats))
+        echo(f"written: {output}/identification.json, study.csv" + "".join(f", report.{name}" for name in pipeline.report.formats))
     return 0 if identification.accepted else 1

@@ -7,6 +7,7 @@ import sys
 
 import click
 
+from labpipe.cli.output import echo
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.identification import Fit, Identification, Parameter
 from labpipe.records.text import parameter_cells
@@ -28,16 +29,16 @@ def echo_identification(identification: Identification, quiet: bool) -> None:
         displayed = fits if len(fits) <= MAX_BANDS else [*fits[: MAX_BANDS // 2], *fits[-MAX_BANDS // 2 :]]
         for number, fit in enumerate(displayed):
             if len(displayed) < len(fits) and number == MAX_BANDS // 2:
-                click.echo(f"  ... {len(fits) - len(displayed)} more fits of '{name}' in identification.json ...")
+                echo(f"  ... {len(fits) - len(displayed)} more fits of '{name}' in identification.json ...")
             _echo_fit(fit)
         _echo_findings([fit.findings for fit in fits], "fits")
     for name, record in identification.sections.items():
         for line in section(name).call("terminal", record):
-            click.echo(line)
+            echo(line)
         _echo_findings([tuple(finding for _, finding in section(name).call("findings", record))], name)
     for outcome in identification.outcomes:
         mark = _coloured("passed", "green") if outcome.passed else _coloured("FAILED", "red")
-        click.echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {outcome.found})")
+        echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {outcome.found})")
 
 
 def _echo_fit(fit: Fit) -> None:
@@ -45,15 +46,15 @@ def _echo_fit(fit: Fit) -> None:
     term = f" of {fit.term}" if fit.term else ""
     band = f" {fit.band_hz[0]:g}-{fit.band_hz[1]:g} Hz" if fit.band_hz[1] > fit.band_hz[0] else ""
     chi2 = "" if fit.gof.chi2_reduced is None else f", chi2/dof {fit.gof.chi2_reduced:.2f}"
-    click.echo(f"{fit.name}{term}{test}: {fit.model}, {fit.estimator}{band}, G.o.F {fit.gof.r2_adjusted:.4f}{chi2}")
+    echo(f"{fit.name}{term}{test}: {fit.model}, {fit.estimator}{band}, G.o.F {fit.gof.r2_adjusted:.4f}{chi2}")
     for parameter in fit.parameters:
         if not parameter.name.startswith(IN_REPORT_ONLY):
-            click.echo(f"  {_parameter_line(parameter)}")
+            echo(f"  {_parameter_line(parameter)}")
     if fit.candidates:
         best = fit.candidates[0]
         quality = f"{best.parameters} parameters, chi2/dof {best.chi2 / best.dof:.2f}"
         criterion = "AIC" if best.bic is None else "BIC"
-        click.echo(f"  best of {len(fit.candidates)} models by {criterion}: {best.name} ({quality})")
+        echo(f"  best of {len(fit.candidates)} models by {criterion}: {best.name} ({quality})")
 
 
 def _parameter_line(parameter: Parameter) -> str:
@@ -73,12 +74,12 @@ def _echo_findings(carriers: list[tuple[Finding, ...]], what: str) -> None:
             by_code.setdefault(finding.code, {}).setdefault(number, finding.message)
     for code, messages in by_code.items():
         times = "" if len(carriers) == 1 else f" (in {len(messages)} of {len(carriers)} {what}; the first:)"
-        click.echo(f"  {_coloured('warning', 'yellow')} {code}{times}: {next(iter(messages.values()))}")
+        echo(f"  {_coloured('warning', 'yellow')} {code}{times}: {next(iter(messages.values()))}")
     notes = list(dict.fromkeys(finding for findings in carriers for finding in of_level(NOTE, findings)))
     for finding in notes[:MAX_NOTES]:
-        click.echo(f"  {_coloured('note', 'cyan')} {finding.code}: {finding.message}")
+        echo(f"  {_coloured('note', 'cyan')} {finding.code}: {finding.message}")
     if len(notes) > MAX_NOTES:
-        click.echo(f"  ... {len(notes) - MAX_NOTES} more notes in the report ...")
+        echo(f"  ... {len(notes) - MAX_NOTES} more notes in the report ...")
 
 
 def _coloured(text: str, colour: str) -> str:

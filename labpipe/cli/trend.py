@@ -9,12 +9,13 @@ import click
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.catalogue.index import DATE, open_index
 from labpipe.catalogue.query import Filter, values
-from labpipe.catalogue.trends import Series, trends
+from labpipe.catalogue.trends import Series, trends, undated
 from labpipe.cli import options
 from labpipe.cli.columns import echo_table, value_cells
 from labpipe.cli.list import row_entry
+from labpipe.cli.output import echo
 from labpipe.display import difference_in, number, unit_label, with_error
-from labpipe.errors import DataError
+from labpipe.errors import DataError, cut
 from labpipe.formats.rows_csv import write_rows
 from labpipe.quantities import readable_unit, to_display
 from labpipe.stages.report import format_of, write_campaign
@@ -41,6 +42,8 @@ def trend(folder: Path, parameter: str, over: str, table: Path | None, output: P
     with open_index(folder) as index:
         rows = values(index, Filter(parameter=parameter, **filters))  # type: ignore[arg-type]
     all_series = trends(rows, over)
+    for row in undated(rows) if over == DATE else ():
+        echo(f"warning: {row.path}: test '{row.test}': '{cut(row.date)}' is not a date; write it as 2026-11-03", err=True)
     selected = [row for series in all_series for row in series.rows]
     if not selected:
         raise DataError("no result matches these filters", where=str(folder))
@@ -51,11 +54,11 @@ def trend(folder: Path, parameter: str, over: str, table: Path | None, output: P
     if output is not None:
         paths = sorted({row.path for row in selected})
         write_campaign([(path.removesuffix("/identification.json"), read_identification(folder / path)) for path in paths], output)
-        click.echo(f"written: {output}", err=True)
+        echo(f"written: {output}", err=True)
 
 
 def _echo_series(series: Series) -> None:
-    click.echo(f"{series.parameter} of {series.fit} over {series.over}")
+    echo(f"{series.parameter} of {series.fit} over {series.over}")
     # Over conditions other than time, values are expected to differ.
     outside = set(map(id, series.outside)) if series.over == DATE else set()
     rows = []
@@ -66,9 +69,9 @@ def _echo_series(series: Series) -> None:
             (f"  {x:g} {series.condition_unit}", *value_cells(row.value, row.std_error, row.unit, shown), row.label, row.date, mark)
         )
     echo_table((f"  {series.over}", series.parameter, "std. error", "unit", "test", "date", ""), rows, right=(1, 2))
-    click.echo(f"  {_slope(series)}")
+    echo(f"  {_slope(series)}")
     if series.over == DATE:
-        click.echo(f"  {_control(series)}")
+        echo(f"  {_control(series)}")
 
 
 def _unit(series: Series) -> str:

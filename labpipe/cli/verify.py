@@ -10,6 +10,7 @@ import click
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
 from labpipe.cli.many import manner
+from labpipe.cli.output import echo
 from labpipe.config.pipeline import load_pipeline
 from labpipe.errors import ConfigError
 from labpipe.pipeline.run import run
@@ -53,13 +54,13 @@ def verify(folder: Path, pipeline_path: Path | None, again: bool, jobs: int, ove
                 run(load_pipeline(pipeline_path, overrides), output, manner(True, False, jobs, None))
             others = differences(folder, Path(scratch) / "out")
         for line in others:
-            click.echo(f"FAILED {line}")
+            echo(f"FAILED {line}")
         faults += len(others)
     if not quiet:
         undigested = sum("carries no digest" in artefact.remarks for artefact in artefacts)
         inputs = sum(artefact.inputs for artefact in artefacts)
         missing = sum(len(artefact.remarks) for artefact in artefacts) - undigested
-        click.echo(
+        echo(
             f"{len(artefacts)} artefacts: {faults} do not hold; {undigested} without a digest; "
             f"of the files that they name {inputs} are the same, {missing} are not there"
         )
@@ -68,6 +69,6 @@ def verify(folder: Path, pipeline_path: Path | None, again: bool, jobs: int, ove
 
 def _echo(artefact: Verified, verbose: bool) -> None:
     for fault in artefact.faults:
-        click.echo(f"FAILED {artefact.path}: {fault}")
+        echo(f"FAILED {artefact.path}: {fault}")
     for remark in artefact.remarks if verbose else [remark for remark in artefact.remarks if remark == "carries no digest"]:
-        click.echo(f"note   {artefact.path}: {remark}")
+        echo(f"note   {artefact.path}: {remark}")

@@ -10,6 +10,7 @@ import re
 from labpipe.document.saving import canvas_of, png_bytes, svg_text
 from labpipe.report.chart import Chart, Panel, Series
 from labpipe.report.document import Document, Figure
+from labpipe.spreadsheet_cells import cell
 
 COLUMNS = ("panel", "series", "x axis", "x", "y axis", "y", "low", "high", "interval")
 MOST_LETTERS = 48
@@ -42,7 +43,7 @@ def figure_csv(chart: Chart, caption: str) -> str:
     writer.writerow(COLUMNS)
     for number, panel in enumerate(chart.panels, 1):
         for series in panel.series:
-            writer.writerows(_rows(panel, panel.title or str(number), series))
+            writer.writerows(map(cell, row) for row in _rows(panel, panel.title or str(number), series))
     return stream.getvalue()
 
 

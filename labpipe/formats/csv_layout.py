@@ -12,6 +12,7 @@ from labpipe.errors import DataError
 from labpipe.formats.packed import PACKED, damaged, open_unpacked
 from labpipe.formats.time_stamps import is_stamp
 from labpipe.quantities import UnitError, parse_unit
+from labpipe.spreadsheet_cells import text_of
 
 HEAD_BYTES = 1 << 18
 # Lines analysed from either end of the head; no header is longer.
@@ -20,7 +21,8 @@ SAMPLE_LINES = 200
 BLANKS = " "
 DELIMITERS = ("\t", ";", ",", "|", BLANKS)
 MISSING = frozenset(("", "nan", "NaN", "NAN", "NA", "N/A", "#N/A", "null", "-", "--", "---"))
-_COMMENT = re.compile(r"^\s*(?:#|%|//|!)+\s?")
+_COMMENT = re.compile(r"^\s*(?:[#%!]|//)+\s?")
+LONGEST_UNIT = 100
 _BRACKETS = re.compile(r"[\[(]([^\])]+)[\])]\s*$")
 
 
@@ -158,7 +160,7 @@ def _header_fits(lines: list[str], candidate: tuple[str, str, list[int], int]) -
 
 def header_of(above: list[str], delimiter: str, n_field: int) -> tuple[tuple[str, ...], dict[str, str]]:
     """Names and units from the lines above the numbers; columns without a header are called 1, 2, ..."""
-    rows = [[field.strip().strip('"').strip() for field in fields_of(_COMMENT.sub("", line), delimiter)] for line in above]
+    rows = [[text_of(field.strip().strip('"').strip()) for field in fields_of(_COMMENT.sub("", line), delimiter)] for line in above]
     # A data row may end in a delimiter that its header lacks.
     fewest = n_field if delimiter == BLANKS else n_field - 1
     titles = [row + [""] * (n_field - len(row)) for row in rows if fewest <= len(row) <= n_field and any(row)]
@@ -183,5 +185,6 @@ def _unit_of(field: str) -> str:
 
 def bracketed_unit(name: str) -> str:
     """ "x [um]" -> "um"; '' when the brackets hold no unit."""
-    match = _BRACKETS.search(name)
+    # No unit is longer; a search through a long row of brackets would take its square.
+    match = _BRACKETS.search(name[-LONGEST_UNIT:])
     return _unit_of(match[1]) if match else ""

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.csv as pc
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import DataError
+from labpipe.errors import DataError, cut
 from labpipe.formats.csv_layout import BLANKS, MISSING, fields_of, find_layout, is_number_or_missing
 from labpipe.formats.packed import PACKED, damaged, open_unpacked
 from labpipe.formats.squeezed import SqueezedBlanks
@@ -43,6 +43,9 @@ class CsvTable:
                         yield np.column_stack([self._numbers(batch.column(field), clocks.get(field)) for field in fields])
         except pa.ArrowInvalid as error:
             raise self._located(columns, str(error)) from None
+        except UnicodeError as error:
+            what = f"is not {self.layout.encoding.upper()} text as its first bytes say ({cut(str(error))})"
+            raise DataError(what, where=str(self.path), hint="the file is damaged or cut off") from None
         except OSError as error:
             raise damaged(self.path, error) if self.path.suffix.lower() in PACKED else error from None
 

@@ -19,6 +19,7 @@ from labpipe.artefacts.spectra_file import read_spectra
 from labpipe.errors import DataError
 from labpipe.formats.frf_csv import write_frf_csv
 from labpipe.formats.mat_frf import write_frf_mat, write_recording_mat
+from labpipe.formats.rows_csv import write_table_csv
 from labpipe.formats.uff_shapes import write_shapes_uff
 from labpipe.formats.uff_write import write_frf_uff, write_recording_uff
 from labpipe.records.finding import WARNING, of_level
@@ -34,6 +35,8 @@ WRITERS = Registry(
         "uff58b": "labpipe.formats.exports:write_uff58b",
         "mat": "labpipe.formats.exports:write_mat",
         "shapes": "labpipe.formats.exports:write_shapes",
+        "covariance": "labpipe.formats.covariance_table:write_covariance_csv",
+        "covariance-parquet": "labpipe.formats.covariance_table:write_covariance_parquet",
         "band": "labpipe.formats.robust_plant:write_band_csv",
         "plant": "labpipe.formats.robust_plant:write_plant_mat",
         "matrix": "labpipe.formats.matrix_table:write_matrix_csv",
@@ -47,13 +50,13 @@ WRITERS = Registry(
 def write_csv(artefact: Path, target: Path) -> None:
     """An FRF as the table labpipe reads again, recordings, decays, spectra as columns per channel "name [unit]", results as parameters."""
     if artefact.suffix == ".json":
-        parameter_table(artefact).to_csv(target, index=False)
+        write_table_csv(parameter_table(artefact), target)
     elif artefact.name.endswith(DECAY_SUFFIX):
-        decay_table(artefact).to_csv(target, index=False)
+        write_table_csv(decay_table(artefact), target)
     elif artefact.name.endswith(SPECTRA_SUFFIX):
-        spectra_table(artefact).to_csv(target, index=False)
+        write_table_csv(spectra_table(artefact), target)
     elif artefact.name.endswith(RECORDING_SUFFIX):
-        recording_table(artefact).to_csv(target, index=False)
+        write_table_csv(recording_table(artefact), target)
     else:
         write_frf_csv(target, read_response(artefact))
 
@@ -105,7 +108,7 @@ def write_shapes(artefact: Path, target: Path) -> None:
     """The mode shapes of a result as a table: one row per mode and point."""
     if artefact.suffix != ".json":
         raise DataError("holds no mode shapes", where=str(artefact), hint="they stand in identification.json")
-    shape_table(modal_fits(artefact)).to_csv(target, index=False)
+    write_table_csv(shape_table(modal_fits(artefact)), target)
 
 
 def modal_fits(artefact: Path) -> tuple[Fit, ...]:

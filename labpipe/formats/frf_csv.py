@@ -17,6 +17,7 @@ from labpipe.quantities import UnitError, parse_value
 from labpipe.records.response import FORMS, FrequencyResponse, Port, uncorrelated
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.registry import nearest
+from labpipe.spreadsheet_cells import cell
 
 _COLUMN = re.compile(r"^(?P<output>[^/]+)/(?P<input>[^:]+):(?P<part>re|im|var|coh)$")
 FREQUENCY = "frequency_hz"
@@ -98,5 +99,5 @@ def write_frf_csv(path: Path, response: FrequencyResponse) -> None:
             if response.coherence is not None:
                 columns[f"{pair}:coh"] = response.coherence[:, o, i]
     with path.open("w", encoding="utf-8", newline="\n") as stream:
-        stream.write(f"# form: {response.form}\n{','.join(columns)}\n")
+        stream.write(f"# form: {response.form}\n{','.join(str(cell(name)) for name in columns)}\n")
         np.savetxt(stream, np.stack(list(columns.values()), 1), "%.17g", delimiter=",")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from labpipe.errors import DataError
+from labpipe.formats.guard import guarded
 from labpipe.formats.packed import plain_suffix
 from labpipe.formats.table import TEXT_SUFFIXES
 from labpipe.records.response import FrequencyResponse
@@ -27,5 +28,5 @@ def read_frf_file(path: Path, name: str = "") -> FrequencyResponse:
     if suffix not in FRF_READERS.names():
         suffixes = ", ".join((*FRF_READERS.names(), ".frf.parquet"))
         raise DataError(f"FRF files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {suffixes}")
-    response: FrequencyResponse = FRF_READERS.load(suffix)(path, name)
+    response: FrequencyResponse = guarded(FRF_READERS.load(suffix), path, name)
     return response

@@ -10,6 +10,7 @@ import numpy as np
 
 from labpipe.errors import DataError
 from labpipe.formats.arrays_table import ArraysTable, columns_of, is_numeric, rate_of
+from labpipe.formats.hdf5_probe import check_hdf5
 
 _UNITS = ("unit", "units", "unit_string")
 
@@ -21,6 +22,7 @@ def hdf5_table(path: Path) -> ArraysTable:
     """
     if path.stat().st_size == 0:
         raise DataError("the file is empty", where=str(path))
+    check_hdf5(path)
     try:
         file = h5py.File(path, "r")
         sets = _numeric_sets(file)

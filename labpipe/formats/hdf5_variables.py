@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 
 from labpipe.errors import DataError
+from labpipe.formats.hdf5_probe import check_hdf5
 
 
 def load_hdf5_variables(path: Path, names: Iterable[str]) -> dict[str, Any]:
@@ -18,6 +19,7 @@ def load_hdf5_variables(path: Path, names: Iterable[str]) -> dict[str, Any]:
     MATLAB stores columns first, so its dimensions are reversed; a complex number is a pair (real, imag), a text its UTF-16 codes, a
     cell references to its contents. Links into other files are not followed. DataError when the file is damaged.
     """
+    check_hdf5(path)
     try:
         with h5py.File(path, "r") as file:
             return {name: _value(file, file[name]) for name in names if _is_own_dataset(file, name)}
@@ -34,6 +36,7 @@ def hdf5_names(path: Path) -> tuple[str, ...]:
         if isinstance(item, h5py.Dataset) and not name.startswith("#"):
             names.append(name)
 
+    check_hdf5(path)
     try:
         with h5py.File(path, "r") as file:
             file.visititems(add)
@@ -49,6 +52,7 @@ def _is_own_dataset(file: h5py.File, name: str) -> bool:
 
 def has_hdf5_variables(path: Path, names: Iterable[str]) -> bool:
     """True if a readable HDF5 file holds data sets of all these names."""
+    check_hdf5(path)
     try:
         with h5py.File(path, "r") as file:
             return all(isinstance(file.get(name), h5py.Dataset) for name in names)

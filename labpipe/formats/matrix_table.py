@@ -11,6 +11,7 @@ import pandas as pd
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.errors import DataError
+from labpipe.formats.rows_csv import write_table_csv
 from labpipe.formats.table import load_extra
 from labpipe.quantities import to_display
 from labpipe.records.condition_matrix import ConditionMatrix, MatrixPoint, condition_unit
@@ -24,7 +25,7 @@ N_WHIRL = 9
 
 def write_matrix_csv(artefact: Path, target: Path) -> None:
     """The matrices of a result as CSV: one row for every point and coefficient."""
-    matrix_table(_matrices(artefact)[1]).to_csv(target, index=False)
+    write_table_csv(matrix_table(_matrices(artefact)[1]), target)
 
 
 def write_matrix_parquet(artefact: Path, target: Path) -> None:
@@ -96,7 +97,7 @@ def write_rotor_xlsx(artefact: Path, target: Path) -> None:
 def write_rotor_csv(artefact: Path, target: Path) -> None:
     """The same tables below each other as CSV, the name of the sheet in the first column."""
     sheets = rotor_sheets(*_matrices(artefact))
-    pd.concat([table.assign(sheet=name) for name, table in sheets]).set_index("sheet").to_csv(target)
+    write_table_csv(pd.concat([table.assign(sheet=name) for name, table in sheets]).set_index("sheet").reset_index(), target)
 
 
 def rotor_sheets(identification: Identification, matrices: tuple[ConditionMatrix, ...]) -> Iterator[tuple[str, pd.DataFrame]]:

@@ -6,6 +6,7 @@ import csv
 from pathlib import Path
 
 from labpipe.records.study import Study
+from labpipe.spreadsheet_cells import cell
 
 HEADER = (
     "fit",
@@ -33,4 +34,4 @@ def write_study_csv(path: Path, study: Study) -> None:
         for case in study.cases:
             head = (case.fit, case.estimator, case.noise, case.lines, case.repeats, case.failed)
             for p in case.parameters:
-                table.writerow((*head, p.name, p.unit, p.truth, p.mean, p.rmse, p.bound, p.std_error, p.coverage))
+                table.writerow((*map(cell, head), cell(p.name), p.unit, p.truth, p.mean, p.rmse, p.bound, p.std_error, p.coverage))

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
+from labpipe.formats.guard import GuardedTable, guarded
 from labpipe.formats.packed import plain_suffix
 from labpipe.registry import Registry, nearest
 
@@ -53,7 +54,9 @@ def open_table(path: Path) -> Table:
     suffix = plain_suffix(path)
     if suffix not in READERS.names():
         raise DataError(f"files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {', '.join(READERS.names())}")
-    table: Table = READERS.load(suffix)(path)
+    if not path.is_file():
+        raise DataError("is no regular file", where=str(path))
+    table: Table = GuardedTable(guarded(READERS.load(suffix), path))
     return table
 
 

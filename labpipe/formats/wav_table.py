@@ -40,6 +40,7 @@ def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
     """(rate [Hz], samples (n, n_track)), mapped from the file where its format (not 24 bit) permits it."""
     if path.stat().st_size == 0:
         raise DataError("the file is empty", where=str(path))
+    _check_length(path)
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
@@ -55,6 +56,20 @@ def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
     if rate <= 0:
         raise DataError("has no sampling rate", where=str(path))
     return rate, samples.reshape(samples.shape[0], -1)
+
+
+def _check_length(path: Path) -> None:
+    """DataError where the header claims more samples than the file holds, before memory is asked for them."""
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        order = {b"RIFF": "<", b"RIFX": ">"}.get(stream.read(4))
+        place = 12
+        while order is not None and place + 8 <= size:
+            stream.seek(place)
+            name, length = struct.unpack(f"{order}4sI", stream.read(8))
+            if name == b"data" and place + 8 + length > size:
+                raise DataError("ends before its last sample", where=str(path), hint="the file is truncated")
+            place += 8 + length + length % 2
 
 
 def _share(samples: NDArray[np.generic]) -> FloatArray:

@@ -13,6 +13,7 @@ from labpipe import __version__
 from labpipe.artefacts.code import code_digest
 from labpipe.errors import ConfigError, DataError
 from labpipe.pipeline.one_test import Done, Job
+from labpipe.processes import end_with_parent
 from labpipe.records.identification import Failed
 
 Work = Callable[[Job], Done]
@@ -54,7 +55,7 @@ def _pooled(work: Work, jobs: Sequence[Job], count: int) -> Iterator[Done]:
     # Fresh interpreters: forking a process that has threads is not safe.
     if not jobs:
         return
-    pool = ProcessPoolExecutor(min(count, len(jobs)), mp_context=multiprocessing.get_context("spawn"), initializer=_ignore_interrupt)
+    pool = ProcessPoolExecutor(min(count, len(jobs)), mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker)
     try:
         for future in as_completed([pool.submit(work, job) for job in jobs]):
             if not isinstance(future.exception(), BrokenProcessPool):
@@ -69,8 +70,9 @@ def _pooled(work: Work, jobs: Sequence[Job], count: int) -> Iterator[Done]:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _ignore_interrupt() -> None:
-    """Workers ignore SIGINT; the parent terminates them."""
+def _begin_worker() -> None:
+    """Workers ignore SIGINT; the parent terminates them, or they end with it."""
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

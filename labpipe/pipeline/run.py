@@ -5,15 +5,12 @@ A single test is all or nothing. Of several tests each is all or nothing: one th
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from labpipe.artefacts.header import SourceRef, source_ref
-from labpipe.artefacts.writing import STAGING, OutputFolder, existing_home
+from labpipe.artefacts.writing import OutputFolder, existing_home, staging_folder
 from labpipe.config.pipeline import Pipeline
 from labpipe.errors import ConfigError, DataError
 from labpipe.pipeline.executors import Execute, serially
@@ -72,7 +69,7 @@ def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identificat
 
 def measure_tests(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str] = ()) -> Measured:
     """ingest and frf of every test, and of several tests the fits named in *fits*; ready responses are read as they are."""
-    with _scratch(output.target) as scratch:
+    with staging_folder(existing_home(output.target)) as scratch:
         jobs = _jobs(pipeline, output.target, scratch, fits if len(pipeline.tests) > 1 else ())
         if len(jobs) > 1:
             done = _worked(jobs, manner)
@@ -93,16 +90,6 @@ def measure_tests(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits
 def independent_fits(pipeline: Pipeline) -> list[str]:
     """Fits of a single test: all except those that start from another fit's result."""
     return [settings.name for settings in pipeline.fits if not settings.kind.earlier(settings)]
-
-
-@contextmanager
-def _scratch(target: Path) -> Iterator[Path]:
-    """A folder beside the output for unfinished files, removed at the end in every case."""
-    scratch = Path(tempfile.mkdtemp(prefix=STAGING, dir=existing_home(target)))
-    try:
-        yield scratch
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _jobs(pipeline: Pipeline, target: Path, scratch: Path, fits: Sequence[str]) -> list[Job]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError
+from labpipe.quantities import LARGEST, SMALLEST
 from labpipe.records.finding import Finding
 
 # Equal consecutive samples that count as clipping; fewer occur by chance at a coarse resolution.
@@ -26,8 +27,22 @@ FINE = 3.0
 COARSE = 0.1
 # Times may repeat or shorten a step where it is longer than this many last digits: a lost sample would still be seen.
 LEAST = 0.75
+# No recorder samples faster [Hz], none waits longer between two samples than as many seconds.
+FASTEST = 1e12
 # Times with more significant digits are exact enough.
 MOST_DIGITS = 9
+
+
+def check_amounts(names: Sequence[str], block: FloatArray, first: int) -> None:
+    """DataError for the first number of a block (n, n_channel) [SI] from sample *first* on that no measurement gives: beyond LARGEST."""
+    beyond = np.abs(block) > LARGEST
+    # Infinities are missing numbers, which are reported as such.
+    beyond &= np.isfinite(block)
+    if not beyond.any():
+        return
+    sample, channel = (int(place) for place in np.argwhere(beyond)[0])
+    what = f"channel {names[channel]}: {block[sample, channel]:g} at sample {first + sample} is no measured number"
+    raise DataError(what, hint="check the unit, the sensitivity and the column")
 
 
 class ChannelScreen:
@@ -47,6 +62,7 @@ class ChannelScreen:
         """Add the next block (n, n_channel) [unit of the channel]."""
         if not block.shape[0]:
             return
+        check_amounts(self._names, block, self.n_sample)
         missing = ~np.isfinite(block)
         self._add_levels(block, missing)
         self._note_missing(missing)
@@ -99,8 +115,16 @@ class ChannelScreen:
             if not self.maximum[number] > self.minimum[number]:
                 faults.append(Finding("constant", f"channel {name} does not vary at all"))
                 continue
+            self._check_size(number, name)
             faults.extend(self._clipping(number, name))
         return tuple(faults)
+
+    def _check_size(self, number: int, name: str) -> None:
+        """DataError for a channel whose numbers are so small that their squares vanish."""
+        largest = max(abs(self.minimum[number]), abs(self.maximum[number]))
+        if largest < SMALLEST:
+            what = f"channel {name}: no number above {largest:g}, which nothing measures"
+            raise DataError(what, hint="check the unit, the sensitivity and the column")
 
     def _clipping(self, number: int, name: str) -> list[Finding]:
         runs = [end.clipped() for end in self._ends[number]]
@@ -270,6 +294,9 @@ class TimeAxisScreen:
                     f"the time steps of column '{self._column}' are not equal: {extreme:g} s at sample {sample}, {step:g} s on average",
                     hint="a lost sample or coarse times; if the logger runs evenly, give sample_rate in the rig file instead of time",
                 )
+        if not 1 / FASTEST <= step <= FASTEST:
+            what = f"the time steps of column '{self._column}' are {step:g} s"
+            raise DataError(what, hint=f"rates lie between {1 / FASTEST:g} and {FASTEST:g} Hz: check the unit of the time")
         rounded = self._largest[0] - self._smallest[0] > 0.5 * resolution
         return plain_rate(step, resolution / (self._n_sample - 1) if rounded else 0.0)
 

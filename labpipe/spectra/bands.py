@@ -9,6 +9,8 @@ from labpipe.errors import DataError
 
 # Lines are multiples of a spacing computed in floating point: one that lies on a band's edge belongs to the band.
 EDGE = 1e-9
+# A block of fewer samples is read before it is held against the recording, which says more.
+MANY_SAMPLES = 1 << 22
 
 
 def lines_in(
@@ -25,11 +27,15 @@ def lines_in(
     return chosen
 
 
-def line_range(n_sample: int, sample_rate: float, band: tuple[float, float] | None) -> slice:
+def line_range(n_sample: int, sample_rate: float, band: tuple[float, float] | None, length: int | None = None) -> slice:
     """Range of DFT lines of *n_sample* samples at *sample_rate* [Hz] inside the band, without the line at 0 Hz.
 
-    Cross-spectra are formed on these lines only. DataError when the band holds no line.
+    Cross-spectra are formed on these lines only. DataError when the band holds no line, and for a long block or period of which the
+    recording of *length* samples does not hold one: before anything of its size is made.
     """
+    if length is not None and n_sample > max(length, MANY_SAMPLES):
+        what = f"a block or period of {n_sample / sample_rate:g} s is longer than the recording of {length / sample_rate:g} s"
+        raise DataError(what, hint="check `block` or `period`, and the sampling rate")
     frequency = np.arange(1, n_sample // 2 + 1) * (sample_rate / n_sample)
     inside = np.flatnonzero(lines_in(frequency, band))
     if not inside.size:

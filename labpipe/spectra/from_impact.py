@@ -82,7 +82,7 @@ class _HitAverage:
         if source.n_sample < self.n_sample:
             have = source.n_sample / source.sample_rate
             raise DataError(f"'{source.name}' is {have:g} s long, too short for one block of {settings.block:g} s", hint="shorten `block`")
-        self._lines = line_range(self.n_sample, source.sample_rate, settings.band)
+        self._lines = line_range(self.n_sample, source.sample_rate, settings.band, source.n_sample)
         if settings.damping_window is not None:
             # Neighbours of the band's edges, by which its lines are corrected for the window's damping.
             self._lines = slice(max(1, self._lines.start - HALF_WIDTH), min(self.n_sample // 2 + 1, self._lines.stop + HALF_WIDTH))

@@ -137,7 +137,7 @@ def _period_average(source: SampleSource, settings: FrfSettings) -> tuple[LineSp
     """The averaged and smoothed lines of one recording in the band, and those of the first half of its periods."""
     assert settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)
-    lines = line_range(n_sample, source.sample_rate, settings.band)
+    lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
     average = PeriodAverage(n_sample, len(source.channels), settings.skip, lines)
     half: LineSpectrum | None = None
     n_half = (source.n_sample // n_sample - settings.skip) // 2

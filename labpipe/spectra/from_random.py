@@ -79,7 +79,7 @@ def welch_average(source: SampleSource, settings: FrfSettings) -> Halved:
     if n_sample < 4:
         raise DataError(f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'", hint="lengthen `block`")
     step = max(1, round(n_sample * (1 - settings.overlap)))
-    lines = line_range(n_sample, source.sample_rate, settings.band)
+    lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
     # Other references (tacho, temperature) are not part of the FRF matrix.
     columns = [
         number for number, channel in enumerate(source.channels) if channel.role != "reference" or channel.name in settings.reference

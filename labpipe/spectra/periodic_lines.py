@@ -64,7 +64,9 @@ def _averaged(source: SampleSource, settings: FrfSettings, layout: ChannelLayout
     """The lines of the recorded channels of one recording in the band."""
     assert settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)
-    average = PeriodAverage(n_sample, len(source.channels), settings.skip, line_range(n_sample, source.sample_rate, settings.band))
+    average = PeriodAverage(
+        n_sample, len(source.channels), settings.skip, line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
+    )
     for block in checked_blocks(source):
         average.add(block)
     spectrum = average.spectrum(source.sample_rate)

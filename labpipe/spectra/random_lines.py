@@ -102,7 +102,7 @@ def _welch(source: SampleSource, settings: FrfSettings, layout: ChannelLayout, n
     names = [channel.name for channel in source.channels]
     columns = np.array([*layout.columns[number], *(names.index(name) for name in drives)])
     step = max(1, round(n_sample * (1 - settings.overlap)))
-    lines = line_range(n_sample, source.sample_rate, settings.band)
+    lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
     average = WelchAverage(window_values(settings.window, n_sample), step, columns.size, lines, settings.detrend)
     for block in checked_blocks(source):
         average.add(block[:, np.maximum(columns, 0)] * (columns >= 0))

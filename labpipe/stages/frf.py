@@ -18,6 +18,7 @@ from labpipe.errors import DataError, LabpipeError
 from labpipe.formats.frf_csv import FREQUENCY, port_of
 from labpipe.formats.frf_described import Dofs, read_described
 from labpipe.formats.frf_file import MATRIX_SUFFIXES, read_frf_file
+from labpipe.formats.guard import guarded, readable
 from labpipe.formats.mat_frf import holds_response
 from labpipe.formats.packed import plain_suffix
 from labpipe.formats.table import TEXT_SUFFIXES, open_table
@@ -72,10 +73,11 @@ def is_response(path: Path) -> bool:
     if not path.is_file():
         return False
     suffix = plain_suffix(path)
-    if suffix in MATRIX_SUFFIXES:
-        return holds_response(path)
-    if suffix in UFF_SUFFIXES:
-        return all(record.function != TIME for record in read_uff(path))
+    with readable(path):
+        if suffix in MATRIX_SUFFIXES:
+            return holds_response(path)
+        if suffix in UFF_SUFFIXES:
+            return all(record.function != TIME for record in read_uff(path))
     return path.name.endswith(SUFFIX) or (suffix in TEXT_SUFFIXES and FREQUENCY in open_table(path).columns)
 
 
@@ -112,7 +114,7 @@ def load_ready(frf: ReadyFrf, test: str = "", conditions: dict[str, str] | None 
 
 def _load_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
     if layout.table is not None:
-        return read_described(path, layout, dofs)
+        return guarded(read_described, path, layout, dofs)
     response = load_response(path)
     return dataclasses.replace(
         response,

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from labpipe.errors import FitError
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
+from labpipe.processes import end_with_parent
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.identification import Parameter
 from labpipe.records.response import FrequencyResponse
@@ -56,7 +57,7 @@ def workers(jobs: int) -> Iterator[Workers]:
         yield Workers(None, 1)
         return
     # Fresh interpreters: forking a process that has threads is not safe.
-    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent) as pool:
         yield Workers(pool, count)
 
 

@@ -1,0 +1,45 @@
+"""What commands print: text from files never acts on a terminal, and no message is longer than people read."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+import click
+
+# The colours that labpipe itself prints, by click.style.
+_OWN = re.compile("(\x1b\\[(?:0|31|32|33|36)m)")
+# Characters that reverse the order of what follows, or are not seen at all.
+_ACTING = {"Cc", "Cf", "Cs", "Zl", "Zp"}
+KEPT = "\n\t"
+# Longest message, and longest echo of what stood in a file.
+LONGEST, ECHO = 600, 80
+_QUOTED = re.compile(rf"'([^'\n]{{{ECHO + 1},}})'")
+
+
+def printable(text: str, kept: str = "") -> str:
+    """The text with control, escape and bidirectional characters as their codes, except those *kept*."""
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(_code(letter) if unicodedata.category(letter) in _ACTING and letter not in kept else letter for letter in text)
+
+
+def _code(letter: str) -> str:
+    number = ord(letter)
+    return f"\\x{number:02x}" if number < 0x100 else f"\\u{number:04x}" if number < 0x10000 else f"\\U{number:08x}"
+
+
+def message_line(text: str) -> str:
+    """A message on one line of at most LONGEST characters, in which no quotation is longer than ECHO."""
+    short = _QUOTED.sub(lambda match: f"'{match[1][: ECHO - 3]}...'", text)
+    line = printable(short)
+    if len(line) <= LONGEST:
+        return line
+    # Place and cure stand at the ends.
+    return f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 + 5 :]}"
+
+
+def echo(text: object = "", *, err: bool = False, nl: bool = True) -> None:
+    """Print a text; of control characters only the ends of lines, tabulators and labpipe's own colours reach the terminal."""
+    parts = _OWN.split(str(text))
+    click.echo("".join(part if number % 2 else printable(part, KEPT) for number, part in enumerate(parts)), err=err, nl=nl)
