@@ -1,4 +1,4 @@
-"""python -m tests.fuzz.run [--seconds S] [--processes N] [--kinds a.csv ...]: mutated inputs for as long as you like.
+"""python -m tests.fuzz.run [--seconds S] [--start SEED] [--kinds a.csv ...]: mutated inputs for as long as you like.
 
 Every kind of file is read in processes of its own, each with a limit of memory; one that does not answer within ten seconds counts as
 hung, is ended, and the next seed follows. Prints a table and what must not be; exit code 1 if there is any of that.
@@ -33,10 +33,9 @@ def _work(kind: str, folder: Path, start: int, pipe: Connection) -> None:
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory(dir=folder) as name:
         scratch = Path(name)
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
         whole: object = None
         if kind in YAML:
-            laboratory(scratch, ALONE.replace("formats: []", "formats: []"))
+            laboratory(scratch, ALONE)
         else:
             if kind == INDEX:
                 (scratch / "identification.json").write_bytes((folder / "laboratory/out/identification.json").read_bytes())
@@ -45,6 +44,7 @@ def _work(kind: str, folder: Path, start: int, pipe: Connection) -> None:
         seed = start
         while True:
             tally = Tally(kind)
+            before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
             for _ in range(BATCH):
                 pipe.send(seed)
                 if kind in YAML:
