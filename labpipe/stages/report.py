@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 from labpipe.artefacts.identification_file import NAME
+from labpipe.artefacts.report_stamp import drawn_from, is_drawn, stamped
 from labpipe.artefacts.writing import OutputFolder, output_file, output_folder
-from labpipe.document.render import DOCUMENTS, RENDERERS
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.identification import Identification
 
@@ -27,7 +28,7 @@ def format_of(path: Path) -> str:
 
 def write_report(identification: Identification, path: Path, report_format: str = "", figures: Path | None = None) -> None:
     """Write the report of an identification; the format follows from the file's ending. *figures*: a folder for them as files."""
-    content: bytes = RENDERERS.load(report_format or format_of(path))(identification)
+    content: bytes = _renderer("RENDERERS", report_format or format_of(path))(identification)
     _write(content, path, {} if figures is None else _figures_of(identification), figures)
 
 
@@ -37,7 +38,7 @@ def write_test_report(identification: Identification, test: str, path: Path, fig
     from labpipe.report.build import build
 
     document = build(identification, test)
-    content: bytes = DOCUMENTS.load(format_of(path))(document)
+    content: bytes = _renderer("DOCUMENTS", format_of(path))(document)
     _write(content, path, {} if figures is None else figure_files(document), figures)
 
 
@@ -49,11 +50,27 @@ def outdate_reports(folder: OutputFolder, formats: Sequence[str]) -> None:
 
 
 def write_reports(identification: Identification, target: Path, formats: Sequence[str], tell: Callable[[str], None]) -> None:
-    """Draw the reports of a result into its folder, where it lies already: drawing that is cut short costs the report and nothing else."""
+    """Draw the reports of a result into its folder, where it lies already: drawing that is cut short costs the report and nothing else.
+
+    A report that was drawn from this very result, and is whole, stays as it is.
+    """
+    source = drawn_from(target / NAME)
+    stale = [name for name in formats if not is_drawn(target / f"report.{name}", source)]
+    if not stale:
+        return
     with output_folder(target) as folder:
-        for name in formats:
+        for name in stale:
             tell(f"report    report.{name}")
-            write_report(identification, folder.write_path(f"report.{name}"))
+            content: bytes = _renderer("RENDERERS", name)(identification)
+            folder.write_path(f"report.{name}").write_bytes(stamped(content, source, name))
+
+
+def _renderer(table: str, report_format: str) -> Callable[[Any], bytes]:
+    """A renderer of a format; what draws takes its time to load."""
+    from labpipe.document import render
+
+    renderer: Callable[[Any], bytes] = getattr(render, table).load(report_format)
+    return renderer
 
 
 def write_campaign(results: Sequence[tuple[str, Identification]], path: Path, figures: Path | None = None) -> None:
@@ -62,7 +79,7 @@ def write_campaign(results: Sequence[tuple[str, Identification]], path: Path, fi
     from labpipe.report.campaign import campaign_document
 
     document = campaign_document(results)
-    content: bytes = DOCUMENTS.load(format_of(path))(document)
+    content: bytes = _renderer("DOCUMENTS", format_of(path))(document)
     _write(content, path, {} if figures is None else figure_files(document), figures)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import labpipe as library
 from labpipe.artefacts.identification_file import read_identification
-from labpipe.stages import report
+from labpipe.document import render
 from tests.unit.pipeline.laboratory import ALONE, laboratory
 
 DRAWN = ALONE.replace("formats: []", "formats: [md]")
@@ -34,7 +34,7 @@ class Stopped:
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, MemoryError])
 def test_what_stops_the_drawing_leaves_the_result(lab: Path, labpipe, monkeypatch: pytest.MonkeyPatch, error: type[BaseException]) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(report, "RENDERERS", Stopped(error))
+        patch.setattr(render, "RENDERERS", Stopped(error))
         with pytest.raises(error):
             library.run(lab / "pipeline.yaml", lab / "out")
     result = lab / "out/identification.json"
@@ -46,8 +46,8 @@ def test_what_stops_the_drawing_leaves_the_result(lab: Path, labpipe, monkeypatc
 
 def test_a_process_that_is_killed_while_drawing_leaves_the_result(lab: Path) -> None:
     script = (
-        "import os, sys, labpipe.stages.report as report\n"
-        "report.RENDERERS = type('Killed', (), {'load': lambda self, name: os._exit(9)})()\n"
+        "import os, sys, labpipe.document.render as render\n"
+        "render.RENDERERS = type('Killed', (), {'load': lambda self, name: os._exit(9)})()\n"
         "from labpipe.cli.main import run_command\n"
         "run_command(['run', 'pipeline.yaml', '-o', 'out'])\n"
     )
@@ -60,7 +60,7 @@ def test_no_report_of_an_earlier_result_stays_beside_a_new_one(lab: Path, labpip
     first = (lab / "out/report.md").read_text()
     (lab / "pipeline.yaml").write_text(DRAWN.replace("10-40 Hz", "12-38 Hz"))
     with monkeypatch.context() as patch:
-        patch.setattr(report, "RENDERERS", Stopped(RuntimeError))
+        patch.setattr(render, "RENDERERS", Stopped(RuntimeError))
         with pytest.raises(RuntimeError):
             library.run(lab / "pipeline.yaml", lab / "out")
     assert not (lab / "out/report.md").exists()
@@ -69,10 +69,16 @@ def test_no_report_of_an_earlier_result_stays_beside_a_new_one(lab: Path, labpip
     assert "12–38 Hz" in (lab / "out/report.md").read_text() and "12–38 Hz" not in first
 
 
-def test_a_report_of_the_same_result_stays_until_it_is_drawn_again(lab: Path, labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_damaged_report_of_the_same_result_stays_until_it_is_drawn_again(
+    lab: Path,
+    labpipe,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     assert labpipe("run", lab / "pipeline.yaml", "-o", lab / "out").code == 0
+    damaged = (lab / "out/report.md").read_bytes()[:-1]
+    (lab / "out/report.md").write_bytes(damaged)
     with monkeypatch.context() as patch:
-        patch.setattr(report, "RENDERERS", Stopped(RuntimeError))
+        patch.setattr(render, "RENDERERS", Stopped(RuntimeError))
         with pytest.raises(RuntimeError):
             library.run(lab / "pipeline.yaml", lab / "out")
-    assert (lab / "out/report.md").exists()
+    assert (lab / "out/report.md").read_bytes() == damaged
