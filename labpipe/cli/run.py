@@ -26,9 +26,9 @@ from labpipe.stages.report import outdate_reports, write_reports
 def run(pipeline_path: Path, output: Path, jobs: int, cluster: str | None, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
     """Run all stages of PIPELINE: recordings -> FRFs -> identification.json -> report.
 
-    identification.json is written before the report is drawn. Results and reports that are up to date are not made again. When a test fails, the
-    others are finished and the failed one is named at the end (exit code 2); an interrupted run continues where it stopped. Exit code 1
-    when an accept: or expect: rule fails.
+    identification.json is written before the report is drawn. Results and reports that are up to date are not made again. When a test
+    fails, the others are finished and the failed one is named at the end (exit code 2); an interrupted run continues where it stopped.
+    Exit code 1 when an accept: or expect: rule fails.
     """
     how = manner(quiet, verbose, jobs, cluster)
     pipeline = load_pipeline(pipeline_path, overrides)
