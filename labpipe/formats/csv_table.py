@@ -83,7 +83,8 @@ class CsvTable:
             with SqueezedBlanks(open_unpacked(self.path), self.layout.encoding) as stream:
                 yield stream
         elif self.path.suffix.lower() in PACKED:
-            yield open_unpacked(self.path)
+            with open_unpacked(self.path) as stream:
+                yield stream
         else:
             yield self.path
 

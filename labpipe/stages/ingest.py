@@ -50,6 +50,9 @@ def ingest(
         return open_recording(fresh)
     target = output.write_path(name + SUFFIX)
     _write(table, rig, target, header, source.stem)
+    for path, reference in zip((source, *joined), header.inputs, strict=True):
+        if source_ref(path, base) != reference:
+            raise DataError("changed while it was read", where=str(path), hint="run again when it is complete")
     return open_recording(target)
 
 

@@ -1,0 +1,153 @@
+"""What a machine does to a run: it is killed, its disk is full, its folder is read-only, its inputs change, its clock goes back."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from labpipe.artefacts import writing
+from labpipe.artefacts.writing import STAGING, output_folder, staging_folder
+from tests.conftest import Command
+from tests.machine.kills import kills
+from tests.unit.pipeline.laboratory import ALONE, contents, done, laboratory, recording
+
+needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found by /proc")
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    laboratory(tmp_path, ALONE)
+    return tmp_path
+
+
+@pytest.mark.long
+@needs_proc
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_killed_run_is_finished_to_the_same_bytes(processes: int) -> None:
+    """`python -m tests.machine.kills --count 100 -j 2` does more of them."""
+    assert kills(1, processes, seed=processes) == []
+
+
+def test_the_staging_folder_of_a_killed_run_goes_with_the_next_one(tmp_path: Path) -> None:
+    code = """
+import os, sys
+from pathlib import Path
+from labpipe.artefacts.writing import output_folder
+with output_folder(Path(sys.argv[1])) as folder:
+    folder.write_path("a").write_text("half")
+    os.kill(os.getpid(), 9)
+"""
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
+    assert len(list(tmp_path.glob(f"{STAGING}*"))) == 1
+    with output_folder(tmp_path) as folder:
+        folder.write_path("b").write_text("whole")
+        # That of a run beside this one stays.
+        with staging_folder(tmp_path) as other:
+            assert folder.staging.exists() and other.exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["b"]
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 200 kB."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(disk)], capture_output=True, check=False).returncode:
+        pytest.skip("a file system can be mounted by the superuser only")
+    yield disk
+    subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_a_full_disk_is_said_and_leaves_nothing_half_written(lab: Path, small_disk: Path, labpipe: Command) -> None:
+    """At every amount of free space from none on, until the run has enough."""
+    filler = small_disk / "filler"
+    ended = None
+    refused = 0
+    for used in range(200, -1, -12):
+        filler.write_bytes(b"")
+        try:
+            filler.write_bytes(bytes(used << 10))
+        except OSError:
+            filler.write_bytes(bytes(max(used - 12, 0) << 10))
+        ended = labpipe("run", lab / "pipeline.yaml", "-o", small_disk / "out", "--set", "report.formats=[md]")
+        if ended.code == 0:
+            break
+        refused += 1
+        assert ended.code == 2 and len(ended.err.splitlines()) == 1 and "no space left" in ended.err.lower(), ended.err
+        assert not [path for path in small_disk.rglob("*") if path.name.startswith(STAGING)]
+    assert ended is not None and ended.code == 0 and refused >= 3
+    assert labpipe("verify", small_disk / "out").code == 0
+
+
+def test_an_input_that_changes_while_it_is_read_is_refused(lab: Path, labpipe: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The digest in the header would be of another content than the numbers."""
+    from labpipe.stages import ingest
+
+    sample_rate = ingest.TimeAxisScreen.sample_rate
+
+    def changed(self: ingest.TimeAxisScreen) -> float:
+        (lab / "soft.csv").write_text(recording(19e3))
+        os.utime(lab / "soft.csv", ns=(1, 1))
+        return sample_rate(self)
+
+    monkeypatch.setattr(ingest.TimeAxisScreen, "sample_rate", changed)
+    ended = labpipe("run", lab / "pipeline.yaml", "-o", lab / "out")
+    assert ended.code == 2 and "soft.csv: changed while it was read" in ended.err
+    assert not (lab / "out/identification.json").exists()
+
+
+def test_a_deleted_input_is_named(lab: Path, labpipe: Command) -> None:
+    done(lab / "pipeline.yaml", lab / "out")
+    (lab / "soft.csv").unlink()
+    ended = labpipe("run", lab / "pipeline.yaml", "-o", lab / "out")
+    assert ended.code == 2 and "soft.csv" in ended.err and len(ended.err.splitlines()) == 1
+
+
+def test_a_clock_that_goes_back_changes_nothing(lab: Path, labpipe: Command) -> None:
+    done(lab / "pipeline.yaml", lab / "out")
+    before = contents(lab / "out")
+    for path in lab.rglob("*"):
+        os.utime(path, (time.time() + 1e6, time.time() + 1e6))
+    assert labpipe("run", lab / "pipeline.yaml", "-o", lab / "out", "-q").code == 0
+    assert contents(lab / "out") == before
+
+
+def test_files_are_on_the_disk_before_their_names_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Then a cut of power leaves no name without its content; the folder's names follow."""
+    done_in_turn: list[str] = []
+    sync, replace = writing._sync, os.replace
+    monkeypatch.setattr(writing, "_sync", lambda path: (done_in_turn.append(f"sync {path.name}"), sync(path)))
+    monkeypatch.setattr(os, "replace", lambda source, goal: (done_in_turn.append(f"name {Path(goal).name}"), replace(source, goal)))
+    with output_folder(tmp_path / "out") as folder:
+        folder.write_path("a").write_text("a")
+        folder.write_path("sub/b").write_text("b")
+    assert done_in_turn == ["sync a", "sync b", "name a", "name b", "sync out", "sync sub"]
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
+def test_a_disk_that_fails_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    def failing(_: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", failing)
+    with pytest.raises(OSError, match=os.strerror(number)), output_folder(tmp_path / "out") as folder:
+        folder.write_path("a").write_text("a")
+    assert not (tmp_path / "out/a").exists()
+
+
+def test_two_runs_and_a_list_at_once_on_one_folder(lab: Path, labpipe: Command) -> None:
+    done(lab / "pipeline.yaml", lab / "whole")
+    command = [sys.executable, "-m", "labpipe.cli.main"]
+    run = [*command, "run", str(lab / "pipeline.yaml"), "-o", str(lab / "out"), "-q"]
+    # Of the listing only that it ends without a traceback: it may come before the first result.
+    processes = [subprocess.Popen(line, stderr=subprocess.PIPE) for line in (run, run, [*command, "list", str(lab)])]
+    said = [process.communicate()[1] for process in processes]
+    assert [process.returncode for process in processes[:2]] == [0, 0] and b"Traceback" not in b"".join(said)
+    assert contents(lab / "out") == contents(lab / "whole")
