@@ -48,6 +48,15 @@ def test_clean_responses_give_the_truth(order: int) -> None:
 
 
 @pytest.mark.parametrize("order", [0, 1, 2])
+def test_the_order_of_a_noisy_response_is_found(order: int) -> None:
+    fit = fitted(response(order, 0.01))
+    assert fit.candidates[0].name == f"order {order}" and fit.gof.chi2_p > 0.01
+    for name, value in TRUE[order][0].items():
+        assert abs(fit.parameter(name).value - value) < 4 * fit.parameter(name).std_error
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("order", [0, 1, 2])
 def test_the_order_and_the_intervals_are_right(order: int) -> None:
     """12 draws at 2 %: the order by BIC, and the intervals of its parameters, 99.9 % regions of what chance leaves."""
     chosen, held, n = 0, Counter(), 12
