@@ -12,10 +12,10 @@ from scipy import linalg
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 
-# Size below which the leading coefficients of a polynomial are rounding, against its largest.
-ROUNDING = 1e-14
-# Inverse of a zero, in units of the matrices, below which it lies at infinity.
-INFINITE = 1e-10
+# Size of a zero over that of the largest pole beyond which its coefficient is rounding.
+FAR = 1e12
+# Markov parameter over the largest one, in units of the poles, below which it is rounding; accuracy of a converted state space.
+VANISHED, SAME = 1e-10, 1e-6
 
 
 @dataclass(frozen=True)
@@ -55,16 +55,23 @@ def of_polynomials(numerator: ArrayLike, denominator: ArrayLike, rate: float | N
     above, below = _trimmed(numerator), _trimmed(denominator)
     if not below.size:
         raise ConfigError("denominator: is zero", hint="coefficients in descending powers, for example [1, 20, 100]", field="denominator")
+    poles = np.roots(below)
+    above = _without_rounding(above, float(np.max(np.abs(poles), initial=0.0)))
     if not above.size:
         return Transfer((), (), 0.0, rate)
-    return Transfer(_roots(above), _roots(below), float(above[0] / below[0]), rate)
+    return Transfer(_roots(above), tuple(map(complex, poles)), float(above[0] / below[0]), rate)
 
 
 def _trimmed(coefficients: ArrayLike) -> FloatArray:
-    """Without leading zeros and what rounding has left of them."""
-    values = np.atleast_1d(np.asarray(coefficients, float))
-    large = np.flatnonzero(np.abs(values) > ROUNDING * np.max(np.abs(values), initial=0.0))
-    return values[large[0] :] if large.size else np.empty(0)
+    """Without leading zeros."""
+    return np.trim_zeros(np.atleast_1d(np.asarray(coefficients, float)), "f")
+
+
+def _without_rounding(coefficients: FloatArray, largest: float) -> FloatArray:
+    """Without leading coefficients that make zeros far beyond the *largest* pole: what rounding has left of a power that is not there."""
+    while coefficients.size > 1 and abs(coefficients[1]) > FAR * largest * abs(coefficients[0]) > 0:
+        coefficients = coefficients[1:]
+    return coefficients
 
 
 def _roots(coefficients: FloatArray) -> tuple[complex, ...]:
@@ -135,7 +142,7 @@ def _rate_of(interval: Any) -> float | None:
 
 def _nested(polynomials: Any) -> list[list[ArrayLike]]:
     """Coefficients [output][input]; a single polynomial as one element."""
-    single = np.ndim(polynomials[0]) == 0
+    single = np.isscalar(polynomials[0])
     return [[polynomials]] if single else [list(row) for row in polynomials]
 
 
@@ -145,15 +152,39 @@ def _of_states(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate:
 
 
 def _element(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: float | None) -> Transfer:
-    """Zeros by the pencil [[A - z I, B], [C, D]], poles of A, and the gain by the value at a point away from both."""
+    """Zeros by the pencil [[A - z I, B], [C, D]], poles of A, and the gain by the first Markov parameter D, C B, C A B, ... that is none.
+
+    As many zeros are infinite as parameters vanish before it; ConfigError where rounding does not let the others be told.
+    """
     n = len(a)
-    poles = np.linalg.eigvals(a) if n else np.empty(0)
+    if not n:
+        return Transfer(gain=float(d[0, 0]), rate=rate)
+    balanced, turn = linalg.matrix_balance(a)
+    inward, outward = np.linalg.solve(turn, b), c @ turn
+    poles = np.linalg.eigvals(balanced)
+    unit, size = float(np.max(np.abs(poles))) or 1.0, float(np.linalg.norm(inward) * np.linalg.norm(outward))
+    if size == 0:
+        return Transfer(gain=float(d[0, 0]), rate=rate)
+    scaled, inward, outward = balanced / unit, inward / np.linalg.norm(inward), outward / np.linalg.norm(outward)
+    through = d * unit / size
+    markov = [float(through[0, 0]), *(float((outward @ np.linalg.matrix_power(scaled, k) @ inward)[0, 0]) for k in range(n))]
+    first = next(k for k, value in enumerate(markov) if abs(value) > VANISHED * max(map(abs, markov)))
     shift = np.zeros((n + 1, n + 1))
     shift[:n, :n] = np.eye(n)
-    above, below = linalg.eigvals(np.block([[a, b], [c, d]]), shift, homogeneous_eigvals=True)
-    finite = np.abs(below) > INFINITE * np.abs(above)
-    zeros = above[finite] / below[finite]
-    point = 1 + 2 * float(np.max(np.abs(np.concatenate([poles, zeros])), initial=0.0))
-    value = float((c @ np.linalg.solve(point * np.eye(n) - a, b) + d)[0, 0]) if n else float(d[0, 0])
-    gain = float(np.real(value * np.prod(point - poles) / np.prod(point - zeros)))
-    return Transfer(tuple(map(complex, zeros)), tuple(map(complex, poles)), gain, rate) if value else Transfer(gain=0.0, rate=rate)
+    above, below = linalg.eigvals(np.block([[scaled, inward], [outward, through]]), shift, homogeneous_eigvals=True)
+    nearest = np.argsort(-np.abs(below) / np.maximum(np.hypot(np.abs(above), np.abs(below)), np.finfo(float).tiny))[: n - first]
+    zeros = unit * above[nearest] / below[nearest]
+    found = Transfer(tuple(map(complex, zeros)), tuple(map(complex, poles)), markov[first] * size * unit ** (first - 1), rate)
+    return _confirmed(found, (a, b, c, d), unit)
+
+
+def _confirmed(found: Transfer, system: tuple[FloatArray, FloatArray, FloatArray, FloatArray], unit: float) -> Transfer:
+    """The transfer function where it is that of the state space; ConfigError otherwise."""
+    a, b, c, d = system
+    for share in (0.01, 0.3, 3.0):
+        point = share * unit * (0.3 + 1j)
+        exact = complex((c @ np.linalg.solve(point * np.eye(len(a)) - a, b) + d)[0, 0])
+        ours = found.gain * np.prod([point - zero for zero in found.zeros]) / np.prod([point - pole for pole in found.poles])
+        if abs(ours - exact) > SAME * abs(exact):
+            raise ConfigError("the zeros of a state space cannot be told from rounding", hint="give zeros, poles and gain, or filters")
+    return found

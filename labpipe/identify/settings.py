@@ -26,6 +26,7 @@ MODELS = Registry(
         "decay": "labpipe.decay.model_kind:DECAY",
         "dynamic-stiffness": "labpipe.dynamic_stiffness.model_kind:DYNAMIC_STIFFNESS",
         "magnet": "labpipe.magnet.model_kind:MAGNET",
+        "block": "labpipe.magnet.model_kind:BLOCK",
         "worn-bearing": "labpipe.wear.model_kind:WORN_BEARING",
     },
 )

@@ -198,6 +198,8 @@ def test_systems_of_other_packages_are_taken(system: object) -> None:
 def test_discrete_and_coupled_systems_are_taken() -> None:
     system = SimpleNamespace(num=[[[1.0], [0.5]], [[-0.5], [1.0]]], den=[[[1.0, -0.5]] * 2] * 2, dt=1e-4)
     elements = blocks_of_matrix(system)
+    uneven = SimpleNamespace(num=system.num, den=[[[1.0, -0.5], [1.0]], [[1.0], [1.0, -0.5]]], dt=1e-4)
+    assert blocks_of_matrix(uneven)["xy"][0].transfer == Transfer((), (), 0.5, 1e4)
     assert elements["yx"][0].transfer == Transfer((), (0.5,), -0.5, 1e4)
     with pytest.raises(ConfigError, match="one input and one output"):
         ControlLoop(controller=system)
@@ -205,6 +207,27 @@ def test_discrete_and_coupled_systems_are_taken() -> None:
         matrix_of(SimpleNamespace(num=[1.0], den=[1.0, 2.0], dt=True))
     with pytest.raises(ConfigError, match="no transfer function"):
         matrix_of(SimpleNamespace(dt=None))
+
+
+def test_coefficients_of_fast_filters_are_no_rounding() -> None:
+    """Fifth order at some kHz: the highest coefficient is 1e-20 of the lowest one, and counts."""
+    poles = -2 * np.pi * np.array([1e3, 2e3, 3e3, 4e3, 5e3])
+    block = ControllerBlock(form="polynomial", numerator=[float(np.prod(-poles))], denominator=np.poly(poles))
+    np.testing.assert_allclose(np.sort(np.real(block.transfer.poles)), np.sort(poles), rtol=1e-9)
+
+
+@pytest.mark.parametrize("form", ["companion", "cascade"])
+def test_state_spaces_of_fast_filters(form: str) -> None:
+    """Four poles and three zeros at some kHz: the companion form has entries from 1 to 1e17."""
+    zeros, poles = np.array([-300.0, -9e3 + 2e4j, -9e3 - 2e4j]), np.array([-1e4, -2.5e4, -4e3 + 6e3j, -4e3 - 6e3j])
+    system = signal.zpk2ss(zeros, poles, 5e3)
+    if form == "cascade":
+        turn = np.diag(np.logspace(0, -12, 4))
+        system = (np.linalg.solve(turn, system[0] @ turn), np.linalg.solve(turn, system[1]), system[2] @ turn, system[3])
+    a, b, c, d = system
+    ((found,),) = matrix_of(SimpleNamespace(A=a, B=b, C=c, D=d, dt=0))
+    np.testing.assert_allclose(sorted(found.zeros, key=lambda root: root.imag), sorted(zeros, key=lambda root: root.imag), rtol=1e-6)
+    np.testing.assert_allclose(found.response(OMEGA), Transfer(tuple(zeros), tuple(poles), 5e3).response(OMEGA), rtol=1e-6)
 
 
 def test_coefficients_that_are_rounding_are_no_zeros() -> None:
