@@ -27,7 +27,9 @@ out_folder = click.option("-o", "--output", type=PATH, required=True, metavar="D
 pipeline_file = click.option("-c", "--config", "pipeline_path", type=PATH, required=True, metavar="PIPELINE", help="Pipeline file (YAML).")
 
 jobs = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Processes for several tests; 0: one per processor.")
-cluster = click.option("--cluster", metavar="ADDRESS", help="Run the tests on the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786.")
+cluster = click.option(
+    "--cluster", metavar="ADDRESS", help="Run the tests on the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786, or tls://..."
+)
 
 _FILTERS = (
     click.option("--rig", default="", help="Only rigs whose name contains this."),

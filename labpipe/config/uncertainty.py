@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from labpipe.artefacts.digest import DamagedError
+from labpipe.artefacts.json_file import read_digested
 from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_settings
 from labpipe.errors import ConfigError
@@ -97,8 +98,10 @@ def _known(name: str, settings: RepeatSettings) -> RepeatSource:
 def _measured(name: str, settings: RepeatSettings, folder: Path) -> RepeatSource:
     """The scatter between settings of a repeatability test, relative to its mean, with one degree of freedom less than settings."""
     try:
-        comparisons = json.loads((folder / settings.file).read_text(encoding="utf-8")).get("comparisons") or []
+        comparisons = read_digested(folder / settings.file, "identification.json").get("comparisons") or []
         found: Mapping[str, Any] = {one["name"]: one for one in comparisons if one["kind"] == "repeatability"}
+    except DamagedError as error:
+        raise UnitError(f"'{settings.file}' is not a readable identification.json: {error.what}", error.hint) from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise UnitError(f"'{settings.file}' is not a readable identification.json") from None
     if settings.comparison not in found:

@@ -12,6 +12,7 @@ from labpipe.arrays import FloatArray
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.campaign.common_sources import random_error
 from labpipe.errors import DataError
+from labpipe.formats.rows_csv import write_table_csv
 from labpipe.records.identification import Fit
 
 NOISE = "noise"
@@ -19,7 +20,7 @@ NOISE = "noise"
 
 def write_covariance_csv(artefact: Path, target: Path) -> None:
     """`covariance_table` as CSV."""
-    covariance_table(artefact).to_csv(target, index=False)
+    write_table_csv(covariance_table(artefact), target)
 
 
 def write_covariance_parquet(artefact: Path, target: Path) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from labpipe.errors import DataError
 
 # Processor seconds for a file, and for each of its megabytes; and a wall clock of some times as much.
-SECONDS, SECONDS_PER_MB, PATIENCE = 5.0, 0.05, 4
+SECONDS, SECONDS_PER_MB, PATIENCE = 1.9, 0.05, 4
 # Memory [bytes] that looking at a file may take beside what the program has already.
 MEMORY = 2 << 30
 # Elements read at once.

@@ -9,6 +9,7 @@ import pandas as pd
 
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.errors import DataError
+from labpipe.formats.rows_csv import write_table_csv
 from labpipe.records.identification import Fit
 
 
@@ -28,7 +29,7 @@ def write_band_csv(artefact: Path, target: Path) -> None:
                 for frequency, value, radius, weight, over in lines:
                     numbers = {"re": value.real, "im": value.imag, "radius": radius, "weight": weight, "overbound": over}
                     rows.append({**part, "frequency_hz": frequency, **numbers, "confidence": plant.confidence})
-    pd.DataFrame(rows).to_csv(target, index=False)
+    write_table_csv(pd.DataFrame(rows), target)
 
 
 def write_plant_mat(artefact: Path, target: Path) -> None:

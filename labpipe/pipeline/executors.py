@@ -109,7 +109,7 @@ def _distributed() -> Any:
 def _connected(distributed: Any, address: str) -> Any:
     """A client of the scheduler whose workers have this version of labpipe."""
     try:
-        client = distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+        client = distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False, security=_security(address))
     except (OSError, ValueError, TimeoutError) as error:
         hint = "start one with `dask scheduler` and workers with `dask worker`"
         raise DataError(f"no scheduler answers ({error})", where=address, hint=hint) from None
@@ -127,6 +127,17 @@ def _connected(distributed: Any, address: str) -> Any:
         what = f"worker {worker} has {build}labpipe {version}, this is {__version__}"
         raise DataError(what, where=address, hint="install the same version")
     return client
+
+
+def _security(address: str) -> Any:
+    """The certificates that Dask's own configuration names, for an address tls://...; none for another one."""
+    if not address.startswith("tls://"):
+        return None
+    security: Any = _distributed().Security()
+    if not (security.tls_ca_file and security.tls_client_cert):
+        hint = "name them in Dask's configuration: distributed.comm.tls.ca-file, .client.cert, .client.key"
+        raise ConfigError(f"--cluster {address}: no certificates are configured", hint=hint)
+    return security
 
 
 def _version() -> tuple[str, str]:

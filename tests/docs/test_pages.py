@@ -20,6 +20,9 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGES = sorted((DOCS / "pages").rglob("*.md"))
 # Commands for a shell, and where they are run.
 SHELL = {
+    "python -m tests.fuzz.run --seconds 600": "tests/fuzz, with a fixed number of trials",
+    "python -m tests.machine.kills --count 100 --processes 2": "tests/machine, with one kill",
+    "python -m tests.mutants.run --count 200": "takes hours",
     "dask scheduler": "tests/cli/test_many_tests.py, on loopback",
     "dask worker tcp://10.0.0.1:8786 --nthreads 1": "tests/cli/test_many_tests.py, on loopback",
     "pip install ./docs/plugin": "the plug-in's entry points are written here as pip writes them",

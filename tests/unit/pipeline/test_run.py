@@ -260,3 +260,18 @@ def test_measuring_alone_makes_no_fits(lab: Path) -> None:
         measured = measure_tests(load_pipeline(lab / "pipeline.yaml"), output, Manner())
     assert measured.fits == {} and [response.name for response in measured.tests] == ["soft", "hard"]
     assert not (lab / "out/fits").exists()
+
+
+def test_a_cluster_by_tls_takes_the_certificates_of_its_own_configuration(tmp_path: Path) -> None:
+    """Without them nothing is sent to anyone; a plain address has none."""
+    import dask
+
+    from labpipe.pipeline import executors
+
+    assert executors._security("tcp://127.0.0.1:8786") is None
+    with pytest.raises(ConfigError, match="no certificates are configured"):
+        executors._security("tls://127.0.0.1:8786")
+    names = {"ca-file": "ca.pem", "client.cert": "cert.pem", "client.key": "key.pem"}
+    with dask.config.set({f"distributed.comm.tls.{name}": str(tmp_path / file) for name, file in names.items()}):
+        security = executors._security("tls://127.0.0.1:8786")
+    assert security.tls_ca_file == str(tmp_path / "ca.pem") and security.tls_client_key == str(tmp_path / "key.pem")
