@@ -19,7 +19,8 @@ BLANK = b"0" * 64
 CHUNK = 1 << 20
 # A Parquet file ends with the length of its foot and a mark.
 _FOOT_END, _MARK = 8, b"PAR1"
-_DIGEST = re.compile(re.escape(DIGEST_KEY) + rb".{1,4}?([0-9a-f]{64})", re.DOTALL)
+# As the foot's encoding (Thrift, compact) writes it: the key, a text of 64 bytes.
+_DIGEST = re.compile(re.escape(DIGEST_KEY) + rb"\x18\x40(.{64})", re.DOTALL)
 AGAIN = "restore it from a copy, or have labpipe make it again"
 
 
@@ -50,7 +51,7 @@ def parquet_digest(path: Path) -> str:
         return ""
     with path.open("rb") as stream:
         stream.seek(place)
-        stated = stream.read(len(BLANK)).decode()
+        stated = stream.read(len(BLANK)).decode("latin-1")
     if _digest_without(path, place) != stated:
         raise mismatch(path)
     return stated

@@ -111,7 +111,7 @@ class TestReader:
         recordings = self._recordings(entries["recordings"], join(key, "recordings")) if "recordings" in entries else []
         frfs = read_ready_frfs(entries["frfs"], join(key, "frfs"), self.faults) if "frfs" in entries else []
         if not recordings and not frfs and not len(self.faults):
-            self.faults.add(node if node.place else self.top["title"], key, "neither recordings nor frfs")
+            self.faults.add(node if node.place else next(iter(self.top.values())), key, "neither recordings nor frfs")
         conditions, recorded = self._conditions(entries, key)
         if frfs and recorded:
             what = "a ready FRF has no channels to take conditions from"

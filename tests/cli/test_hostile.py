@@ -87,6 +87,13 @@ def test_an_impossible_unit_in_a_header_is_no_unit(lab: Path, labpipe: Command, 
     refused(labpipe("run", lab / "pipeline.yaml", "-o", lab / "out"), "no column 'y [um]'")
 
 
+def test_no_recordings_and_no_title_is_one_message(lab: Path, labpipe: Command) -> None:
+    """It once ended in a KeyError: the place of the fault was that of the title."""
+    (lab / "pipeline.yaml").write_text(ALONE.replace("title: Small\n", "").replace("recordings: soft.csv", "recordings: []"))
+    ended = labpipe("run", lab / "pipeline.yaml", "-o", lab / "out")
+    assert ended.code == 2 and "neither recordings nor frfs" in ended.err
+
+
 # numbers beyond all measure
 
 

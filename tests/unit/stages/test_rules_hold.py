@@ -84,6 +84,12 @@ HELD = [
     ("narrow.warnings", "few-lines"),
     ("one.warnings", "not few-lines"),
     ("one.warnings", "not collinear"),
+    ("one.chi2_reduced", "< 1e-6"),
+    ("one.chi2_p", "> 0.999"),
+    ("one.condition_number", ">= 1"),
+    ("one.k.expanded", "> 0 N/m"),
+    ("one.k.expanded", "< 1 kN/m"),
+    ("one.k.expanded", "< 1 %"),
 ]
 FAILED = [
     ("one.k", "101 kN/m +- 0.1 %"),
@@ -100,6 +106,11 @@ FAILED = [
     ("one.warnings", "clipped"),
     ("narrow.warnings", "none"),
     ("narrow.warnings", "not few-lines"),
+    ("one.chi2_p", "< 0.5"),
+    ("one.condition_number", "< 1"),
+    ("one.k.expanded", "> 1 kN/m"),
+    ("one.k.expanded", "> 1 %"),
+    ("one.k.std_error", "> 1 kN/m"),
 ]
 
 
@@ -141,6 +152,13 @@ def test_a_rule_on_what_there_is_not(lab: Path, address: str, text: str, said: s
         judged(lab, accept={address: text})
     assert said in str(caught.value) and f"accept.{address}" in str(caught.value)
     assert caught.value.where.startswith(f"{lab / 'p.yaml'}:")
+
+
+def test_the_expanded_uncertainty_is_half_the_interval_and_relative_in_per_cent(lab: Path) -> None:
+    absolute, relative = judged(lab, accept={"one.k.expanded": ["> 0 N/m", "> 0 %"]})
+    (fit,) = (fit for fit in read_identification(lab / "out/identification.json").fits if fit.name == "one")
+    low, high = fit.parameter("k").ci95
+    assert absolute.value == (high - low) / 2 and relative.value == (high - low) / 2 / fit.parameter("k").value
 
 
 def test_the_value_shown_is_the_first_that_fails(lab: Path) -> None:
