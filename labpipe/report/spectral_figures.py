@@ -29,6 +29,8 @@ def spectral_blocks(response: FrequencyResponse) -> tuple[Block, ...]:
         peaks = resonances(response)
         blocks += [two_sided_figure(response, peaks), *_half_power_table(response, peaks)]
         blocks += [orbit_figure(response, peaks)] if peaks else []
+    if response.open_loop is not None:
+        blocks.append(open_loop_figure(response, response.open_loop))
     if response.distortion is not None and response.variance is not None:
         blocks.append(distortion_figure(response))
     return tuple(blocks)
@@ -128,6 +130,24 @@ def _orbit(path: FloatArray, name: str, colour: int) -> list[Series]:
     tail, head = path[:, ARROW[0]], path[:, ARROW[1]]
     first = dots(name, path[0, :1], path[1, :1], colour, marker="o", size=4.0)
     return [curve(name, path[0], path[1], colour, width=1.2), first, arrow(tail, head, colour)]
+
+
+def open_loop_figure(response: FrequencyResponse, open_loop: ComplexArray) -> Figure:
+    """|H| and phase by the reference of a closed loop, and H1, *open_loop* (n_frequency, n_output, n_input) [unit of H], beside it."""
+    factor = form_unit(response.form)[1]
+    amplitude, phase = [], []
+    for number, (o, i, name) in enumerate(element_names(response)):
+        pair = (("", "-", response.matrix[:, o, i]), (" H1, biased", ":", open_loop[:, o, i]))
+        for what, line, values in pair:
+            amplitude.append(curve(f"{name}{what}", response.frequency, factor * np.abs(values), number % PALETTE_SIZE, line))
+            phase.append(curve(f"{name}{what}", response.frequency, phase_degrees(values), number % PALETTE_SIZE, line))
+    name = response.name or "the measurement"
+    caption = (
+        f"{response.form} of {name} by what is injected into the loop (lines), and H1 (dotted), which takes the loop as open: a biased "
+        "estimate, shown as what it is and used for nothing."
+    )
+    chart = stacked([over_frequency(form_axis(response.form), amplitude, 3.0), over_frequency(PHASE, phase, 2.0)], 4.8)
+    return Figure(chart, caption[0].upper() + caption[1:], f"FRF by the reference and H1 of {name} over frequency")
 
 
 def distortion_figure(response: FrequencyResponse) -> Figure:

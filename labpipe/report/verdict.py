@@ -12,7 +12,7 @@ MOST_NOTES = 12
 # Characters of all notes of one kind that are still read.
 LONGEST_NOTES = 1200
 # Codes of findings with which a result must not be used.
-SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch", "negative-gof", "mass", "drift", "unstable-loop")
+SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch", "negative-gof", "mass", "drift", "unstable-loop", "feedback")
 # Models whose residual is held against no noise: their points have none.
 WITHOUT_NOISE = ("straight-line",)
 

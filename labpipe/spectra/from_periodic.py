@@ -11,6 +11,7 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.bands import line_range
+from labpipe.spectra.feedback import feedback_of_periods
 from labpipe.spectra.halves import cut_at, rest_of_mean
 from labpipe.spectra.independence import force_inverse
 from labpipe.spectra.joint import check_references, open_loop_note
@@ -32,7 +33,8 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     """
     assert settings.period is not None
     averaged = [_period_average(source, settings) for source in sources]
-    spectra = [spectrum for spectrum, _ in averaged]
+    single = [spectrum for spectrum, _ in averaged]
+    spectra = [smoothed_noise(spectrum, settings.smooth) for spectrum in single]
     acting = _acting(spectra, layout)
     lines = np.all(acting, axis=1)
     if settings.reference and np.any(lines):
@@ -56,6 +58,8 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     open_loop = None if covariance is None or not settings.reference else _open_loop(spectra, mean, noises, n_input)
     if open_loop is not None and covariance is not None:
         findings = (*findings, open_loop_note(spectra[0].frequency, matrix, covariance, open_loop))
+    else:
+        findings = (*findings, *feedback_of_periods([spectrum.select(lines) for spectrum in single], matrix, layout))
     averages = float(min(spectrum.n_period for spectrum in spectra))
     dof = min(spectrum.dof for spectrum in spectra) if covariance is not None else np.inf
     return Parts(
@@ -134,7 +138,7 @@ def _acting(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
 
 
 def _period_average(source: SampleSource, settings: FrfSettings) -> tuple[LineSpectrum, LineSpectrum | None]:
-    """The averaged and smoothed lines of one recording in the band, and those of the first half of its periods."""
+    """The averaged lines of one recording in the band, and those of the first half of its periods."""
     assert settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)
     lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
@@ -147,7 +151,7 @@ def _period_average(source: SampleSource, settings: FrfSettings) -> tuple[LineSp
             half = average.spectrum(source.sample_rate)
     spectrum = average.spectrum(source.sample_rate)
     chosen = lines_left(spectrum.frequency, settings)
-    return smoothed_noise(spectrum.select(chosen), settings.smooth), None if half is None else half.select(chosen)
+    return spectrum.select(chosen), None if half is None else half.select(chosen)
 
 
 def _signal_to_noise(mean: ComplexArray, noise: ComplexArray) -> FloatArray:

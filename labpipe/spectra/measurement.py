@@ -15,6 +15,7 @@ from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.aliasing import AliasingMonitor, aliasing_findings
 from labpipe.spectra.convert import TRANSMISSIBILITY
 from labpipe.spectra.directional import directional
+from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.from_impact import impact_parts
 from labpipe.spectra.from_periodic import LOW_SNR, periodic_parts
 from labpipe.spectra.from_random import random_parts
@@ -34,6 +35,9 @@ from labpipe.spectra.without_shaft import without_shaft
 
 # Multiple coherence below which an output is mostly noise.
 EXPLAINED = 0.5
+
+# Excitations whose records show by themselves whether the loop is closed; periods do by what does not repeat.
+RECORDS = ("random", "impact")
 
 EXCITATIONS: dict[str, Callable[[Sequence[SampleSource], FrfSettings, Layout], Parts]] = {
     "periodic": periodic_parts,
@@ -96,12 +100,13 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
     settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
     sources, settings, shaft = without_shaft(sources, settings)
     cleaned = sources
+    loop = feedback_of_records(sources, settings, layout) if settings.excitation in RECORDS else ()
     monitors = [AliasingMonitor(source, settings.excitation == "impact") for source in sources]
     sources = list(monitors)
     evaluate = joint_parts if settings.reference and settings.excitation == "random" else EXCITATIONS[settings.excitation]
     parts = evaluate(sources, settings, layout)
     aliasing = aliasing_findings(monitors, settings.band, _coherent_outputs(parts, layout))
-    findings = (*source_findings(sources), *doubt_findings(sources), *mask_findings(bands), *shaft, *aliasing, *parts.findings)
+    findings = (*source_findings(sources), *doubt_findings(sources), *mask_findings(bands), *shaft, *aliasing, *parts.findings, *loop)
     sensor_factor = layout.sensor_factor(parts.frequency)
     flat = sensor_factor.reshape(sensor_factor.shape[0], -1)
     covariance = None if parts.covariance is None else parts.covariance * (flat[:, :, None] * flat[:, None, :].conj())

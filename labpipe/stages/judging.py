@@ -14,6 +14,9 @@ from labpipe.registry import nearest
 from labpipe.sections import names_of, section
 from labpipe.stages.judging_numbers import Compared, compare_number
 
+# Warnings with which nothing is accepted: the size of the error is not known.
+FORBIDDING = ("feedback",)
+
 _FIT_VALUES: dict[str, Callable[[Fit], float | None]] = {
     "gof": lambda fit: fit.gof.r2_adjusted,
     "r2": lambda fit: fit.gof.r2,
@@ -28,8 +31,9 @@ def judge(rules: Iterable[Rule], fits: Sequence[Fit], records: Mapping[str, Any]
     """The outcome of every rule on fits, and on the *records* of sections by their key.
 
     ConfigError at the rule's place when it addresses what the result does not have; in an *incomplete* result, where tests failed, such a
-    rule fails.
+    rule fails. A value whose bias cannot be known is not accepted, whatever the rules say and where there are none.
     """
+    rules = tuple(rules)
     outcomes: list[RuleOutcome] = []
     for rule in rules:
         try:
@@ -38,7 +42,18 @@ def judge(rules: Iterable[Rule], fits: Sequence[Fit], records: Mapping[str, Any]
             if not incomplete:
                 raise
             outcomes.append(RuleOutcome(rule.section, rule.text, None, False))
-    return tuple(outcomes)
+    return (*outcomes, *_forbidden(rules, fits))
+
+
+def _forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> list[RuleOutcome]:
+    """A failed rule for every fit with a warning that forbids to accept it, unless a rule on its warnings expects that one."""
+    expected = {(rule.fit, rule.bound) for rule in rules if rule.item == "warnings"}
+    forbidden: dict[str, str] = {}
+    for fit in fits:
+        for finding in of_level(WARNING, fit.findings):
+            if finding.code in FORBIDDING and (fit.name, finding.code) not in expected:
+                forbidden.setdefault(f"{fit.name}.warnings: not {finding.code}", finding.code)
+    return [RuleOutcome("accept", text, code, False, shown=code) for text, code in forbidden.items()]
 
 
 def _ruled(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> RuleOutcome:

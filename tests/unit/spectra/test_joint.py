@@ -232,7 +232,7 @@ def test_what_is_no_reference_is_said() -> None:
         measure([run], replace(RANDOM, block=10.0))
     (sines,) = runs(("multisine-x",))
     with pytest.raises(DataError, match="no line of the reference r_x exceeds its noise"):
-        measure([silent(sines, 2, noise)], PERIODIC)
+        measure([silent(sines, 2, noise[: sines.n_sample])], PERIODIC)
     lacking = replace(run, channels=(*run.channels[:2], replace(run.channels[2], name="r_q")))
     with pytest.raises(DataError, match="has none of the references r_x"):
         measure([run, lacking], RANDOM)

@@ -1,0 +1,290 @@
+"""Is the loop closed? Whether a force is fed back from the response, from the records alone, where no reference was named.
+
+Random data: what a force does to a response comes after it. In a loop u = r - C y, y = G u + v the estimate S_yu / S_uu is
+(G S_r - C* S_v) / (S_r + |C|^2 S_v), and C* comes before; so does G of a rotor that is unstable without its controller. Tested is the part
+of the impulse response before the force, a few lags left out for the ends of the band (Haugh, J. Am. Stat. Assoc. 71, 1976: lags of either
+sign). Periodic data: what does not repeat is noise of sensors, or a force besides, of which the response is G u: by neither is
+S_wu / G, w = y - G u, complex, as it is where v is fed back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import fft, linalg, special
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.records.finding import Finding
+from labpipe.records.recording import SampleSource
+from labpipe.spectra.periodic import LineSpectrum
+from labpipe.spectra.ports import Layout
+from labpipe.spectra.reading import checked_blocks
+from labpipe.spectra.settings import FrfSettings
+
+BIASED = "The FRF is biased towards minus the inverse of the controller by an amount that cannot be known"
+WEIGHTED = (
+    "Without its reference the lines are chosen and weighted by a force whose noise is that of the response, so that fits are biased by an "
+    "amount that cannot be known"
+)
+# Chance of a false alarm that is taken, over all pairs of force and response.
+LEVEL = 1e-3
+# Samples of every recording that are looked at, so that the test costs little beside a long record's FRF; fewest that tell anything.
+MOST_SAMPLES, FEWEST_SAMPLES = 1 << 16, 1 << 10
+# Fewest lines of the whole record in the excited band: what averages over HALF_WIDTH lines leave is then small.
+FEWEST_LINES = 1000
+# Lags before the force that are tested, in intervals of 1 / (2 f), f the upper edge of the excited band: the nearest belong to that edge.
+LAGS = range(2, 21)
+# An impulse response before the force of this share of its peak is none: leakage of the record's ends, sensors that differ.
+FLOOR = 0.01
+# Share of the band over which lines fade out at its upper edge, and of the record at its ends.
+TAPER, ENDS = 0.5, 0.1
+# Lines to either side over which spectra are averaged, order of the filter that takes a response's resonances out.
+HALF_WIDTH, ORDER = 12, 20
+# The excited band ends where the power of the force falls to the first share within a quarter more frequency, unless it stays coherent with
+# the response as by a loop, or to the third share of its peak, the strongly excited one to the fourth.
+CLIFF, CLIFF_WIDTH, DARK, DIM, COHERENT = 0.1, 1.25, 1e-4, 0.03, 0.9
+COARSE_BANDS, LOG_BANDS = 200, 60
+# Least share of the lines that the strongly excited band must have of the others.
+LEAST_SHARE = 0.1
+# First over last line above which too much of the band is missing below it to tell of lags.
+LOWEST_EDGE = 0.15
+
+
+def feedback_of_records(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> tuple[Finding, ...]:
+    """A warning where responses come before the forces that should make them, or before what is named as the reference.
+
+    None for records too short, or excited in a narrow band, to tell. Only the first MOST_SAMPLES of a recording are looked at.
+    """
+    chances: dict[str, float] = {}
+    for number, source in enumerate(sources):
+        names = [channel.name for channel in source.channels]
+        forces = [column for column in layout.input_columns[number] if column >= 0]
+        driving = [names.index(name) for name in settings.reference if name in names] or forces
+        samples = _first_samples(source)
+        driving = [column for column in driving if np.any(samples[:, column] != samples[0, column])]
+        if driving and samples.shape[0] >= FEWEST_SAMPLES:
+            p_value = chance_of_order(samples[:, driving], samples[:, list(layout.output_columns[number])])
+            chances[", ".join(names[column] for column in driving)] = min(p_value * len(sources), 1.0)
+    return _findings(chances, settings.reference)
+
+
+def _findings(chances: dict[str, float], reference: tuple[str, ...], what: str = BIASED) -> tuple[Finding, ...]:
+    """The warning for the smallest of the chances (p-values by the names of forces or references); *what* it does to the FRF."""
+    named = min(chances, key=lambda name: chances[name], default="")
+    if not chances or chances[named] >= LEVEL:
+        return ()
+    p_text = f"p < {LEVEL / 1e4:.0e}" if chances[named] < LEVEL / 1e4 else f"p = {chances[named]:.1g}"
+    if reference:
+        message = (
+            f"the loop is closed around the reference {named} too: it follows the responses ({p_text}), so it does not open the loop. "
+            f"{what}. Name what is injected from outside, as it leaves the generator"
+        )
+        return (Finding("feedback", message),)
+    message = (
+        f"the loop is closed: the force {named} follows the responses ({p_text}), as of a levitated rotor or under a controller. {what}, "
+        "and coherence does not show it. Record what is injected into the loop, with role: reference, and name it: `frf: {reference: ...}`"
+    )
+    return (Finding("feedback", message),)
+
+
+def _first_samples(source: SampleSource) -> FloatArray:
+    """At most MOST_SAMPLES of the beginning of a recording, (n_sample, n_channel)."""
+    pieces: list[FloatArray] = []
+    for block in checked_blocks(source):
+        pieces.append(block)
+        if sum(piece.shape[0] for piece in pieces) >= MOST_SAMPLES:
+            break
+    return np.concatenate(pieces)[:MOST_SAMPLES]
+
+
+def chance_of_order(forces: FloatArray, responses: FloatArray) -> float:
+    """p-value [1] of the part of the impulse responses before the *forces* (n_sample, n_input) in *responses* (n_sample, n_output) [SI].
+
+    For the worst of all pairs in two bands, all that is excited and what is excited most (Bonferroni); 1 where these tell nothing.
+    """
+    n_input = forces.shape[1]
+    both = np.hstack([forces, responses])
+    taper = _tukey(both.shape[0])
+    spectra = fft.rfft((both - np.mean(both, axis=0)) * taper[:, None], axis=0)[1:]
+    spectra = spectra[:, np.any(spectra != 0, axis=0)]
+    scale = float(np.sum(taper**4) * taper.size / np.sum(taper**2) ** 2)
+    bands = dict.fromkeys(band for band in _excited(spectra[:, :n_input], spectra[:, n_input:]) if _is_enough(*band))
+    chances = [p_value for band in bands for p_value in _chances_in(spectra, n_input, band, scale)]
+    return float(min(min(chances) * len(chances), 1.0)) if chances else 1.0
+
+
+def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scale: float) -> list[float]:
+    """p-values of all pairs in lines first ... last; *scale*: by how much the taper of the record raises variances."""
+    first, last = band
+    u, y = spectra[:last, :n_input], spectra[:last, n_input:]
+    w = np.pi * np.arange(1, last + 1) / last
+    fade = _fade(w, first)
+    degree = 1 + int(np.ceil(2 * len(LAGS) * first / last))
+    level, size = _level(u), np.sqrt(np.mean(np.abs(u) ** 2, axis=0))
+    u = u / level
+    inverse = np.linalg.pinv(_average(u[:, :, None] * u[:, None, :].conj()), hermitian=True, rcond=1e-9)
+    spread = np.maximum(np.einsum("lii->li", inverse).real, 0.0) / level**2
+    free = (2 * HALF_WIDTH + 1) / max(2 * HALF_WIDTH + 1 - n_input, 1)
+    chances = []
+    for output in y.T:
+        s_yu, power = _average(output[:, None] * u.conj()), _average(np.abs(output) ** 2).real
+        noise = np.maximum(power - np.einsum("li,lij,lj->l", s_yu, inverse, s_yu.conj()).real, 0.0) * free
+        white = fade * _whitening(power, w)
+        raw = white[:, None] * ((output[:, None] * u.conj())[:, None, :] @ inverse)[:, 0] / level * size
+        after = np.exp(1j * np.arange(LAGS.stop)[:, None] * w) @ raw
+        # What one force leaves of another's spectrum is small against the larger of their effects.
+        floor = FLOOR * float(np.max(np.abs(after.real)))
+        variance = scale * (np.abs(white) ** 2 * noise)[:, None] * spread * size**2
+        chances += [_chance_of_lags(raw[:, i], variance[:, i], w, floor, degree) for i in range(n_input)]
+    return chances
+
+
+def _fade(w: FloatArray, first: int) -> FloatArray:
+    """Weights of lines at *w* (n_line,): they fade in from line *first* to twice that, and out over TAPER of the band."""
+    upper = 0.5 * (1 + np.cos(np.maximum(w - np.pi * (1 - TAPER), 0.0) / TAPER))
+    rising = np.clip(np.arange(w.size) / max(first, 1) - 1, 0.0, 1.0) if first else np.ones(w.size)
+    return np.asarray(upper * 0.5 * (1 - np.cos(np.pi * rising)))
+
+
+def _level(u: ComplexArray) -> FloatArray:
+    """Amplitude of spectra (n_line, n) over bands of equal ratio, (n_line, n): within a few lines a steep spectrum is then flat."""
+    n = u.shape[0]
+    edges = np.unique(np.round(np.geomspace(1, n + 1, LOG_BANDS)).astype(int)) - 1
+    power = np.add.reduceat(np.abs(u) ** 2, edges[:-1], axis=0) / np.diff(edges)[:, None]
+    power = np.maximum(power, np.finfo(float).eps ** 2 * np.max(power, axis=0))
+    middle, lines = np.log((edges[1:] + edges[:-1] + 1) / 2), np.log(np.arange(1, n + 1))
+    return np.exp(0.5 * np.column_stack([np.interp(lines, middle, column) for column in np.log(power).T]))
+
+
+def _chance_of_lags(response: ComplexArray, variance: FloatArray, w: FloatArray, floor: float, degree: int) -> float:
+    """p-value of the lags before 0 of an FRF (n_line,) with its *variance* (n_line,) at *w* (n_line,) [rad per interval].
+
+    *floor*: standard deviation of a lag beside the noise; *degree* of the slow curve that is left out of account.
+    """
+    before = np.array(LAGS)
+    lags = (np.exp(-1j * before[:, None] * w) @ response).real
+    covariance = linalg.toeplitz(np.cos(np.arange(before.size)[:, None] * w) @ variance / 2)
+    covariance = covariance + np.eye(before.size) * floor**2
+    lower = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(lower, lags)
+    # What lies below the lowest excited line is missing on both sides, as a slow curve.
+    place = np.linspace(-1, 1, before.size)
+    slow = np.linalg.qr(np.linalg.solve(lower, np.polynomial.legendre.legvander(place, degree)))[0]
+    white = white - slow @ (slow.T @ white)
+    return float(special.chdtrc(before.size - slow.shape[1], white @ white))
+
+
+def _excited(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
+    """First line and number of lines up to the last, of the band that the forces excite and of that which they excite most."""
+    n = u.shape[0]
+    edges = np.unique(np.linspace(0, n, COARSE_BANDS + 1).astype(int))
+    coarse = np.add.reduceat(np.abs(u) ** 2, edges[:-1], axis=0) / np.diff(edges)[:, None]
+    coarse = coarse / np.maximum(np.max(coarse, axis=0), np.finfo(float).tiny)
+    coherence = np.add.reduceat(_largest_coherence(u, y), edges[:-1]) / np.diff(edges)
+    bands = []
+    for dark in (DARK, DIM):
+        lit = np.all(coarse > dark, axis=1)
+        lower, upper = _edges_of(coarse, coherence)
+        lit[:lower], lit[upper:] = False, False
+        if np.any(lit):
+            bands.append((int(edges[np.argmax(lit)]), int(edges[lit.size - np.argmax(lit[::-1])])))
+    # A sliver at the foot of a steep spectrum tells nothing.
+    return [band for band in bands if band[1] > LEAST_SHARE * bands[0][1]]
+
+
+def _edges_of(coarse: FloatArray, coherence: FloatArray) -> tuple[int, int]:
+    """First of the coarse bands (n_band, n_input) and first above, between cliffs in the power of a force that is not coherent beyond."""
+    first, last = 0, coarse.shape[0]
+    for column in coarse.T:
+        strongest = int(np.argmax(column))
+        for number in range(strongest, last - 1):
+            further = slice(number + 1, int(np.ceil(CLIFF_WIDTH * (number + 0.5))) + 1)
+            fallen = (column[further] < CLIFF * column[number]) & (coherence[further] < COHERENT)
+            if np.any(fallen):
+                last = min(last, number + 1 + int(np.argmax(fallen)))
+                break
+        for number in range(strongest, first, -1):
+            before = np.arange(number - 1, int((number + 0.5) / CLIFF_WIDTH) - 2, -1)
+            before = before[before >= 0]
+            fallen = (column[before] < CLIFF * column[number]) & (coherence[before] < COHERENT)
+            if np.any(fallen):
+                first = max(first, number - int(np.argmax(fallen)))
+                break
+    return first, last
+
+
+def _largest_coherence(u: ComplexArray, y: ComplexArray) -> FloatArray:
+    """The largest coherence of a force with a response, (n_line,)."""
+    crossed = np.abs(_average(y[:, :, None] * u[:, None, :].conj())) ** 2
+    power = _average(np.abs(y) ** 2).real[:, :, None] * _average(np.abs(u) ** 2).real[:, None, :]
+    share = np.divide(crossed, power, out=np.zeros_like(crossed), where=power > 0)
+    return np.asarray(np.max(share, axis=(1, 2), initial=0.0))
+
+
+def _is_enough(first: int, last: int) -> bool:
+    """Whether lines first ... last tell of lags: there are enough, and not the lower part of the band is missing."""
+    return last >= FEWEST_LINES and first <= LOWEST_EDGE * last
+
+
+def _average(values: ComplexArray | FloatArray) -> ComplexArray:
+    """Mean over HALF_WIDTH lines to either side along axis 0, truncated at the ends."""
+    total = np.concatenate([np.zeros((1, *values.shape[1:]), np.complex128), np.cumsum(values, axis=0)])
+    number = np.arange(values.shape[0])
+    first, last = np.maximum(number - HALF_WIDTH, 0), np.minimum(number + HALF_WIDTH + 1, values.shape[0])
+    return np.asarray((total[last] - total[first]) / (last - first).reshape(-1, *(1,) * (values.ndim - 1)))
+
+
+def _whitening(power: FloatArray, w: FloatArray) -> ComplexArray:
+    """A(w) = 1 - sum a_k e^{-j w k} (n_line,) of the autoregression of a signal with this *power* (n_line,): causal, as its inverse is."""
+    covariance = np.cos(np.arange(ORDER + 1)[:, None] * w) @ power
+    covariance[0] *= 1 + 1e-4
+    coefficients = linalg.solve_toeplitz(covariance[:-1], covariance[1:])
+    return np.asarray(np.exp(-1j * w[:, None] * np.arange(ORDER + 1)) @ np.concatenate([[1.0], -coefficients]))
+
+
+def _tukey(n: int) -> FloatArray:
+    """1 with cosine ends, each ENDS / 2 of the record, (n,)."""
+    place = np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / (ENDS / 2 * n)
+    return np.asarray(np.where(place < 1, 0.5 * (1 - np.cos(np.pi * np.minimum(place, 1.0))), 1.0))
+
+
+def feedback_of_periods(spectra: Sequence[LineSpectrum], matrix: ComplexArray, layout: Layout) -> tuple[Finding, ...]:
+    """A warning where what does not repeat from period to period is fed back; *spectra* at the lines of H = *matrix* (n_line, n_o, n_i).
+
+    In SI units [SI]; the noise of *spectra* must be that of single lines, not smoothed.
+    """
+    chances: dict[str, float] = {}
+    n_input = len(layout.inputs)
+    for number, spectrum in enumerate(spectra):
+        if spectrum.noise is None or spectrum.dof < 2:
+            continue
+        noise = layout.padded(number, spectrum.noise, 2)
+        for force in range(n_input):
+            values = [
+                chance_of_phase(noise[:, [force, n_input + o]][:, :, [force, n_input + o]], matrix[:, o, force], spectrum.dof)
+                for o in range(matrix.shape[1])
+            ]
+            name = layout.inputs[force].label
+            chances[name] = min(min(values) * len(values) * n_input * len(spectra), chances.get(name, 1.0))
+    return _findings(chances, (), WEIGHTED)
+
+
+def chance_of_phase(noise: ComplexArray, response: ComplexArray, dof: float) -> float:
+    """p-value [1] that S_wu / G, w = y - G u, is real: *noise* (n_line, 2, 2) [SI] of u and y, G = *response* (n_line,) [SI].
+
+    By line a t test of *dof* complex degrees of freedom, over all lines the sum of ln p (Fisher).
+    """
+    s_uu, s_yu, s_yy = noise[:, 0, 0].real, noise[:, 1, 0], noise[:, 1, 1].real
+    s_wu = s_yu - response * s_uu
+    s_ww = s_yy - 2 * (response.conj() * s_yu).real + np.abs(response) ** 2 * s_uu
+    there = (s_uu > 0) & (s_ww > 0) & (np.abs(response) > 0)
+    if not np.any(there):
+        return 1.0
+    s_uu, s_wu, s_ww, response = s_uu[there], s_wu[there], s_ww[there], response[there]
+    turned = (s_wu * response.conj()).imag / np.abs(response)
+    rest = np.maximum(s_ww - np.abs(s_wu) ** 2 / s_uu, np.finfo(float).tiny)
+    free = 2 * dof - 2
+    square = free * turned**2 / s_uu / rest
+    chance = np.maximum(2 * special.stdtr(free, -np.sqrt(square)), np.finfo(float).tiny)
+    return float(special.chdtrc(2 * chance.size, -2 * np.sum(np.log(chance))))
