@@ -140,7 +140,10 @@ def open_loop_figure(response: FrequencyResponse, open_loop: ComplexArray) -> Fi
         pair = (("", "-", response.matrix[:, o, i]), (" H1, biased", ":", open_loop[:, o, i]))
         for what, line, values in pair:
             amplitude.append(curve(f"{name}{what}", response.frequency, factor * np.abs(values), number % PALETTE_SIZE, line))
-            phase.append(curve(f"{name}{what}", response.frequency, phase_degrees(values), number % PALETTE_SIZE, line))
+            # Lines would jump from -180 to 180 deg and hide each other.
+            phase.append(
+                dots(f"{name}{what}", response.frequency, phase_degrees(values), number % PALETTE_SIZE, size=1.5, hollow=bool(what))
+            )
     name = response.name or "the measurement"
     caption = (
         f"{response.form} of {name} by what is injected into the loop (lines), and H1 (dotted), which takes the loop as open: a biased "
