@@ -59,7 +59,9 @@ def test_within_means_between_the_smallest_and_the_largest_of_the_others() -> No
 
 def stand_ins(folder: Path) -> None:
     """Files by the names of the page, of the same layout; the rig file of the page."""
-    (rig,) = re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)
+    rig, kit = re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)
+    (folder / "kit.yaml").write_text(kit, encoding="utf-8")
+    (folder / "Data_time.mat").touch()
     for name in ("rig.yaml", "radial.yaml"):
         (folder / name).write_text(rig, encoding="utf-8")
     for name in ("experimental_modal_analysis_journal_r.csv", "Point1_Channel1_CH1.txt", "VDeXpiLab1_Exp.mat"):
