@@ -36,9 +36,10 @@ FEWEST_LINES = 1000
 # Lags before the force that are tested, in intervals of 1 / (2 f), f the upper edge of the excited band: the nearest belong to that edge.
 LAGS = range(2, 21)
 # An impulse response before the force of this share of its peak is none: leakage of the record's ends, sensors that differ.
-FLOOR = 0.01
-# Share of the band over which lines fade out at its upper edge, and of the record at its ends.
-TAPER, ENDS = 0.5, 0.1
+FLOOR = 0.03
+# Share of the band over which lines fade out at its upper edge: all of it, so that the response of a structure that answers at once (an
+# accelerance, a stiffness) reaches one lag before the force and no further. Share of the record at its ends.
+TAPER, ENDS = 1.0, 0.1
 # Lines to either side over which spectra are averaged, order of the filter that takes a response's resonances out.
 HALF_WIDTH, ORDER = 12, 20
 # The excited band ends where the power of the force falls to the first share within a quarter more frequency, unless it stays coherent with

@@ -106,6 +106,8 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
     evaluate = joint_parts if settings.reference and settings.excitation == "random" else EXCITATIONS[settings.excitation]
     parts = evaluate(sources, settings, layout)
     aliasing = aliasing_findings(monitors, settings.band, _coherent_outputs(parts, layout))
+    # What is folded back from above half the sampling rate comes before its cause as well.
+    loop = () if aliasing else loop
     findings = (*source_findings(sources), *doubt_findings(sources), *mask_findings(bands), *shaft, *aliasing, *parts.findings, *loop)
     sensor_factor = layout.sensor_factor(parts.frequency)
     flat = sensor_factor.reshape(sensor_factor.shape[0], -1)

@@ -218,7 +218,7 @@ def test_version_and_python_dash_m(root: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from /proc")
-@pytest.mark.parametrize(("n_sample", "limit"), [(4_000_000, 20), pytest.param(12_000_000, 40, marks=pytest.mark.long)])
+@pytest.mark.parametrize(("n_sample", "limit"), [(2_500_000, 15), pytest.param(12_000_000, 40, marks=pytest.mark.long)])
 def test_memory_does_not_grow_with_the_recording(tmp_path: Path, n_sample: int, limit: float) -> None:
     """Peak memory [MiB] of `labpipe frf` against that for a million samples: the longer recording itself holds 16 bytes a sample more."""
     (tmp_path / "rig.yaml").write_text("name: R\nsample_rate: 10 kHz\nchannels:\n  f: {quantity: force}\n  x: {quantity: displacement}\n")

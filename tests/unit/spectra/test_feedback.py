@@ -99,8 +99,32 @@ def test_a_force_in_a_loop_is_found(changes: dict[str, object]) -> None:
     assert feedback(list(levitated_runs(made, 1, ["random"])), replace(RANDOM, reference=tuple(f"r_{a}" for a in made.labels))) == []
 
 
-def test_a_rotor_left_alone_is_found() -> None:
-    assert len(feedback(list(levitated_runs(rig(), 1, ["rest"])), RANDOM)) == 1
+@pytest.mark.parametrize("kind", ["stiffness", "accelerance", "mobility"])
+@pytest.mark.parametrize(("cut", "order"), [(None, 0), (400.0, 6), (250.0, 8), (120.0, 4)])
+def test_a_structure_that_answers_at_once_is_no_feedback(kind: str, cut: float | None, order: int) -> None:
+    """An accelerance and a stiffness line do not fall with frequency, whatever filter force and response went through together."""
+    for seed in range(4):
+        rng = np.random.default_rng(100 + seed)
+        force = rng.normal(size=24_000)
+        if cut is not None:
+            force = signal.sosfilt(signal.butter(order, cut, fs=1024.0, output="sos"), force)
+        w = 2 * np.pi * np.fft.rfftfreq(force.size, 1 / 1024.0)
+        w_0, zeta = 2 * np.pi * rng.uniform(20, 150), rng.choice([0.005, 0.05, 0.5])
+        mode = 1 / (w_0**2 - w**2 + 2j * zeta * w * w_0)
+        transfer = {"stiffness": np.ones(w.size), "accelerance": -(w**2) * mode, "mobility": 1j * w * mode}[kind]
+        late = np.exp(-1j * w * rng.uniform(0, 3e-4))
+        response = np.fft.irfft(np.fft.rfft(force) * transfer * late, force.size)
+        noise = rng.choice([1e-4, 1e-2, 0.1]) * response.std() * rng.normal(size=force.size)
+        assert chance_of_order(force[:, None], (response + noise)[:, None]) > LEVEL
+
+
+def test_of_a_rotor_left_alone_the_values_are_called_impossible() -> None:
+    """Without injection H is minus the inverse of the controller, which is causal: no loop shows, but negative stiffness and damping do."""
+    response = measure(list(levitated_runs(rig(), 1, ["rest"])), RANDOM)
+    assert not [finding for finding in response.findings if finding.code == "feedback"]
+    (fit,) = identify(response, FitSettings("sdof", mass=4.0))
+    assert fit.parameter("k").value < 0 and fit.parameter("c").value < 0
+    assert {"unphysical", "model-mismatch"} <= {finding.code for finding in fit.findings}
 
 
 def test_a_reference_inside_the_loop_opens_nothing() -> None:
