@@ -17,6 +17,7 @@ from scipy import fft, linalg, special
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
+from labpipe.spectra.matrices import inverse
 from labpipe.spectra.periodic import LineSpectrum
 from labpipe.spectra.ports import Layout
 from labpipe.spectra.reading import checked_blocks
@@ -30,7 +31,7 @@ WEIGHTED = (
 # Chance of a false alarm that is taken, over all pairs of force and response.
 LEVEL = 1e-3
 # Samples of every recording that are looked at, so that the test costs little beside a long record's FRF; fewest that tell anything.
-MOST_SAMPLES, FEWEST_SAMPLES = 1 << 16, 1 << 10
+MOST_SAMPLES, FEWEST_SAMPLES = 1 << 15, 1 << 10
 # Fewest lines of the whole record in the excited band: what averages over HALF_WIDTH lines leave is then small.
 FEWEST_LINES = 1000
 # Lags before the force that are tested, in intervals of 1 / (2 f), f the upper edge of the excited band: the nearest belong to that edge.
@@ -48,6 +49,8 @@ CLIFF, CLIFF_WIDTH, DARK, DIM, COHERENT = 0.1, 1.25, 1e-4, 0.03, 0.9
 COARSE_BANDS, LOG_BANDS = 200, 60
 # Least share of the lines that the strongly excited band must have of the others.
 LEAST_SHARE = 0.1
+# Added to the power of forces of unit level, so that forces that are one can be told apart from none.
+RIDGE = 1e-9
 # First over last line above which too much of the band is missing below it to tell of lags.
 LOWEST_EDGE = 0.15
 
@@ -124,20 +127,20 @@ def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scal
     degree = 1 + int(np.ceil(2 * len(LAGS) * first / last))
     level, size = _level(u), np.sqrt(np.mean(np.abs(u) ** 2, axis=0))
     u = u / level
-    inverse = np.linalg.pinv(_average(u[:, :, None] * u[:, None, :].conj()), hermitian=True, rcond=1e-9)
-    spread = np.maximum(np.einsum("lii->li", inverse).real, 0.0) / level**2
+    inverted = inverse(_average(u[:, :, None] * u[:, None, :].conj()) + RIDGE * np.eye(n_input))
+    spread = np.maximum(np.einsum("lii->li", inverted).real, 0.0) / level**2
     free = (2 * HALF_WIDTH + 1) / max(2 * HALF_WIDTH + 1 - n_input, 1)
     chances = []
     for output in y.T:
         s_yu, power = _average(output[:, None] * u.conj()), _average(np.abs(output) ** 2).real
-        noise = np.maximum(power - np.einsum("li,lij,lj->l", s_yu, inverse, s_yu.conj()).real, 0.0) * free
-        white = fade * _whitening(power, w)
-        raw = white[:, None] * ((output[:, None] * u.conj())[:, None, :] @ inverse)[:, 0] / level * size
-        after = np.exp(1j * np.arange(LAGS.stop)[:, None] * w) @ raw
+        noise = np.maximum(power - np.sum((s_yu[:, None, :] @ inverted)[:, 0] * s_yu.conj(), axis=1).real, 0.0) * free
+        white = fade * _whitening(power)
+        raw = white[:, None] * ((output[:, None] * u.conj())[:, None, :] @ inverted)[:, 0] / level * size
+        after = _at_lags(raw.conj(), LAGS.stop)
         # What one force leaves of another's spectrum is small against the larger of their effects.
         floor = FLOOR * float(np.max(np.abs(after.real)))
         variance = scale * (np.abs(white) ** 2 * noise)[:, None] * spread * size**2
-        chances += [_chance_of_lags(raw[:, i], variance[:, i], w, floor, degree) for i in range(n_input)]
+        chances += [_chance_of_lags(raw[:, i], variance[:, i], floor, degree) for i in range(n_input)]
     return chances
 
 
@@ -158,14 +161,14 @@ def _level(u: ComplexArray) -> FloatArray:
     return np.exp(0.5 * np.column_stack([np.interp(lines, middle, column) for column in np.log(power).T]))
 
 
-def _chance_of_lags(response: ComplexArray, variance: FloatArray, w: FloatArray, floor: float, degree: int) -> float:
-    """p-value of the lags before 0 of an FRF (n_line,) with its *variance* (n_line,) at *w* (n_line,) [rad per interval].
+def _chance_of_lags(response: ComplexArray, variance: FloatArray, floor: float, degree: int) -> float:
+    """p-value of the lags before 0 of an FRF (n_line,) with its *variance* (n_line,) [of the FRF].
 
     *floor*: standard deviation of a lag beside the noise; *degree* of the slow curve that is left out of account.
     """
     before = np.array(LAGS)
-    lags = (np.exp(-1j * before[:, None] * w) @ response).real
-    covariance = linalg.toeplitz(np.cos(np.arange(before.size)[:, None] * w) @ variance / 2)
+    lags = _at_lags(response, LAGS.stop)[LAGS.start :].real
+    covariance = linalg.toeplitz(_at_lags(variance, before.size).real / 2)
     covariance = covariance + np.eye(before.size) * floor**2
     lower = np.linalg.cholesky(covariance)
     white = np.linalg.solve(lower, lags)
@@ -202,14 +205,14 @@ def _edges_of(coarse: FloatArray, coherence: FloatArray) -> tuple[int, int]:
         for number in range(strongest, last - 1):
             further = slice(number + 1, int(np.ceil(CLIFF_WIDTH * (number + 0.5))) + 1)
             fallen = (column[further] < CLIFF * column[number]) & (coherence[further] < COHERENT)
-            if np.any(fallen):
+            if fallen.any():
                 last = min(last, number + 1 + int(np.argmax(fallen)))
                 break
         for number in range(strongest, first, -1):
             before = np.arange(number - 1, int((number + 0.5) / CLIFF_WIDTH) - 2, -1)
             before = before[before >= 0]
             fallen = (column[before] < CLIFF * column[number]) & (coherence[before] < COHERENT)
-            if np.any(fallen):
+            if fallen.any():
                 first = max(first, number - int(np.argmax(fallen)))
                 break
     return first, last
@@ -230,18 +233,26 @@ def _is_enough(first: int, last: int) -> bool:
 
 def _average(values: ComplexArray | FloatArray) -> ComplexArray:
     """Mean over HALF_WIDTH lines to either side along axis 0, truncated at the ends."""
-    total = np.concatenate([np.zeros((1, *values.shape[1:]), np.complex128), np.cumsum(values, axis=0)])
+    total = np.concatenate([np.zeros((1, *values.shape[1:]), values.dtype), np.cumsum(values, axis=0)])
     number = np.arange(values.shape[0])
     first, last = np.maximum(number - HALF_WIDTH, 0), np.minimum(number + HALF_WIDTH + 1, values.shape[0])
     return np.asarray((total[last] - total[first]) / (last - first).reshape(-1, *(1,) * (values.ndim - 1)))
 
 
-def _whitening(power: FloatArray, w: FloatArray) -> ComplexArray:
+def _whitening(power: FloatArray) -> ComplexArray:
     """A(w) = 1 - sum a_k e^{-j w k} (n_line,) of the autoregression of a signal with this *power* (n_line,): causal, as its inverse is."""
-    covariance = np.cos(np.arange(ORDER + 1)[:, None] * w) @ power
+    covariance = _at_lags(power, ORDER + 1).real
     covariance[0] *= 1 + 1e-4
     coefficients = linalg.solve_toeplitz(covariance[:-1], covariance[1:])
-    return np.asarray(np.exp(-1j * w[:, None] * np.arange(ORDER + 1)) @ np.concatenate([[1.0], -coefficients]))
+    return np.asarray(fft.fft(np.concatenate([[1.0], -coefficients]), 2 * power.size)[1 : power.size + 1])
+
+
+def _at_lags(values: ComplexArray | FloatArray, number: int) -> ComplexArray:
+    """Sum over lines k = 1 ... n of values (n, ...) [any unit] times e^{-j pi k t / n}, at lags t = 0 ... *number* - 1, (number, ...)."""
+    n = values.shape[0]
+    padded = np.concatenate([np.zeros((1, *values.shape[1:])), values])
+    transform = fft.fft if np.iscomplexobj(padded) else fft.rfft
+    return np.asarray(transform(padded, 2 * n, axis=0)[:number])
 
 
 def _tukey(n: int) -> FloatArray:
