@@ -56,7 +56,7 @@ def _evaluated(file: BearingFile, points: Sequence[Callable[[], None]], keys: Co
             settings.extend(file.ends(key))
     coefficients = file.coefficients(settings)
     if not keys:
-        return [Evaluated(one) for one in coefficients]
+        return [Evaluated(point) for point in coefficients]
     sources = [doubt_of(file.doubts[key], key, setting_at(file.kind.settings, key).unit) for key in keys]
     size = 1 + 2 * len(keys)
     rows = [coefficients[start : start + size] for start in range(0, len(coefficients), size)]
@@ -164,19 +164,19 @@ def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
     columns: dict[str, Any] = {f"{sweep.key} [{sweep.unit}]": sweep.values}
     coefficients = [point.coefficients for point in points]
     for symbol, attribute in (("k", "stiffness"), ("c", "damping")):
-        matrices = np.stack([getattr(one, attribute) for one in coefficients])
+        matrices = np.stack([getattr(point, attribute) for point in coefficients])
         if symbol == "k" or matrices.any():
             columns |= _by_element(symbol, coefficients[0], matrices)
     for number, amount in enumerate(coefficients[0].shares):
-        columns[f"share_{amount.name} [{amount.unit}]"] = np.array([one.shares[number].value for one in coefficients])
+        columns[f"share_{amount.name} [{amount.unit}]"] = np.array([point.shares[number].value for point in coefficients])
     for number, amount in enumerate(coefficients[0].rest):
-        columns[f"{amount.name} [{amount.unit}]"] = np.array([one.rest[number].value for one in coefficients])
+        columns[f"{amount.name} [{amount.unit}]"] = np.array([point.rest[number].value for point in coefficients])
     doubts = [point.doubts for point in points if point.doubts is not None]
     if doubts:
-        columns |= _by_element("u_k", coefficients[0], np.stack([one.stiffness_error for one in doubts]))
-        errors = np.stack([one.damping_error for one in doubts])
+        columns |= _by_element("u_k", coefficients[0], np.stack([doubted.stiffness_error for doubted in doubts]))
+        errors = np.stack([doubted.damping_error for doubted in doubts])
         columns |= _by_element("u_c", coefficients[0], errors) if errors.any() else {}
-    columns["warnings"] = [" ".join(finding.code for finding in one.findings) for one in coefficients]
+    columns["warnings"] = [" ".join(finding.code for finding in point.findings) for point in coefficients]
     return columns
 
 
