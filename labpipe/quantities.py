@@ -241,6 +241,15 @@ def unit_of(text: str, si_unit: str) -> Unit:
     return units[0]
 
 
+def is_number(text: str) -> bool:
+    """Whether a text is a number without a unit."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
 def parse_value(text: str | float, si_unit: str) -> float:
     """The value of ``"90 um"`` in the SI unit given; a bare number is refused unless the SI unit is a pure number.
 

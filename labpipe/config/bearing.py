@@ -13,7 +13,7 @@ from labpipe.config.faults import Faults, join
 from labpipe.config.reader import in_one_line, read_settings
 from labpipe.errors import LabpipeError
 from labpipe.marked_yaml import Marked, load_marked, set_entry
-from labpipe.quantities import UnitError
+from labpipe.quantities import UnitError, is_number
 from labpipe.records.file_kind import FileKind
 from labpipe.records.setting_values import Setting
 from labpipe.records.settings import settings_of
@@ -94,7 +94,7 @@ def _taken_doubts(node: Marked, kind: BearingKind, key: str, owner: type, faults
         if declared.kind != "value" or not is_doubtful(entry.text):
             continue
         value, doubt = split_doubt(entry.text)
-        if name in kind.bare_units and _is_number(value):
+        if name in kind.bare_units and is_number(value):
             value = f"{value} {kind.bare_units[name]}"
         try:
             doubts[join(key, name)] = parse_uncertain(f"{value} +- {doubt}", declared.unit)
@@ -102,14 +102,6 @@ def _taken_doubts(node: Marked, kind: BearingKind, key: str, owner: type, faults
             faults.add_unit(entry, join(key, name), error)
         node.content[name] = Marked(value, entry.where, entry.key_where, value)
     return doubts
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def kind_of(tree: Marked, key: str, faults: Faults) -> BearingKind | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
-from labpipe.quantities import UnitError, parse_value
+from labpipe.quantities import UnitError, is_number, parse_value
 from labpipe.records.settings import Setting, settings_of
 from labpipe.registry import nearest
 
@@ -47,17 +47,9 @@ def parse_sweep(text: str, owner: type) -> Sweep:
 
 
 def _with_unit(part: str, last: str, unit: str) -> str:
-    if not _is_number(part):
+    if not is_number(part):
         return part
-    return f"{part} {unit}" if _is_number(last) else f"{part} {last.lstrip('+-.0123456789eE ')}"
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    return f"{part} {unit}" if is_number(last) else f"{part} {last.lstrip('+-.0123456789eE ')}"
 
 
 def _values(start: float, stop: float, step: float, where: str) -> FloatArray:
