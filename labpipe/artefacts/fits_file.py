@@ -55,7 +55,13 @@ def has_fresh_fits(path: Path, settings: Sequence[FitSettings], responses: Seque
 
 def read_fits(path: Path) -> list[Fit]:
     """The fits of a file that `write_fits` wrote; DamagedError for another one."""
+    return fits_with_digest(path)[0]
+
+
+def fits_with_digest(path: Path) -> tuple[list[Fit], str]:
+    """The fits of a file that `write_fits` wrote, and its digest; DamagedError for another one."""
     try:
-        return [read_fit(entry) for entry in read_digested(path, "file of fits")["fits"]]
+        entries = read_digested(path, "file of fits")
+        return [read_fit(entry) for entry in entries["fits"]], str(entries.get(DIGEST, ""))
     except RECORD_FAULTS as error:
         raise DamagedError(f"is not readable as fits ({cut(str(error))})", where=str(path), hint=AGAIN) from None

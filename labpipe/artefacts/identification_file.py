@@ -1,6 +1,6 @@
 """``identification.json``: all fits with their doubt, the records of all other sections, and the responses they came from.
 
-Schema "labpipe/identification/2"; results of schema 1 are read as well.
+Schema "labpipe/identification/2", or 3 for many tests, whose fits stand in a dataset; results of schema 1 are read as well.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from labpipe.artefacts.json_file import DIGEST, read_digested, write_digested
 from labpipe.artefacts.typed_json import RECORD_FAULTS, entry_of, record_of
 from labpipe.errors import DataError, cut
 from labpipe.records.channel_spectra import ChannelSpectra
+from labpipe.records.dataset_index import DatasetIndex
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Failed, Identification, RuleOutcome
 from labpipe.records.recording import Channel
@@ -27,14 +28,16 @@ from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.sections import section, sections
 
 SCHEMA = "labpipe/identification/2"
-READ_SCHEMAS = ("labpipe/identification/1", SCHEMA)
+# Of a result of so many tests that their fits and responses stand elsewhere.
+SCHEMA_OF_MANY = "labpipe/identification/3"
+READ_SCHEMAS = ("labpipe/identification/1", SCHEMA, SCHEMA_OF_MANY)
 NAME = "identification.json"
 
 
 def write_identification(path: Path, identification: Identification) -> None:
     """Write the result."""
     entries = {
-        "schema": SCHEMA,
+        "schema": SCHEMA if identification.dataset is None else SCHEMA_OF_MANY,
         "labpipe": __version__,
         "code": identification.code,
         "title": identification.title,
@@ -44,6 +47,7 @@ def write_identification(path: Path, identification: Identification) -> None:
         "rig": identification.rig,
         "settings": identification.settings,
         **({"failed": [dataclasses.asdict(failed) for failed in identification.failed]} if identification.failed else {}),
+        **({} if identification.dataset is None else {"dataset": entry_of(identification.dataset)}),
         "fits": [fit_entry(fit) for fit in identification.fits],
         "accept": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "accept"],
         "expect": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "expect"],
@@ -74,7 +78,7 @@ def read_identification(path: Path) -> Identification:
 
 def _upgraded(entries: dict[str, Any]) -> dict[str, Any]:
     """Schema 1 called the frequency of a fitted curve frequency_hz, and had empty lists for sections that a pipeline did not have."""
-    if entries["schema"] == SCHEMA:
+    if entries["schema"] in (SCHEMA, SCHEMA_OF_MANY):
         return entries
     fits = [{**fit, "curve": _upgraded_curve(fit.get("curve"))} for fit in entries["fits"]]
     return {**{name: entry for name, entry in entries.items() if entry != [] or name == "fits"}, "fits": fits}
@@ -126,6 +130,7 @@ def _identification(entries: dict[str, Any]) -> Identification:
         inputs=tuple(entries.get("inputs", [])),
         code=entries.get("code", ""),
         digest=entries.get(DIGEST, ""),
+        dataset=record_of(entries["dataset"], DatasetIndex) if "dataset" in entries else None,
         sections={
             name: record_of(entries[part.entry], part.load("record")) for name, part in sections() if part.entry and part.entry in entries
         },

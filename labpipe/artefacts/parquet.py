@@ -65,8 +65,13 @@ def as_written(path: Path) -> Iterator[None]:
 
 def read_table(path: Path) -> pa.Table:
     """All columns; DataError in plain words for damaged pages."""
+    return read_columns(path, None)
+
+
+def read_columns(path: Path, columns: Sequence[str] | None) -> pa.Table:
+    """The columns of these names, or all; DataError in plain words for damaged pages."""
     with _in_plain_words(path):
-        return open_parquet(path).read()
+        return open_parquet(path).read(columns=None if columns is None else list(columns))
 
 
 def metadata_of(header: Header) -> dict[bytes, bytes]:

@@ -50,6 +50,12 @@ class OutputFolder:
         """*name* in the target folder belongs to what is being replaced: it goes when the new files come, unless it comes anew."""
         self.outdated.add(name)
 
+    def leave_same(self, name: str) -> None:
+        """Leave *name* in the target folder untouched where what was written for it has the same content."""
+        staged, there = self.staging / name, self.target / name
+        if there.is_file() and staged.read_bytes() == there.read_bytes():
+            staged.unlink()
+
     def read_path(self, name: str) -> Path:
         """Where *name* can be read now: just written, or from before."""
         staged = self.staging / name

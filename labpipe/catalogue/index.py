@@ -16,12 +16,12 @@ from typing import Any
 
 from labpipe import __version__
 from labpipe.artefacts.code import code_digest
+from labpipe.artefacts.dataset_file import amount_of
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.json_file import read_bytes
 from labpipe.artefacts.typed_json import RECORD_FAULTS
 from labpipe.artefacts.writing import finished, output_file
 from labpipe.errors import DataError, cut
-from labpipe.quantities import UnitError, si_amount
 from labpipe.records.finding import WARNING
 from labpipe.records.identification import Identification, Parameter
 from labpipe.records.listed import ListedParameter, listed_parameters, warning_codes
@@ -34,7 +34,7 @@ DATE = "date"
 _TABLES = """
 CREATE TABLE result (
     id INTEGER PRIMARY KEY, path TEXT UNIQUE, stamp TEXT, title TEXT, rig TEXT, pipeline TEXT, version TEXT, date TEXT,
-    tests INTEGER, verdict TEXT, warnings TEXT, fault TEXT
+    tests INTEGER, verdict TEXT, warnings TEXT, fault TEXT, dataset INTEGER
 );
 CREATE TABLE value (
     id INTEGER PRIMARY KEY, result INTEGER REFERENCES result ON DELETE CASCADE,
@@ -160,7 +160,8 @@ def _rows(identification: Identification, file_date: str) -> list[tuple[str, dic
         "pipeline": identification.pipeline,
         "version": identification.version,
         "date": dates[-1] if dates else file_date,
-        "tests": len(conditions),
+        "tests": len(conditions) if identification.dataset is None else identification.dataset.tests,
+        "dataset": int(identification.dataset is not None),
         "verdict": verdict(identification),
         "warnings": ", ".join(sorted(_all_codes(identification))),
     }
@@ -169,7 +170,7 @@ def _rows(identification: Identification, file_date: str) -> list[tuple[str, dic
         rows.append(("value", _checked(_value_row(listed, conditions.get(listed.test, {}).get(DATE, str(entry["date"]))))))
     for test, of_test in conditions.items():
         for condition, text in of_test.items():
-            amount, unit = _amount(text)
+            amount, unit = amount_of(text)
             rows.append(("condition", _checked({"test": test, "name": condition, "text": text, "amount": amount, "unit": unit})))
     return rows
 
@@ -219,14 +220,6 @@ def _insert(connection: sqlite3.Connection, table: str, row: dict[str, Any]) -> 
     return int(cursor.lastrowid or 0)
 
 
-def _amount(text: str) -> tuple[float | None, str]:
-    """A condition as a number in SI, or none for words such as "up"."""
-    try:
-        return si_amount(text)
-    except UnitError:
-        return None, ""
-
-
 def verdict(identification: Identification) -> str:
     """Outcome of the rules in a word."""
     if identification.failed:
@@ -240,4 +233,5 @@ def _all_codes(identification: Identification) -> set[str]:
     """The warnings of all fits, and of every other section."""
     of_fits = {code for fit in identification.fits for code in warning_codes(fit)}
     pairs = (pair for name, record in identification.sections.items() for pair in section(name).call("findings", record))
-    return of_fits | {finding.code for _, finding in pairs if finding.level == WARNING}
+    of_many = {counted.finding.code for counted in identification.dataset.of_level(WARNING)} if identification.dataset else set()
+    return of_fits | of_many | {finding.code for _, finding in pairs if finding.level == WARNING}

@@ -145,11 +145,12 @@ def _result_clauses(criteria: Filter, date: str = "r.date") -> tuple[list[str], 
     for sign, day in ((">=", criteria.since), ("<=", criteria.until)):
         if day:
             clauses.append(f"{date} {sign} ?")
-            bound.append(_day(day))
+            bound.append(checked_day(day))
     return clauses, bound
 
 
-def _day(text: str) -> str:
+def checked_day(text: str) -> str:
+    """The day in ISO form; ConfigError for what is none."""
     try:
         return datetime.date.fromisoformat(text).isoformat()
     except ValueError:
@@ -166,23 +167,33 @@ def _check_name(index: sqlite3.Connection, column: str, pattern: str) -> None:
         raise ConfigError(f"no result has the {column} '{pattern}'", hint=nearest(pattern, names))
 
 
-def _condition_clause(index: sqlite3.Connection, text: str, same_test: str) -> tuple[str, list[Any]]:
-    """The SQL of one condition; ConfigError for an unreadable condition, or one without tests."""
+def split_condition(text: str) -> tuple[str, str, str]:
+    """Name, sign and bound of a condition such as "preload >= 400 N"; ConfigError for what is none."""
     match = _WHERE.match(text)
     if match is None:
         raise ConfigError(f"'{text}' is not a condition", hint="for example 'preload >= 400 N' or 'direction = up'")
-    name, sign = match["name"], match["sign"]
+    return match["name"], match["sign"], match["bound"]
+
+
+def with_datasets(index: sqlite3.Connection) -> list[str]:
+    """The paths of the results whose tests stand in a dataset beside them."""
+    return [path for (path,) in index.execute("SELECT path FROM result WHERE dataset = 1 ORDER BY path")]
+
+
+def _condition_clause(index: sqlite3.Connection, text: str, same_test: str) -> tuple[str, list[Any]]:
+    """The SQL of one condition; ConfigError for an unreadable condition, or one without tests."""
+    name, sign, limit = split_condition(text)
     units = {unit for (unit,) in index.execute("SELECT DISTINCT unit FROM condition WHERE name = ?", (name,))}
     if not units:
         names = [entry for (entry,) in index.execute("SELECT DISTINCT name FROM condition ORDER BY name")]
         raise ConfigError(f"no test has the condition '{name}'", hint=nearest(name, names))
     begin = f"EXISTS (SELECT 1 FROM condition c WHERE c.result = r.id{same_test} AND c.name = ? AND "
     try:
-        amount, unit = si_amount(match["bound"])
+        amount, unit = si_amount(limit)
     except UnitError as error:
         if sign not in ("=", "!="):
             raise ConfigError(f"'{text}': {error.what}", hint=error.hint) from None
-        return f"{begin}c.text {sign} ?)", [name, match["bound"]]
+        return f"{begin}c.text {sign} ?)", [name, limit]
     if unit not in units:
         raise ConfigError(f"'{text}': the condition '{name}' is in {', '.join(sorted(units - {''})) or 'words'}, not in {unit}")
     near = SAME * max(abs(amount), SAME)

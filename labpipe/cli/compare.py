@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from labpipe.artefacts.identification_file import NAME, read_identification
+from labpipe.catalogue.dataset import dataset_parameters
 from labpipe.catalogue.differences import LEVEL, Difference, differences
 from labpipe.cli import options
 from labpipe.cli.columns import echo_table
@@ -15,7 +16,7 @@ from labpipe.cli.output import echo
 from labpipe.display import difference_in, shown_unit, unit_label, written
 from labpipe.formats.rows_csv import write_rows
 from labpipe.quantities import to_display
-from labpipe.records.identification import Identification
+from labpipe.records.listed import ListedParameter, of_fit
 
 
 @click.command()
@@ -28,7 +29,7 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
 
     The p-value is the probability of so large a difference by the standard errors alone, corrected for the number of parameters (Holm).
     """
-    pairs = differences(_result(first), _result(second))
+    pairs = differences(_parameters(first), _parameters(second))
     selected = [pair for pair in pairs if not parameter or pair.parameter in parameter]
     if table is not None:
         write_rows(table, [dataclasses.asdict(pair) for pair in selected])
@@ -40,8 +41,13 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
     echo(f"{n_different} of {len(tested)} parameters differ (level {100 * LEVEL:g} %, corrected for their number)")
 
 
-def _result(path: Path) -> Identification:
-    return read_identification(path / NAME if path.is_dir() else path)
+def _parameters(path: Path) -> list[ListedParameter]:
+    """The parameters of all fits of a result, or of the dataset that it sums up."""
+    file = path / NAME if path.is_dir() else path
+    identification = read_identification(file)
+    if identification.dataset is not None:
+        return dataset_parameters(file.parent)
+    return [listed for fit in identification.fits for listed in of_fit(fit)]
 
 
 def _cells(pair: Difference) -> tuple[str, ...]:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import click
 
-from labpipe.catalogue.index import open_index
-from labpipe.catalogue.query import Filter, ResultRow, ValueRow, results, values
+from labpipe.catalogue.query import Filter, ResultRow, ValueRow
+from labpipe.catalogue.search import found_results, found_values
 from labpipe.cli import options
 from labpipe.cli.columns import echo_table, value_cells
 from labpipe.cli.output import echo
@@ -29,8 +29,7 @@ def list_results(folder: Path, parameter: str, table: Path | None, **filters: ob
     test's condition `date`, or else that of the file.
     """
     criteria = Filter(parameter=parameter, **filters)  # type: ignore[arg-type]
-    with open_index(folder) as index:
-        rows: Sequence[ValueRow | ResultRow] = values(index, criteria) if _selects_values(criteria) else results(index, criteria)
+    rows: Sequence[ValueRow | ResultRow] = found_values(folder, criteria) if _selects_values(criteria) else found_results(folder, criteria)
     if table is not None:
         write_rows(table, [row_entry(row) for row in rows])
     if not rows:

@@ -56,10 +56,10 @@ def report(results: tuple[Path, ...], output: Path, figures: Path | None, test: 
         raise click.UsageError("--test is of one result; several are named")
     if test:
         tell(f"report    {test}")
-        write_test_report(identifications[0], test, output, figures)
+        write_test_report(identifications[0], test, output, figures, paths[0].parent)
     elif len(paths) == 1:
         tell(f"report    {identifications[0].title}")
-        write_report(identifications[0], output, figures=figures)
+        write_report(identifications[0], output, figures=figures, results=paths[0].parent)
     else:
         tell(f"report    {len(paths)} results together")
         write_campaign(list(zip(_names(paths), identifications, strict=True)), output, figures)

@@ -8,6 +8,7 @@ import sys
 import click
 
 from labpipe.cli.output import echo
+from labpipe.records.dataset_index import DatasetIndex
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.identification import Fit, Identification, Parameter
 from labpipe.records.text import parameter_cells
@@ -23,6 +24,8 @@ def echo_identification(identification: Identification, quiet: bool) -> None:
     """Findings of the measurement, fits, warnings and outcomes of rules; long sliding series are shortened, the report is complete."""
     if quiet:
         return
+    if identification.dataset is not None:
+        _echo_dataset(identification.dataset)
     _echo_findings([response.findings for response in identification.responses], "tests")
     for name in dict.fromkeys(fit.name for fit in identification.fits):
         fits = [fit for fit in identification.fits if fit.name == name]
@@ -39,6 +42,18 @@ def echo_identification(identification: Identification, quiet: bool) -> None:
     for outcome in identification.outcomes:
         mark = _coloured("passed", "green") if outcome.passed else _coloured("FAILED", "red")
         echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {outcome.found})")
+
+
+def _echo_dataset(index: DatasetIndex) -> None:
+    """Tests and fits by their number, each kind of warning once."""
+    fits = ", ".join(f"{count} of {name}" for name, count in index.fits.items())
+    failed = f", {index.failed} failed" if index.failed else ""
+    refused = f", {index.not_accepted} not accepted" if index.not_accepted else ""
+    echo(f"{index.tests} tests evaluated{failed}{refused}; fits: {fits or 'none'}; {index.rows} rows in dataset/")
+    for counted in index.of_level(WARNING):
+        echo(f"  {_coloured('warning', 'yellow')} {counted.message}")
+    for counted in index.of_level(NOTE)[:MAX_NOTES]:
+        echo(f"  {_coloured('note', 'cyan')} {counted.message}")
 
 
 def _echo_fit(fit: Fit) -> None:

@@ -7,8 +7,9 @@ from pathlib import Path
 import click
 
 from labpipe.artefacts.identification_file import read_identification
-from labpipe.catalogue.index import DATE, open_index
-from labpipe.catalogue.query import Filter, values
+from labpipe.catalogue.index import DATE
+from labpipe.catalogue.query import Filter
+from labpipe.catalogue.search import found_values
 from labpipe.catalogue.trends import Series, trends, undated
 from labpipe.cli import options
 from labpipe.cli.columns import echo_table, value_cells
@@ -39,8 +40,7 @@ def trend(folder: Path, parameter: str, over: str, table: Path | None, output: P
     """
     if output is not None:
         format_of(output)
-    with open_index(folder) as index:
-        rows = values(index, Filter(parameter=parameter, **filters))  # type: ignore[arg-type]
+    rows = found_values(folder, Filter(parameter=parameter, **filters))  # type: ignore[arg-type]
     all_series = trends(rows, over)
     for row in undated(rows) if over == DATE else ():
         echo(f"warning: {row.path}: test '{row.test}': '{cut(row.date)}' is not a date; write it as 2026-11-03", err=True)

@@ -25,10 +25,12 @@ from labpipe.registry import nearest
 from labpipe.sections import SECTIONS, PipelineSection, names_of, section, sections
 from labpipe.spectra.settings import FrfSettings
 
-BEFORE = ("title", "rig", "recordings", "tests", "frfs", "conditions", "frf", "uncertainty")
+BEFORE = ("title", "rig", "recordings", "tests", "frfs", "conditions", "frf", "uncertainty", "results")
 AFTER = ("report", "accept", "expect")
 RECORDED = ("recordings", "tests", "frfs")
 REPORT_FORMATS = ("html", "md", "pdf")
+# How the results of many tests are kept: all in identification.json, as a dataset, or by their number.
+RESULTS = ("auto", "whole", "dataset")
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class ReportSettings(Settings):
 class Pipeline:
     """A pipeline file with everything it names; *sections*: settings by the key of their section, in the order in which they are run.
 
-    The settings of a section with named entries are a tuple, of others one dataclass.
+    The settings of a section with named entries are a tuple, of others one dataclass. *results*: how those of many tests are kept.
     """
 
     path: Path
@@ -59,6 +61,7 @@ class Pipeline:
     rules: tuple[Rule, ...]
     rig: Rig | None
     sections: Mapping[str, Any] = field(default_factory=dict)
+    results: str = "auto"
 
     @property
     def folder(self) -> Path:
@@ -104,11 +107,16 @@ def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
         if of_all is not None and "identify" in settings:
             settings["identify"] = tuple(of_all(fit) for fit in settings["identify"])
     rules = tuple(rule for key in ("accept", "expect") for rule in read_rules(key, entries.get(key), faults, names))
+    results = entries["results"].text if "results" in entries else "auto"
+    if results not in RESULTS:
+        faults.add(entries["results"], "results", f"no way '{results}' to keep results", nearest(results, RESULTS))
     _check_whole(tree, entries, tests, frf, faults)
     _check_kinds(entries, settings.get("identify", ()), tests, frf, faults)
     faults.raise_any()
     assert report is not None
-    return Pipeline(path, title=_title(entries, path), tests=tests, frf=frf, report=report, rules=rules, rig=rig, sections=settings)
+    return Pipeline(
+        path, title=_title(entries, path), tests=tests, frf=frf, report=report, rules=rules, rig=rig, sections=settings, results=results
+    )
 
 
 def _sections(entries: dict[str, Marked], rig: Rig | None, faults: Faults) -> tuple[dict[str, Any], tuple[str, ...]]:

@@ -9,20 +9,24 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
 from labpipe.artefacts.digest import DamagedError
-from labpipe.artefacts.fits_file import FOLDER, has_fresh_fits, read_fits, write_fits
+from labpipe.artefacts.fits_file import fits_with_digest, has_fresh_fits, read_fits, write_fits
 from labpipe.artefacts.freshness import made_again
 from labpipe.artefacts.header import SourceRef, source_ref
+from labpipe.artefacts.parquet import header_of
 from labpipe.artefacts.writing import OutputFolder, output_folder
+from labpipe.config.rules import Rule
 from labpipe.config.tests import Test
 from labpipe.errors import ConfigError, LabpipeError
 from labpipe.identify.settings import FitSettings
+from labpipe.records.dataset_row import TestResult
 from labpipe.records.identification import Failed, Fit
 from labpipe.spectra.settings import FrfSettings
 from labpipe.stages.fits import fits_of
-from labpipe.stages.frf import frf_file_name, ready_refs
+from labpipe.stages.frf import ready_refs
 from labpipe.stages.ingest import ingest, recording_refs
-from labpipe.stages.measured import MeasuredTest, load_measured, load_ready_measured, measure_test, measured_file_name
+from labpipe.stages.measured import MeasuredTest, fits_file_name, load_measured, load_ready_measured, measure_test, measured_file_name
 from labpipe.stages.recorded_conditions import recorded_conditions
+from labpipe.stages.result_of_test import result_of_test
 
 Tell = Callable[[str], None]
 
@@ -36,7 +40,8 @@ class Job:
     """All that one test needs.
 
     names: the file names of its calibrated recordings. fits: those that depend on no other fit. target: the run's output folder;
-    scratch: the run's folder for what is not finished.
+    scratch: the run's folder for what is not finished. rules: of a run whose results are kept as a dataset, by which the test is judged
+    by itself; None for others.
     """
 
     test: Test
@@ -47,6 +52,7 @@ class Job:
     pipeline_path: Path
     target: Path
     scratch: Path
+    rules: tuple[Rule, ...] | None = None
 
     @property
     def folder(self) -> Path:
@@ -54,7 +60,7 @@ class Job:
 
     @property
     def fits_name(self) -> str:
-        return f"{FOLDER}/{frf_file_name(self.test.name).removesuffix('.frf.parquet')}.json"
+        return fits_file_name(self.test.name)
 
     @property
     def measured_name(self) -> str:
@@ -70,12 +76,13 @@ class Job:
 
 @dataclass(frozen=True)
 class Done:
-    """How a test ended: the raw files behind it, or why it failed; what was found damaged and made again."""
+    """How a test ended: the raw files behind it, or why it failed; what was found damaged and made again; its *result* for a dataset."""
 
     test: str
     sources: tuple[SourceRef, ...] = ()
     failed: Failed | None = None
     remarks: tuple[str, ...] = ()
+    result: TestResult | None = None
 
 
 def work(job: Job) -> Done:
@@ -87,13 +94,24 @@ def work(job: Job) -> Done:
         if job.fits:
             with output_folder(job.target, job.scratch, remarks) as output:
                 fit(job, output)
+        result = None if job.rules is None else _result(job, job.rules, sources)
     except LabpipeError as error:
         return Done(job.test.name, failed=Failed(job.test.name, str(error)), remarks=tuple(remarks))
     except OSError as error:
         if error.errno is None:
             raise
         return Done(job.test.name, failed=Failed(job.test.name, f"{error.filename or 'output'}: {os.strerror(error.errno).lower()}"))
-    return Done(job.test.name, sources, remarks=tuple(remarks))
+    return Done(job.test.name, sources, remarks=tuple(remarks), result=result)
+
+
+def _result(job: Job, rules: Sequence[Rule], sources: Sequence[SourceRef]) -> TestResult:
+    """What the finished test comes to, from its files."""
+    fits, digest = fits_with_digest(job.target / job.fits_name) if job.fits else ([], "")
+    conditions, findings = job.test.conditions, []
+    if job.test.recordings:
+        header = header_of(job.target / job.measured_name)
+        conditions, findings = header.contents["conditions"], list(header.findings)
+    return result_of_test(job.test, conditions, fits, findings, rules, sources, digest)
 
 
 def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[SourceRef, ...]:

@@ -5,15 +5,17 @@ A single test is all or nothing. Of several tests each is all or nothing: one th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.writing import OutputFolder, existing_home, staging_folder
 from labpipe.config.pipeline import Pipeline
+from labpipe.config.rules import Rule
 from labpipe.errors import ConfigError, DataError
 from labpipe.pipeline.executors import Execute, serially
+from labpipe.pipeline.many_tests import Gathered, identified, keeps_dataset
 from labpipe.pipeline.one_test import Done, Job, Tell, finished_fits, measure, measured_of, measured_refs, silent, work
 from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.stages.fits import check_tested
@@ -52,7 +54,10 @@ class Measured:
 
 def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identification:
     """All stages up to the identification."""
-    measured = measure_tests(pipeline, output, manner, independent_fits(pipeline))
+    independent = independent_fits(pipeline)
+    if keeps_dataset(pipeline, independent):
+        return _run_many(pipeline, output, manner, independent)
+    measured = measure_tests(pipeline, output, manner, independent)
     manner.tell(f"identify  {pipeline.title}")
     return identify_stage(
         pipeline,
@@ -67,12 +72,23 @@ def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identificat
     )
 
 
+def _run_many(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str]) -> Identification:
+    """All stages of so many tests that their results are kept as a dataset."""
+    with staging_folder(existing_home(output.target)) as scratch:
+        jobs = _jobs(pipeline, output.target, scratch, fits, pipeline.rules)
+        gathered = Gathered(jobs, pipeline.rules, output)
+        for outcome in _outcomes(jobs, manner):
+            gathered.add(outcome)
+    manner.tell(f"identify  {pipeline.title}")
+    return identified(pipeline, gathered, output)
+
+
 def measure_tests(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str] = ()) -> Measured:
     """ingest and frf of every test, and of several tests the fits named in *fits*; ready responses are read as they are."""
     with staging_folder(existing_home(output.target)) as scratch:
         jobs = _jobs(pipeline, output.target, scratch, fits if len(pipeline.tests) > 1 else ())
         if len(jobs) > 1:
-            done = _worked(jobs, manner)
+            done = {outcome.test: outcome for outcome in _outcomes(jobs, manner)}
         else:
             done = {job.test.name: Done(job.test.name, measure(job, output, manner.tell)) for job in jobs}
     output.remarks.extend(remark for outcome in done.values() for remark in outcome.remarks)
@@ -92,7 +108,7 @@ def independent_fits(pipeline: Pipeline) -> list[str]:
     return [settings.name for settings in pipeline.fits if not settings.kind.earlier(settings)]
 
 
-def _jobs(pipeline: Pipeline, target: Path, scratch: Path, fits: Sequence[str]) -> list[Job]:
+def _jobs(pipeline: Pipeline, target: Path, scratch: Path, fits: Sequence[str], rules: tuple[Rule, ...] | None = None) -> list[Job]:
     """One job for each test; ConfigError when two would write the same file, or a fit names a test that there is not."""
     files: dict[str, str] = {}
     for test in pipeline.tests:
@@ -116,19 +132,20 @@ def _jobs(pipeline: Pipeline, target: Path, scratch: Path, fits: Sequence[str]) 
             pipeline_path=pipeline.path,
             target=target,
             scratch=scratch,
+            rules=rules,
         )
         for test in pipeline.tests
     ]
 
 
-def _worked(jobs: Sequence[Job], manner: Manner) -> dict[str, Done]:
-    """Outcome of every job by its test; DataError when the user interrupts it."""
-    done: dict[str, Done] = {}
+def _outcomes(jobs: Sequence[Job], manner: Manner) -> Iterator[Done]:
+    """Outcomes of the jobs as they end; DataError when the user interrupts them."""
+    count = 0
     try:
         for outcome in manner.execute(work, jobs):
-            done[outcome.test] = outcome
-            manner.progress(len(done), len(jobs), outcome.test)
+            count += 1
+            manner.progress(count, len(jobs), outcome.test)
+            yield outcome
     except KeyboardInterrupt:
-        remark = f"{len(done)} of {len(jobs)} tests are finished and kept"
+        remark = f"{count} of {len(jobs)} tests are finished and kept"
         raise DataError(f"interrupted; {remark}", hint="the same command goes on from there") from None
-    return done

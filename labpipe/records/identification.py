@@ -11,6 +11,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import number
 from labpipe.records.budget import Budget
 from labpipe.records.channel_spectra import ChannelSpectra
+from labpipe.records.dataset_index import DatasetIndex
 from labpipe.records.dynamic_stiffness import DynamicStiffness
 from labpipe.records.finding import Finding
 from labpipe.records.modes import Modes
@@ -181,7 +182,8 @@ class Identification:
 
     *inputs*: digests of the responses that the fits were made from, *code*: of the program that made them,
     *digest*: of the file that the result was read from, empty for one without. *sections*: the records of the
-    pipeline's other sections by their key (compare, study, run_ups, ...).
+    pipeline's other sections by their key (compare, study, run_ups, ...). *dataset*: of so many tests that their fits
+    and responses stand in files of their own, what they are as a whole; then *inputs* are the dataset's parts.
     """
 
     fits: tuple[Fit, ...]
@@ -200,6 +202,7 @@ class Identification:
     code: str = ""
     digest: str = field(default="", compare=False)
     sections: Mapping[str, Any] = field(default_factory=dict)
+    dataset: DatasetIndex | None = None
 
     def __repr__(self) -> str:
         return identification_line(self)

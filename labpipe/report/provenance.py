@@ -17,7 +17,8 @@ def provenance_sections(identification: Identification) -> tuple[Section, ...]:
     return (Section("Rig and conditions", _rig(identification)), Section("Provenance", _provenance(identification)))
 
 
-def _rig(identification: Identification) -> tuple[Block, ...]:
+def rig_blocks(identification: Identification) -> tuple[Block, ...]:
+    """The rig in words and its channels as a table; nothing without a rig."""
     rig = identification.rig
     blocks: list[Block] = []
     if rig:
@@ -37,6 +38,11 @@ def _rig(identification: Identification) -> tuple[Block, ...]:
         )
         header = ("channel", "column", "quantity", "role", "dof", "recorded unit", "SI per recorded unit")
         blocks.append(Table(header, rows, "Channels", (6,)))
+    return tuple(blocks)
+
+
+def _rig(identification: Identification) -> tuple[Block, ...]:
+    blocks = list(rig_blocks(identification))
     conditions = {name: entry for name, entry in identification.measured_tests if entry}
     stated = tuple((test or "test", key, str(value)) for test, entry in conditions.items() for key, value in entry.items())
     if stated:

@@ -51,7 +51,7 @@ def identify_stage(
         fits=(),
         sources=tuple(dataclasses.asdict(source) for source in sources),
         settings=settings_entry(pipeline, tests),
-        rig=_rig_entry(pipeline),
+        rig=rig_entry(pipeline),
         version=__version__,
         failed=tuple(failed),
         inputs=tuple(dataclasses.asdict(reference) for reference in inputs),
@@ -132,7 +132,7 @@ def _test_entry(test: Test, conditions: Mapping[str, Any]) -> dict[str, Any]:
     return {"name": test.name, "conditions": {**test.conditions, **conditions}, **own}
 
 
-def _rig_entry(pipeline: Pipeline) -> dict[str, Any]:
+def rig_entry(pipeline: Pipeline) -> dict[str, Any]:
     """The rig as the report shows it."""
     rig = pipeline.rig or next((source.rig for test in pipeline.tests for source in test.recordings), None)
     return {} if rig is None else json.loads(json.dumps(dataclasses.asdict(rig)))

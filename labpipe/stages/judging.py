@@ -8,6 +8,7 @@ from typing import Any
 from labpipe.config.rules import Rule
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, parse_value
+from labpipe.records.dataset_row import PartialOutcome
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Fit, Parameter, RuleOutcome
 from labpipe.registry import nearest
@@ -37,32 +38,66 @@ def judge(rules: Iterable[Rule], fits: Sequence[Fit], records: Mapping[str, Any]
     outcomes: list[RuleOutcome] = []
     for rule in rules:
         try:
-            outcomes.append(_ruled(rule, fits, records))
+            outcomes.append(_on_section(rule, records) or whole_outcome(rule, judged_part(rule, fits)))
         except ConfigError:
             if not incomplete:
                 raise
-            outcomes.append(RuleOutcome(rule.section, rule.text, None, False))
-    return (*outcomes, *_forbidden(rules, fits))
+            outcomes.append(unfounded(rule))
+    return (*outcomes, *forbidden(rules, fits))
 
 
-def _forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> list[RuleOutcome]:
+def unfounded(rule: Rule) -> RuleOutcome:
+    """The failed outcome of a rule that addresses what an incomplete result does not have."""
+    return RuleOutcome(rule.section, rule.text, None, False)
+
+
+def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, ...]:
     """A failed rule for every fit with a warning that forbids to accept it, unless a rule on its warnings expects that one."""
     expected = {(rule.fit, rule.bound) for rule in rules if rule.item == "warnings"}
-    forbidden: dict[str, str] = {}
+    codes: dict[str, str] = {}
     for fit in fits:
         for finding in of_level(WARNING, fit.findings):
             if finding.code in FORBIDDING and (fit.name, finding.code) not in expected:
-                forbidden.setdefault(f"{fit.name}.warnings: not {finding.code}", finding.code)
-    return [RuleOutcome("accept", text, code, False, shown=code) for text, code in forbidden.items()]
+                codes.setdefault(f"{fit.name}.warnings: not {finding.code}", finding.code)
+    return tuple(RuleOutcome("accept", text, code, False, shown=code) for text, code in codes.items())
 
 
-def _ruled(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> RuleOutcome:
+def _on_section(rule: Rule, records: Mapping[str, Any]) -> RuleOutcome | None:
+    """The outcome of a rule on the record of a section other than the fits; None for a rule on fits."""
     for name, record in records.items():
         outcome = section(name).load("outcome")
         if outcome is not None and rule.fit in names_of(name, record):
             ruled: RuleOutcome = outcome(rule, record, compare_number)
             return ruled
-    return _outcome(rule, _addressed(rule, fits))
+    return None
+
+
+def judged_part(rule: Rule, fits: Sequence[Fit]) -> PartialOutcome:
+    """What a rule finds in the fits of some tests, or of all: it must hold for each fit that it addresses (bands, terms, tests)."""
+    addressed = _addressed(rule, fits)
+    if not addressed or rule.item == "count":
+        return PartialOutcome(addressed=len(addressed))
+    if rule.item == "warnings":
+        compared = [_compare_warnings(rule, fit) for fit in addressed]
+    else:
+        having = _having(rule, addressed)
+        if not having:
+            names = dict.fromkeys(parameter.name for fit in addressed for parameter in fit.parameters)
+            hint = nearest(_split(rule.item, addressed)[0], [*names, *_FIT_VALUES, "warnings", "count"])
+            return PartialOutcome(addressed=len(addressed), fault=(f"the fit has no '{_split(rule.item, addressed)[0]}'", hint))
+        compared = [_compare_item(rule, fit) for fit in having]
+    first = next((one for one in compared if not one[1]), compared[0])
+    return PartialOutcome(outcome=RuleOutcome(rule.section, rule.text, *first), addressed=len(addressed))
+
+
+def whole_outcome(rule: Rule, partial: PartialOutcome) -> RuleOutcome:
+    """The outcome of a rule on all fits; ConfigError at its place where it addresses none."""
+    if rule.item == "count" and partial.addressed:
+        return RuleOutcome(rule.section, rule.text, *compare_number(rule, float(partial.addressed), "1"))
+    if partial.outcome is not None:
+        return partial.outcome
+    what, hint = partial.fault or ("no such fit in the result", "")
+    raise ConfigError(f"{rule.section}.{rule.address}: {what}", where=rule.place, hint=hint)
 
 
 def _addressed(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
@@ -70,8 +105,6 @@ def _addressed(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
     addressed = [fit for fit in fits if fit.name == rule.fit]
     if rule.which:
         addressed = [fit for fit in addressed if rule.which in (fit.test, fit.term) or _is_centre(rule.which, fit.centre_hz)]
-    if not addressed:
-        raise ConfigError(f"{rule.section}.{rule.address}: no such fit in the result", where=rule.place)
     return addressed
 
 
@@ -80,18 +113,6 @@ def _is_centre(text: str, centre: float) -> bool:
         return abs(parse_value(text, "Hz") - centre) < 1e-6 * max(abs(centre), 1.0)
     except UnitError:
         return False
-
-
-def _outcome(rule: Rule, fits: list[Fit]) -> RuleOutcome:
-    """A rule on several fits (bands, tests) must hold for each; the value shown is the first that fails, or the first."""
-    compared: list[Compared]
-    if rule.item == "count":
-        compared = [compare_number(rule, float(len(fits)), "1")]
-    elif rule.item == "warnings":
-        compared = [_compare_warnings(rule, fit) for fit in fits]
-    else:
-        compared = [_compare_item(rule, fit) for fit in _having(rule, fits)]
-    return RuleOutcome(rule.section, rule.text, *next((one for one in compared if not one[1]), compared[0]))
 
 
 def _compare_warnings(rule: Rule, fit: Fit) -> Compared:
@@ -110,15 +131,10 @@ def _compare_warnings(rule: Rule, fit: Fit) -> Compared:
 
 def _having(rule: Rule, fits: list[Fit]) -> list[Fit]:
     """The fits that have the parameter of the rule; of a calibration, only the first line has the linear range."""
-    name, _ = _split(rule.item, fits)
     if rule.item in _FIT_VALUES:
         return fits
-    having = [fit for fit in fits if name in [parameter.name for parameter in fit.parameters]]
-    if not having:
-        names = dict.fromkeys(parameter.name for fit in fits for parameter in fit.parameters)
-        hint = nearest(name, [*names, *_FIT_VALUES, "warnings", "count"])
-        raise ConfigError(f"{rule.section}.{rule.address}: the fit has no '{name}'", where=rule.place, hint=hint)
-    return having
+    name, _ = _split(rule.item, fits)
+    return [fit for fit in fits if name in [parameter.name for parameter in fit.parameters]]
 
 
 def _split(item: str, fits: Sequence[Fit]) -> tuple[str, str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from labpipe.artefacts.decay_file import SUFFIX, read_decays, write_decays
+from labpipe.artefacts.fits_file import FOLDER as FITS
 from labpipe.artefacts.freshness import fresh_path
 from labpipe.artefacts.header import Header, source_ref
 from labpipe.artefacts.recording_file import StoredRecording
@@ -58,6 +59,17 @@ def measured_file_name(test: str, settings: FrfSettings | None) -> str:
     """The file name of a test's response, free decays or spectra."""
     name, kind = frf_file_name(test), _kind(settings)
     return name if kind is None else name.removesuffix(RESPONSE_SUFFIX) + kind.suffix
+
+
+def fits_file_name(test: str) -> str:
+    """The file name of a test's fits, where each test has its own file."""
+    return f"{FITS}/{frf_file_name(test).removesuffix(RESPONSE_SUFFIX)}.json"
+
+
+def measured_files(folder: Path, test: str) -> list[Path]:
+    """What a folder of results holds of a test: its response, free decays or spectra."""
+    stem = frf_file_name(test).removesuffix(RESPONSE_SUFFIX)
+    return [path for suffix in (RESPONSE_SUFFIX, SUFFIX, SPECTRA_SUFFIX) if (path := folder / (stem + suffix)).is_file()]
 
 
 def measure_test(

@@ -12,6 +12,7 @@ from labpipe.artefacts.report_stamp import drawn_from, is_drawn, stamped
 from labpipe.artefacts.writing import OutputFolder, output_file, output_folder
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.identification import Identification
+from labpipe.stages.one_of_many import one_of_many
 
 SUFFIX_FORMATS = {".html": "html", ".htm": "html", ".md": "md", ".pdf": "pdf"}
 
@@ -26,17 +27,27 @@ def format_of(path: Path) -> str:
     return SUFFIX_FORMATS[suffix]
 
 
-def write_report(identification: Identification, path: Path, report_format: str = "", figures: Path | None = None) -> None:
-    """Write the report of an identification; the format follows from the file's ending. *figures*: a folder for them as files."""
-    content: bytes = _renderer("RENDERERS", report_format or format_of(path))(identification)
-    _write(content, path, {} if figures is None else _figures_of(identification), figures)
+def write_report(
+    identification: Identification, path: Path, report_format: str = "", figures: Path | None = None, results: Path | None = None
+) -> None:
+    """Write the report of an identification; the format follows from the file's ending. *figures*: a folder for them as files.
+
+    *results*: the folder that the result was read from, by default that of the report.
+    """
+    name, folder = report_format or format_of(path), results or path.parent
+    files = {} if figures is None else _figures_of(identification, folder)
+    _write(_drawn(identification, folder, name), path, files, figures)
 
 
-def write_test_report(identification: Identification, test: str, path: Path, figures: Path | None = None) -> None:
-    """Write the pages of one test; ConfigError for a test that the result does not have."""
+def write_test_report(
+    identification: Identification, test: str, path: Path, figures: Path | None = None, results: Path | None = None
+) -> None:
+    """Write the pages of one test; ConfigError for a test that the result does not have. *results*: the folder that it was read from."""
     from labpipe.document.figure_files import figure_files
     from labpipe.report.build import build
 
+    if identification.dataset is not None:
+        identification = one_of_many(identification, results or path.parent, test)
     document = build(identification, test)
     content: bytes = _renderer("DOCUMENTS", format_of(path))(document)
     _write(content, path, {} if figures is None else figure_files(document), figures)
@@ -61,8 +72,24 @@ def write_reports(identification: Identification, target: Path, formats: Sequenc
     with output_folder(target) as folder:
         for name in stale:
             tell(f"report    report.{name}")
-            content: bytes = _renderer("RENDERERS", name)(identification)
-            folder.write_path(f"report.{name}").write_bytes(stamped(content, source, name))
+            folder.write_path(f"report.{name}").write_bytes(stamped(_drawn(identification, target, name), source, name))
+
+
+def _drawn(identification: Identification, folder: Path, report_format: str) -> bytes:
+    """The report as a file's bytes; of a result of many tests, whose *folder* holds them, their summary."""
+    if identification.dataset is None:
+        content: bytes = _renderer("RENDERERS", report_format)(identification)
+    else:
+        content = _renderer("DOCUMENTS", report_format)(_summary(identification, folder))
+    return content
+
+
+def _summary(identification: Identification, folder: Path) -> Any:
+    """The document of many tests; what draws and what reads tables takes its time to load."""
+    from labpipe.artefacts.dataset_columns import read_many_tests
+    from labpipe.report.many_tests import many_tests_document
+
+    return many_tests_document(identification, read_many_tests(folder))
 
 
 def _renderer(table: str, report_format: str) -> Callable[[Any], bytes]:
@@ -83,11 +110,11 @@ def write_campaign(results: Sequence[tuple[str, Identification]], path: Path, fi
     _write(content, path, {} if figures is None else figure_files(document), figures)
 
 
-def _figures_of(identification: Identification) -> dict[str, bytes]:
+def _figures_of(identification: Identification, folder: Path) -> dict[str, bytes]:
     from labpipe.document.figure_files import figure_files
     from labpipe.report.build import build
 
-    return figure_files(build(identification))
+    return figure_files(build(identification) if identification.dataset is None else _summary(identification, folder))
 
 
 def _write(content: bytes, path: Path, files: dict[str, bytes], figures: Path | None) -> None:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from labpipe.artefacts.dataset_file import SUFFIX as RESULTS_SUFFIX
+from labpipe.artefacts.dataset_file import Part, read_part
 from labpipe.artefacts.decay_file import SUFFIX as DECAY_SUFFIX
 from labpipe.artefacts.decay_file import read_decays
 from labpipe.artefacts.fits_file import FOLDER, read_fits
@@ -71,8 +73,13 @@ def _measured(read: Callable[[Path], Any]) -> _Kind:
     return _Kind(read, lambda path: header_of(path).digest, _nothing, _header_inputs)
 
 
+def _read_part(path: Path) -> Any:
+    return read_part(Part(path, "", ""))
+
+
 KINDS: Mapping[str, _Kind] = {
     NAME: _Kind(read_identification, _json_digest, lambda path: _entries("sources", path), lambda path: _entries("inputs", path)),
+    RESULTS_SUFFIX: _Kind(_read_part, lambda path: header_of(path).digest, _nothing, _nothing),
     PLAN: _Kind(read_plan, _json_digest, _nothing, _nothing),
     RECORDING_SUFFIX: _Kind(lambda path: open_recording(path).in_memory(), lambda path: header_of(path).digest, _header_inputs, _nothing),
     RESPONSE_SUFFIX: _measured(read_response),

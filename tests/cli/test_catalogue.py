@@ -22,6 +22,7 @@ from labpipe.catalogue.trends import trends
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Failed, Fit, Goodness, Identification, Parameter, RuleOutcome
+from labpipe.records.listed import ListedParameter, of_fit
 
 
 def parameter(name: str, value: float, error: float | None, unit: str = "N/m") -> Parameter:
@@ -307,8 +308,12 @@ def test_trends_that_cannot_be_told_are_refused(line: Path, labpipe, arguments: 
     assert ended.code == 2 and what in ended.err
 
 
-def two(first: list[Fit], second: list[Fit]) -> tuple[Identification, Identification]:
-    return Identification(tuple(first)), Identification(tuple(second))
+def two(first: list[Fit], second: list[Fit]) -> tuple[list[ListedParameter], list[ListedParameter]]:
+    return listed(first), listed(second)
+
+
+def listed(fits: list[Fit]) -> list[ListedParameter]:
+    return [parameter for fit in fits for parameter in of_fit(fit)]
 
 
 def test_differences_are_judged_by_both_errors_and_their_number() -> None:

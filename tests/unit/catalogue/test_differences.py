@@ -10,11 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from labpipe.catalogue.differences import differences
+from labpipe.catalogue import differences as compared
+from labpipe.catalogue.differences import Difference
 from labpipe.catalogue.query import ValueRow
 from labpipe.catalogue.trends import trends
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.identification import Fit, Goodness, Identification, Parameter
+from labpipe.records.listed import of_fit
 
 FIT = Fit(
     "direct",
@@ -35,6 +37,11 @@ FIT = Fit(
 def result(test: str = "a", error: float | None = 10.0, name: str = "direct", term: str = "", **values: float) -> Identification:
     parameters = tuple(Parameter(key, value, "N/m", std_error=error) for key, value in values.items())
     return Identification((replace(FIT, name=name, term=term, parameters=parameters, test=test),))
+
+
+def differences(first: Identification, second: Identification) -> list[Difference]:
+    """The differences of all parameters of all fits."""
+    return compared.differences(*([listed for fit in side.fits for listed in of_fit(fit)] for side in (first, second)))
 
 
 def test_the_p_value_of_a_single_difference() -> None:

@@ -1,0 +1,121 @@
+"""Commands on a result of many tests: report, list, trend, compare and verify read the dataset."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import duckdb
+import pandas as pd
+import pytest
+
+from tests.unit.pipeline.laboratory import PIPELINE, laboratory, recording
+
+ROOT = Path(__file__).parent.parent.parent
+TESTS = 12
+MANY = PIPELINE.replace("report: {formats: []}", "report: {formats: [html, md]}")
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve tests of one rig that gets stiffer with the preload, run once as a dataset and once in one file."""
+    from labpipe.cli.main import run_command
+
+    folder = tmp_path_factory.mktemp("lab")
+    laboratory(folder)
+    for number in range(TESTS):
+        (folder / f"{number}.csv").write_text(recording(18e3 + 400 * number, seed=number))
+    tests = "\n".join(f"  - {{name: t{n:02d}, recordings: {n}.csv, conditions: {{preload: {100 * (n // 2)} N}}}}" for n in range(TESTS))
+    text = MANY[: MANY.index("tests:")] + f"tests:\n{tests}\n" + MANY[MANY.index("frf:") :]
+    (folder / "pipeline.yaml").write_text(text)
+    for way in ("dataset", "whole"):
+        (folder / f"{way}.yaml").write_text(f"results: {way}\n{text}")
+        assert run_command(["run", str(folder / f"{way}.yaml"), "-o", str(folder / "out" / way), "-q"]) == 0
+    return folder
+
+
+def test_the_report_sums_up(lab: Path) -> None:
+    text = (lab / "out/dataset/report.md").read_text()
+    assert "ACCEPTED: all 1 rules hold for all 12 tests" in text
+    row = next(line for line in text.splitlines() if line.startswith("| k of direct"))
+    # k runs from 18 to 22.4 kN/m in steps of .4, its median is 20.2 kN/m.
+    assert re.search(r"\| 12 +\| 20\.\d* +\|", row) and "t00" in row and "t11" in row
+    assert "k of direct over preload" in text
+    assert (lab / "out/dataset/report.html").stat().st_size < 1e6
+
+
+def test_a_report_of_nothing_new_is_not_drawn_again(lab: Path, labpipe) -> None:
+    before = (lab / "out/dataset/report.html").stat().st_mtime_ns
+    assert labpipe("run", lab / "dataset.yaml", "-o", lab / "out/dataset").code == 0
+    assert (lab / "out/dataset/report.html").stat().st_mtime_ns == before
+
+
+def test_pages_of_one_test_are_drawn_on_demand(lab: Path, labpipe, tmp_path: Path) -> None:
+    assert labpipe("report", lab / "out/dataset", "--test", "t03", "-o", tmp_path / "one.md").code == 0
+    assert labpipe("report", lab / "out/whole", "--test", "t03", "-o", tmp_path / "two.md").code == 0
+    # The same pages but for the stamp of the file that they come from.
+    one, two = ((tmp_path / name).read_text().splitlines() for name in ("one.md", "two.md"))
+    assert [line for line in one if "t03" in line] == [line for line in two if "t03" in line] and len(one) > 20
+    ended = labpipe("report", lab / "out/dataset", "--test", "t3", "-o", tmp_path / "no.md")
+    assert ended.code == 2 and "the result has no test 't3'; did you mean" in ended.err
+
+
+def test_lists_are_those_of_the_whole_result(lab: Path, labpipe, tmp_path: Path) -> None:
+    """The same filters on both give the same values, by two ways of finding them."""
+    for filters in (["-p", "k"], ["-p", "k", "--where", "preload >= 300 N"], ["-p", "*", "--fit", "pl*", "--test", "t0*"]):
+        printed = [labpipe("list", lab / "out" / way, *filters).out.splitlines() for way in ("dataset", "whole")]
+        rows = [sorted(re.split(r"\s{2,}", line)[1:] for line in lines[1:]) for lines in printed]
+        assert rows[0] == rows[1] and rows[0]
+
+
+def test_both_kinds_are_listed_together(lab: Path, labpipe) -> None:
+    ended = labpipe("list", lab / "out")
+    assert [line.split()[1:] for line in ended.out.splitlines()[1:]] == [
+        ["dataset", "Small", "rig", "12", "accepted"],
+        ["whole", "Small", "rig", "12", "accepted"],
+    ]
+    assert len(labpipe("list", lab / "out", "-p", "k").out.splitlines()) == 1 + 4 * TESTS
+    assert len(labpipe("list", lab / "out", "--where", "preload = 500 N").out.splitlines()) == 3
+    assert labpipe("list", lab / "out", "--where", "preload = 5 kN").out.startswith("nothing found")
+
+
+@pytest.mark.parametrize(
+    ("filters", "what"),
+    [
+        (["-p", "kk"], "no result has the parameter 'kk'; did you mean 'k'?"),
+        (["-p", "k", "--where", "prelod > 1 N"], "no test has the condition 'prelod'; did you mean 'preload'?"),
+        (["-p", "k", "--where", "preload > 1 mm"], "the condition 'preload' is in N, not in m"),
+    ],
+)
+def test_what_no_test_has_is_said(lab: Path, labpipe, filters: list[str], what: str) -> None:
+    ended = labpipe("list", lab / "out/dataset", *filters)
+    assert ended.code == 2 and what in ended.err
+
+
+def test_trends_are_those_of_the_whole_result(lab: Path, labpipe) -> None:
+    printed = [labpipe("trend", lab / "out" / way, "-p", "k", "--over", "preload", "--fit", "direct").out for way in ("dataset", "whole")]
+    slopes = [re.findall(r"slope .*", text) for text in printed]
+    assert slopes[0] == slopes[1] and "rising" in slopes[0][0]
+
+
+def test_a_dataset_does_not_differ_from_the_same_numbers(lab: Path, labpipe) -> None:
+    ended = labpipe("compare", lab / "out/dataset", lab / "out/whole")
+    assert ended.code == 0 and re.search(r"^0 of \d+ parameters differ", ended.out, re.MULTILINE)
+
+
+def test_the_query_of_the_docs_gives_the_same_numbers(lab: Path, labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
+    """DuckDB, which knows nothing of labpipe, runs the query that the page prints; numpy takes the medians of `labpipe list --csv`."""
+    query = re.search(r"```sql\n(.*?)```", (ROOT / "docs/pages/how-to/many.md").read_text(), re.DOTALL)
+    assert query is not None
+    monkeypatch.chdir(lab / "out/dataset")
+    shown = duckdb.sql(query[1].replace("out/dataset/", "dataset/")).fetchall()
+    assert labpipe("list", lab / "out/dataset", "-p", "k", "--fit", "direct", "--csv", lab / "k.csv").code == 0
+    frame = pd.read_csv(lab / "k.csv")
+    expected = frame.groupby("condition:preload")["value"].median()
+    assert {row[0]: row[2] for row in shown} == pytest.approx(expected.to_dict(), rel=1e-12)
+    assert all(row[1] == 2 for row in shown) and len(shown) == TESTS // 2
+
+
+def test_verify_checks_the_parts(lab: Path, labpipe) -> None:
+    ended = labpipe("verify", lab / "out/dataset")
+    assert ended.code == 0 and "0 do not hold" in ended.out
