@@ -19,6 +19,8 @@ DOFS = ("x", "y", "z", "bx", "by")
 BALL_EXPONENT, ROLLER_EXPONENT = 3 / 2, 10 / 9
 # With two elements one radial direction has no stiffness.
 MIN_ELEMENTS = 3
+# Slewing rings have some hundred.
+MAX_ELEMENTS = 10_000
 ROLLER_REACH = 0.02
 
 
@@ -42,6 +44,8 @@ class RollingBearing:
     def __post_init__(self) -> None:
         if self.elements < MIN_ELEMENTS:
             raise ConfigError(f"{self.elements} rolling elements do not make a bearing", hint=f"{MIN_ELEMENTS} or more")
+        if self.elements > MAX_ELEMENTS:
+            raise ConfigError(f"a bearing of {self.elements} rolling elements is not computed", hint=f"up to {MAX_ELEMENTS}")
         for name in ("stiffness_constant", "pitch_radius", "groove_distance"):
             amount = getattr(self, name)
             if amount is not None and not 0 < amount < np.inf:

@@ -125,7 +125,9 @@ def _solved(function: Callable[[FloatArray], FloatArray], target: FloatArray, st
 def _positive(fit: Fit, name: str) -> float:
     value = fit.parameter(name).value
     if not value > 0:
-        raise FitError(f"{name} of test {fit.test} is {value:g}, impossible for the bearing of the theory")
+        whose = f"of test {fit.test}" if fit.test else "of the theory's own curve"
+        hint = "" if fit.test else "its resonance lies outside the band of the fit"
+        raise FitError(f"{name} {whose} is {value:g}, impossible for the bearing of the theory", hint=hint)
     return value
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import gc
+import io
 import logging
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,27 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.names import unique
+from labpipe.formats.probe import check_in_child
 from labpipe.formats.table import load_extra
 
 CHUNK_ROWS = 1 << 17
 TIME = "time [s]"
+# No packing of a block makes more bytes of one.
+MOST_SQUEEZED = 1 << 16
+
+
+def mdf_table(path: Path) -> MdfTable:
+    """The table of a file that a child process has looked at: places beyond a sample make the library crash."""
+    if path.stat().st_size == 0:
+        raise DataError("the file is empty", where=str(path))
+    load_extra("asammdf", "mdf", path)
+    check_in_child(path, "MDF", touch)
+    return MdfTable(path)
+
+
+def touch(path: Path) -> None:
+    """Open a file and read the first and the last two samples of every channel."""
+    MdfTable(path).read_ends()
 
 
 class MdfTable:
@@ -26,15 +44,14 @@ class MdfTable:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        if path.stat().st_size == 0:
-            raise DataError("the file is empty", where=str(path))
         self._library = load_extra("asammdf", "mdf", path)
         logging.getLogger("asammdf").setLevel(logging.CRITICAL)
-        with self._open() as file:
+        with _quiet(), self._open() as file:
             groups = [(int(group.channel_group.cycles_nr), number) for number, group in enumerate(file.groups)]
             self._length, self._group = max(groups, default=(0, -1))
             if self._length < 2:
                 raise DataError("holds no group of samples", where=str(path))
+            self._check_amount(file.groups[self._group])
             master = file.masters_db.get(self._group)
             channels = [
                 (channel.name, number, signal.unit)
@@ -46,6 +63,16 @@ class MdfTable:
         self.columns = (TIME, *names)
         self.units = {name: unit for name, (_, _, unit) in zip(names, channels, strict=True) if unit}
         self.sample_rate: float | None = None
+
+    def _check_amount(self, group: Any) -> None:
+        """DataError where the file says more samples than its blocks can hold: the library would make room for all of them."""
+        # Marks of invalid samples stand behind each sample, except in files that keep every column by itself.
+        marks = 0 if getattr(group, "uses_ld", False) else int(getattr(group.channel_group, "invalidation_bytes_nr", 0))
+        size, record = self.path.stat().st_size, int(group.channel_group.samples_byte_nr) + marks
+        room = sum(min(info.original_size, MOST_SQUEEZED * min(info.compressed_size, size)) for info in group.data_blocks)
+        if self._length * record > room:
+            what = f"is not a readable MDF file ({self._length} samples of {record} bytes are stated, {room} bytes are there)"
+            raise DataError(what, where=str(self.path), hint="the file is cut off or damaged")
 
     @contextmanager
     def _open(self) -> Iterator[Any]:
@@ -64,7 +91,7 @@ class MdfTable:
 
     def _opened(self) -> tuple[Any, str]:
         """The file, or why it cannot be opened."""
-        with _without_complaints():
+        with _quiet():
             try:
                 return self._library.MDF(self.path), ""
             except Exception as error:
@@ -77,21 +104,33 @@ class MdfTable:
         """Consecutive chunks (n, n_column) [unit of the file], scaled."""
         with self._open() as file:
             for start in range(0, self._length, CHUNK_ROWS):
-                part = {"record_offset": start, "record_count": min(CHUNK_ROWS, self._length - start)}
-                times = file.get_master(self._group, **part)
-                signals = [
-                    times if name == TIME else file.get(group=self._group, index=self._places[name], **part).samples for name in columns
-                ]
-                yield np.column_stack([np.asarray(signal, np.float64) for signal in signals])
+                with _quiet():
+                    chunk = self._chunk(file, columns, start, min(CHUNK_ROWS, self._length - start))
+                yield chunk
+
+    def read_ends(self) -> None:
+        """Read the last two samples; the first two were read when the table was made."""
+        with _quiet(), self._open() as file:
+            self._chunk(file, self.columns, self._length - 2, 2)
+
+    def _chunk(self, file: Any, columns: Sequence[str], start: int, count: int) -> FloatArray:
+        """The rows *start* to *start* + *count* of the columns, (count, n_column) [unit of the file]."""
+        part = {"record_offset": start, "record_count": count}
+        times = file.get_master(self._group, **part)
+        signals = [times if name == TIME else file.get(group=self._group, index=self._places[name], **part).samples for name in columns]
+        if len(times) != count:
+            raise DataError(f"ends within its {self._length} samples", where=str(self.path), hint="the file is cut off or damaged")
+        return np.column_stack([np.asarray(signal, np.float64) for signal in signals])
 
 
 @contextmanager
-def _without_complaints() -> Iterator[None]:
-    """Silence for a half-made object of the library, which fails once more when it goes."""
+def _quiet() -> Iterator[None]:
+    """Silence of the library: it prints what it holds of a damaged file, and a half-made object of it fails once more when it goes."""
     hook = sys.unraisablehook
     sys.unraisablehook = lambda _: None
     try:
-        yield
+        with redirect_stdout(io.StringIO()):
+            yield
     finally:
         sys.unraisablehook = hook
 

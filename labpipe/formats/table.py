@@ -27,7 +27,7 @@ READERS = Registry(
         ".lvm": "labpipe.formats.lvm_table:LvmTable",
         **dict.fromkeys((".npy", ".npz"), "labpipe.formats.numpy_table:numpy_table"),
         **dict.fromkeys((".xlsx", ".xlsm"), "labpipe.formats.xlsx_table:XlsxTable"),
-        **dict.fromkeys((".mf4", ".mdf"), "labpipe.formats.mdf_table:MdfTable"),
+        **dict.fromkeys((".mf4", ".mdf"), "labpipe.formats.mdf_table:mdf_table"),
     },
 )
 

@@ -57,7 +57,7 @@ def _datasets(path: Path) -> Iterator[tuple[int, list[str]]]:
     for block in re.split(r"^[ \t]*-1[ \t]*\r?$", text, flags=re.MULTILINE)[1::2]:
         lines = [line for line in block.splitlines() if line.strip()]
         kind = lines[0].split()[0] if lines else ""
-        if kind.isdigit():
+        if kind.isascii() and kind.isdigit():
             yield int(kind), lines[1:]
 
 

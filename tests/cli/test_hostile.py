@@ -19,7 +19,7 @@ import pytest
 from labpipe.artefacts.json_file import write_json
 from labpipe.cli.output import LONGEST, message_line, printable
 from labpipe.errors import DataError
-from labpipe.formats import hdf5_probe
+from labpipe.formats import hdf5_probe, probe
 from labpipe.formats.table import open_table
 from labpipe.spreadsheet_cells import cell, text_of
 from tests.conftest import Command
@@ -243,12 +243,12 @@ def test_a_file_that_loops_inside_the_library_is_ended(tmp_path: Path, monkeypat
         file["x"] = np.arange(10.0)
     assert open_table(path).columns == ("x",)
 
-    def loops(_: Path) -> int:
+    def loops(_: Path) -> None:
         while True:
             pass
 
-    monkeypatch.setattr(hdf5_probe, "_read", loops)
-    monkeypatch.setattr(hdf5_probe, "SECONDS", 0.2)
+    monkeypatch.setattr(hdf5_probe, "touch", loops)
+    monkeypatch.setattr(probe, "SECONDS", 0.2)
     os.utime(path, ns=(1, 1))
     with pytest.raises(DataError, match="takes too long"):
         open_table(path)

@@ -1,6 +1,6 @@
 """python -m tests.fuzz.run [--seconds S] [--start SEED] [--kinds a.csv ...]: mutated inputs for as long as you like.
 
-Every kind of file is read in processes of its own, each with a limit of memory; one that does not answer within ten seconds counts as
+Every kind of file is read in processes of its own, each with a limit of memory; one that takes ten seconds of the processor counts as
 hung, is ended, and the next seed follows. Prints a table and what must not be; exit code 1 if there is any of that.
 """
 
@@ -8,53 +8,75 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import os
 import resource
 import sys
 import tempfile
 import time
 import warnings
 from collections import Counter
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 from labpipe.catalogue.index import INDEX
+from tests.fuzz.scenarios import SCENARIOS, write_scenario
 from tests.fuzz.seeds import READS, write_seeds
 from tests.fuzz.trials import Tally, trial_of_file, trial_of_yaml
-from tests.unit.pipeline.laboratory import ALONE, laboratory
 
-YAML = ("pipeline.yaml", "rig.yaml")
 HANG_SECONDS = 10.0
+# A process that waits for something else than the processor, or for a turn on a busy machine.
+WAIT_SECONDS = 120.0
 GIGABYTE = 1 << 30
-BATCH = 50
+# Time after which a process reports, and its share of the machine's memory.
+BATCH_SECONDS, MOST_MEMORY = 1.0, 6 * GIGABYTE
 
 
 def _work(kind: str, folder: Path, start: int, pipe: Connection) -> None:
     """In a process: trials from seed *start* on, a report after each batch."""
     warnings.simplefilter("ignore")
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
     with tempfile.TemporaryDirectory(dir=folder) as name:
-        scratch = Path(name)
-        whole: object = None
-        if kind in YAML:
-            laboratory(scratch, ALONE)
-        else:
-            if kind == INDEX:
-                (scratch / "identification.json").write_bytes((folder / "laboratory/out/identification.json").read_bytes())
-            (scratch / kind).write_bytes((folder / kind).read_bytes())
-            whole = READS[kind](scratch / kind)[0]
+        trial = _trial(kind, folder, Path(name))
         seed = start
         while True:
-            tally = Tally(kind)
-            before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-            for _ in range(BATCH):
+            tally, end = Tally(kind), time.monotonic() + BATCH_SECONDS
+            while time.monotonic() < end:
                 pipe.send(seed)
-                if kind in YAML:
-                    trial_of_yaml(kind, scratch, seed, tally)
-                else:
-                    trial_of_file(kind, folder, scratch, seed, tally, whole)
+                before, peak = _held(), _peak()
+                trial(seed, tally)
+                if _peak() > max(before + GIGABYTE, peak):
+                    tally.faults.append(f"{kind} seed {seed}: {(_peak() - before) / GIGABYTE:.1f} GB")
                 seed += 1
-            if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 - before > GIGABYTE:
-                tally.faults.append(f"{kind} seeds {start}-{seed}: more than 1 GB")
             pipe.send(tally)
+
+
+def _trial(kind: str, folder: Path, scratch: Path) -> Callable[[int, Tally], None]:
+    """The trial of a seed for a kind of file or a scenario, prepared in *scratch*."""
+    if kind in SCENARIOS:
+        write_scenario(kind, scratch)
+        return lambda seed, tally: trial_of_yaml(kind, scratch, seed, tally)
+    if kind == INDEX:
+        (scratch / "identification.json").write_bytes((folder / "laboratory/out/identification.json").read_bytes())
+    (scratch / kind).write_bytes((folder / kind).read_bytes())
+    whole = READS[kind](scratch / kind)[0]
+    return lambda seed, tally: trial_of_file(kind, folder, scratch, seed, tally, whole)
+
+
+def _held() -> int:
+    """The memory of this process [B]."""
+    return int(Path("/proc/self/statm").read_text("ascii").split()[1]) * resource.getpagesize()
+
+
+def _peak() -> int:
+    """The most that it ever held [B]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def _processor_seconds(process: int) -> float:
+    """Time that a process has had on a processor."""
+    fields = Path(f"/proc/{process}/stat").read_text("ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _trials(kind: str, folder: Path, seconds: float, start: int) -> tuple[Tally, int]:
@@ -66,7 +88,7 @@ def _trials(kind: str, folder: Path, seconds: float, start: int) -> tuple[Tally,
         process = context.Process(target=_work, args=(kind, folder, seed, theirs), daemon=False)
         process.start()
         theirs.close()
-        fault = _listen(ours, total, end)
+        fault = _listen(ours, process.pid or 0, total, end)
         process.kill()
         process.join()
         if fault is None:
@@ -77,18 +99,24 @@ def _trials(kind: str, folder: Path, seconds: float, start: int) -> tuple[Tally,
     return total, seed
 
 
-def _listen(pipe: Connection, total: Tally, end: float) -> tuple[int, str] | None:
+def _listen(pipe: Connection, process: int, total: Tally, end: float) -> tuple[int, str] | None:
     """Take the reports of a process until the end; the seed at which it hung or crashed."""
-    seed = 0
+    seed, began, clock = 0, time.monotonic(), 0.0
     while time.monotonic() < end:
         try:
             if not pipe.poll(HANG_SECONDS):
-                return seed, "hung"
+                # A trial that began before the time was over is waited for.
+                busy, waited = _processor_seconds(process) - clock, time.monotonic() - began
+                if busy > HANG_SECONDS or waited > WAIT_SECONDS:
+                    return seed, "hung"
+                continue
             said = pipe.recv()
         except (EOFError, OSError):
             return seed, "crashed"
         if isinstance(said, int):
-            seed = said
+            seed, began = said, time.monotonic()
+            # Looked up for each trial: a lookup takes 20 us.
+            clock = _processor_seconds(process)
         else:
             total.counts.update(said.counts)
             total.faults.extend(said.faults)
@@ -100,7 +128,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0, help="for every kind of file")
     parser.add_argument("--start", type=int, default=0, help="the first seed")
-    parser.add_argument("--kinds", nargs="*", default=[*READS, *YAML])
+    parser.add_argument("--kinds", nargs="*", default=[*READS, *SCENARIOS])
     arguments = parser.parse_args()
     columns = ("refused", "as it was", "with a finding", "other numbers", "run", "foreign", "hung", "crashed")
     print(f"{'kind':<28}{'trials':>9}" + "".join(f"{name:>15}" for name in columns), flush=True)

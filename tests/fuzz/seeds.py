@@ -18,17 +18,24 @@ from labpipe.artefacts.decay_file import read_decays, write_decays
 from labpipe.artefacts.fits_file import read_fits
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.identification_file import read_identification
+from labpipe.artefacts.plan_file import read_plan
 from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.spectra_file import read_spectra
 from labpipe.catalogue.index import INDEX, open_index
 from labpipe.catalogue.query import Filter, values
+from labpipe.cli.main import run_command
+from labpipe.config.calibration import CalibrationSettings
+from labpipe.config.rig import load_rig
 from labpipe.formats.exports import write_csv, write_mat, write_uff, write_uff58b
+from labpipe.formats.geometry import read_geometry
+from labpipe.formats.run_up_csv import read_run_up_csv
 from labpipe.formats.table import open_table
 from labpipe.records.free_decay import FreeDecay, FreeDecays
 from labpipe.records.response import Port
 from labpipe.signals.screening import ChannelScreen
+from labpipe.stages.calibrate import calibrate
 from labpipe.stages.frf import load_response
-from tests.unit.pipeline.laboratory import PIPELINE, done, laboratory
+from tests.unit.pipeline.laboratory import PIPELINE, RIG, done, laboratory
 
 N_ROW = 60
 # What was read: numbers by name, and the codes of findings.
@@ -79,6 +86,19 @@ def index_content(path: Path) -> Content:
         return {"values": repr(values(index, Filter()))}, ()
 
 
+def calibration_content(path: Path) -> Content:
+    """The line through a calibration table."""
+    (fit,) = calibrate([CalibrationSettings("", "x [um]", "y [V]", path=path)])
+    return {"record": repr(fit.parameters)}, tuple(finding.code for finding in fit.findings)
+
+
+def sensor_content(path: Path) -> Content:
+    """The frequency response of a sensor, read with the rig file that names it."""
+    rig = path.with_name("rig.yaml")
+    rig.write_text(RIG.replace("role: output, dof: y", f"role: output, dof: y, response: {path.name}"))
+    return {"response": repr([one.channel.response for one in load_rig(rig).channels])}, ()
+
+
 ARTEFACTS: dict[str, Read] = {
     "a.recording.parquet": whole(lambda path: open_recording(path).in_memory()),
     "a.frf.parquet": response_content,
@@ -86,17 +106,26 @@ ARTEFACTS: dict[str, Read] = {
     "a.spectra.parquet": whole(read_spectra),
     "identification.json": whole(read_identification),
     "fits.json": whole(read_fits),
+    "plan.json": whole(read_plan),
     INDEX: index_content,
 }
 RESPONSES: dict[str, Read] = dict.fromkeys(("frf.csv", "frf.uff", "frf-b.uff", "frf.mat"), response_content)
 TABLES: dict[str, Read] = dict.fromkeys(
     (
         "a.csv", "blanks.txt", "wide.csv", "a.csv.gz", "a.parquet", "a.uff", "b.uff", "a.mat", "a.h5", "a.wav", "b.wav", "a.npy", "a.npz",
-        "a.lvm", "a.tdms", "a.xlsx",
+        "a.lvm", "a.tdms", "a.xlsx", "a.mf4",
     ),
     table_content,
 )  # fmt: skip
-READS: dict[str, Read] = {**TABLES, **RESPONSES, **ARTEFACTS}
+# Tables and universal files that describe something else than signals.
+OTHERS: dict[str, Read] = {
+    "run-up.csv": whole(read_run_up_csv),
+    "geometry.csv": whole(read_geometry),
+    "geometry.uff": whole(read_geometry),
+    "calibration.csv": calibration_content,
+    "sensor.csv": sensor_content,
+}
+READS: dict[str, Read] = {**TABLES, **RESPONSES, **OTHERS, **ARTEFACTS}
 
 LVM = """LabVIEW Measurement
 Writer_Version\t2
@@ -117,6 +146,55 @@ Delta_X\t0.01\t0.01
 ***End_of_Header***
 X_Value\tforce\ty\tComment
 """
+RUN_UP = """# load: 3.66 N
+# unbalance disc 1: 50 g.mm at 90 deg
+# threshold: 2772 rpm +- 6 rpm
+# amplitude error: 1 %
+# phase error: 1 deg
+speed [rpm],disc 1 x amplitude [um],disc 1 x phase [deg],disc 1 y amplitude [um],disc 1 y phase [deg]
+600,10,90,20,0
+900,20.5,10,31,-33
+1200,30,-90,40,180
+"""
+GEOMETRY = "point; x [mm]; y [mm]; z [mm]; to\na; 0; 0; 0; b c\nb; 100; 0; 0; c\nc; 0; 100; 50;\n"
+GEOMETRY_UFF = """    -1
+   164
+         1SI units                    2
+  1.0000000000000000E+00  1.0000000000000000E+00  1.0000000000000000E+00
+  2.7314999999999998E+02
+    -1
+    -1
+    15
+         1         0         0         8  0.0000000E+00  0.0000000E+00  0.0000000E+00
+         2         0         0         8  1.0000000E-01  0.0000000E+00  0.0000000E+00
+         3         0         0         8  0.0000000E+00  1.0000000E-01  0.0000000E+00
+    -1
+    -1
+    82
+         1         3         1
+outline
+         1         2         3
+    -1
+    -1
+  2412
+         1        91         1         1         7         3
+         1         2         3
+    -1
+"""
+PLAN = """title: Planned
+plan:
+  model: sdof
+  mass: 0.79 kg
+  expected: {k: 134.5 kN/m, c: 3.682 N.s/m}
+  noise: {force: 20 mN, displacement: 0.3 um}
+  sample_rate: 256 Hz
+  band: 60-72 Hz
+  period: 1 s
+  force_limit: 1 N
+  duration: 4 s
+"""
+CALIBRATION = "x [um],y [V]\n0,0.01\n10,0.08\n20,0.17\n30,0.24\n40,0.33\n"
+SENSOR = "frequency_hz,gain,phase_deg\n0,1,0\n20,1.005,-0.4\n50,1.01,-1\n"
 
 
 def write_seeds(folder: Path) -> None:
@@ -134,6 +212,10 @@ def _write_texts(folder: Path, rows: np.ndarray) -> None:
     (folder / "blanks.txt").write_text("# made by hand\n" + text.replace(",", "   ").replace(" [", "["))
     (folder / "wide.csv").write_bytes(text.replace(",", ";").encode("utf-16"))
     (folder / "a.csv.gz").write_bytes(gzip.compress(text.encode(), mtime=0))
+    for name, content in {
+        "run-up.csv": RUN_UP, "geometry.csv": GEOMETRY, "geometry.uff": GEOMETRY_UFF, "calibration.csv": CALIBRATION, "sensor.csv": SENSOR,
+    }.items():  # fmt: skip
+        (folder / name).write_text(content)
     (folder / "a.lvm").write_text(LVM + "".join("\t".join(f"{number:.6f}" for number in row) + "\t\n" for row in rows))
 
 
@@ -151,6 +233,7 @@ def _write_binaries(folder: Path, t: np.ndarray, force: np.ndarray, y: np.ndarra
     np.save(folder / "a.npy", np.column_stack([t, force, y]))
     np.savez(folder / "a.npz", force=force, y=y, fs=100.0)
     _write_tdms(folder / "a.tdms", force, y)
+    _write_mdf(folder / "a.mf4", t, force, y)
     _write_xlsx(folder / "a.xlsx", np.column_stack([t, force, y]))
 
 
@@ -160,6 +243,14 @@ def _write_tdms(path: Path, force: np.ndarray, y: np.ndarray) -> None:
     with TdmsWriter(str(path)) as writer:
         steps = {"wf_increment": 0.01}
         writer.write_segment([ChannelObject("run", name, column, steps) for name, column in (("force", force), ("y", y))])
+
+
+def _write_mdf(path: Path, t: np.ndarray, force: np.ndarray, y: np.ndarray) -> None:
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as file:
+        file.append([Signal(force, t, name="force", unit="N"), Signal(y, t, name="y", unit="um")])
+        file.save(path)
 
 
 def _write_xlsx(path: Path, rows: np.ndarray) -> None:
@@ -179,6 +270,8 @@ def _write_artefacts(folder: Path) -> None:
     spectra = lab / "spectra.yaml"
     spectra.write_text(PIPELINE.replace("skip: 0", "skip: 0, result: spectra").split("identify:")[0])
     _measured(spectra, lab / "spectra")
+    (lab / "plan.yaml").write_text(PLAN)
+    assert run_command(["plan", str(lab / "plan.yaml"), "-o", str(lab / "plan"), "-q"]) == 0
     decay = FreeDecay("soft", 0.1, np.random.default_rng(1).normal(size=(50, 1)))
     decays = FreeDecays(100.0, (Port("y", "displacement", "y"),), ("m",), (decay,), name="soft")
     write_decays(folder / "a.decay.parquet", decays, Header("decay", {}, inputs=()))
@@ -188,6 +281,7 @@ def _write_artefacts(folder: Path) -> None:
         "a.spectra.parquet": "spectra/soft.spectra.parquet",
         "identification.json": "out/identification.json",
         "fits.json": "out/fits/soft.json",
+        "plan.json": "plan/plan.json",
     }
     for name, source in names.items():
         (folder / name).write_bytes((lab / source).read_bytes())

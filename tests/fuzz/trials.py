@@ -5,15 +5,18 @@ from __future__ import annotations
 import contextlib
 import io
 import random
+import re
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from labpipe.artefacts.writing import STAGING
 from labpipe.catalogue.index import INDEX
 from labpipe.cli.main import run_command
-from labpipe.cli.output import LONGEST, message_line, printable
+from labpipe.cli.output import KEPT, LONGEST, message_line, printable
 from labpipe.errors import LabpipeError
 from tests.fuzz.mutations import mutated_bytes, mutated_yaml
+from tests.fuzz.scenarios import SCENARIOS
 from tests.fuzz.seeds import READS
 
 # The lines of a message, one for each fault of a YAML file; a file with more faults is summed up.
@@ -40,8 +43,10 @@ def trial_of_file(kind: str, folder: Path, scratch: Path, seed: int, tally: Tall
     changed = mutated_bytes(content, random.Random(f"{kind} {seed}"))
     path = scratch / (kind if kind == INDEX else f"{seed % 7}-{kind}")
     path.write_bytes(changed)
+    out = io.StringIO()
     try:
-        read = READS[kind](path)
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
+            read = READS[kind](path)
     except LabpipeError as error:
         text = message_line(f"error: {error}")
         sound = len(text) <= LONGEST and printable(text) == text
@@ -53,23 +58,44 @@ def trial_of_file(kind: str, folder: Path, scratch: Path, seed: int, tally: Tall
         tally.add("as it was" if same else "with a finding" if read[1] else "other numbers")
     finally:
         path.unlink(missing_ok=True)
+    if printed := out.getvalue():
+        tally.faults.append(f"{kind} seed {seed}: a reader prints {printed[:200]!r}")
 
 
-def trial_of_yaml(name: str, lab: Path, seed: int, tally: Tally) -> None:
-    """Run a whole pipeline, one of whose YAML files is mutated, from the laboratory's folder."""
-    path = lab / name
-    text = path.read_text("utf-8")
+def trial_of_yaml(name: str, folder: Path, seed: int, tally: Tally) -> None:
+    """Give the command of a scenario in its *folder*, one of whose YAML files is mutated."""
+    scenario = SCENARIOS[name]
+    path = folder / scenario.mutated
+    text = scenario.files[scenario.mutated]
     path.write_text(mutated_yaml(text, random.Random(f"{name} {seed}")), "utf-8")
     out, err = io.StringIO(), io.StringIO()
     try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            code = run_command(["run", str(lab / "pipeline.yaml"), "-o", str(lab / "out"), "-q", "--set", "report.formats=[]"])
+        with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            code = run_command(list(scenario.command))
     except Exception as error:
         tally.add("foreign", f"{name} seed {seed}: {type(error).__name__}: {str(error)[:200]}")
     else:
-        said = err.getvalue() + out.getvalue()
-        long = max(map(len, said.splitlines()), default=0) > LONGEST + 20
-        sound = not long and printable(said, "\n") == said and (code != 2 or said.startswith(("error", "warning")))
-        tally.add("refused" if code == 2 else "run", "" if sound else f"{name} seed {seed}: said {said[:300]!r}")
+        fault = _said_amiss(code, err.getvalue()) or _said_amiss(0, out.getvalue()) or _left_behind(folder)
+        tally.add("refused" if code == 2 else "run", f"{name} seed {seed}: {fault}" if fault else "")
     finally:
         path.write_text(text, "utf-8")
+
+
+def _said_amiss(code: int, said: str) -> str:
+    """What must not be about what a command said on standard error; empty where it is as it should be."""
+    if printable(said, KEPT) != said:
+        return f"control characters: {said[:300]!r}"
+    if longest := [line for line in said.splitlines() if len(line) > LONGEST]:
+        return f"{len(longest[0])} characters: {longest[0][:300]!r}"
+    # A message begins with what it is; every fault of a file is a message.
+    messages = re.split(r"^(?=error|warning)", said, flags=re.MULTILINE)
+    if lengthy := [message for message in messages if len(message.splitlines()) > MOST_LINES]:
+        return f"a message of {len(lengthy[0].splitlines())} lines: {lengthy[0][:300]!r}"
+    if code not in (0, 1, 2) or (code == 2 and "error: " not in said):
+        return f"exit code {code}: {said[:300]!r}"
+    return ""
+
+
+def _left_behind(folder: Path) -> str:
+    left = [path.name for home in (folder, folder / "out") for path in home.glob(f"{STAGING}*")]
+    return f"left behind: {', '.join(left)}" if left else ""

@@ -1,6 +1,9 @@
 """A run over several recordings, killed at a random moment, then finished: the same bytes as an undisturbed one, and nothing left behind.
 
-python -m tests.machine.kills [--count N] [--processes J]
+python -m tests.machine.kills [--count N] [--processes J | --cluster] [--worker]
+
+With --cluster the tests run on a Dask scheduler with two workers on loopback, which are started and stopped here. With --worker it is a
+worker that is killed; the run goes on and ends as if nothing had been.
 """
 
 from __future__ import annotations
@@ -13,6 +16,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 
 from tests.unit.pipeline.laboratory import contents, laboratory, recording
@@ -27,8 +33,23 @@ identify:
   direct: {{model: sdof, input: f, output: y, band: 10-40 Hz}}
 report: {{formats: [md]}}
 """
-# So long processes may take to see that their parent is no more.
-GONE_SECONDS = 10.0
+MARK = "LABPIPE_KILL_TEST"
+# So long processes may take to see that their parent is no more, and a cluster's workers to end a task that nobody waits for.
+GONE_SECONDS, TASK_SECONDS = 10.0, 0.5
+# A killed worker is replaced, which may take a while; nothing may wait for ever.
+RUN_SECONDS = 120.0
+
+
+@dataclass(frozen=True)
+class Way:
+    """How runs are done: the *options* of the command, and the *workers* of a run that are there now, by its mark."""
+
+    options: tuple[str, ...]
+    workers: Callable[[Path], list[int]]
+
+    @property
+    def name(self) -> str:
+        return " ".join(self.options)
 
 
 def prepared(folder: Path) -> None:
@@ -38,12 +59,12 @@ def prepared(folder: Path) -> None:
         (folder / f"run{number}.csv").write_text(recording(18e3 + 100 * number, seed=number))
     tests = "\n".join(f"  - {{name: t{number}, recordings: run{number}.csv}}" for number in range(TESTS))
     (folder / "pipeline.yaml").write_text(PIPELINE.format(tests=tests))
-    assert _begun(folder, "whole", 1).wait() == 0
+    assert _begun(folder, "whole", ()).wait() == 0
 
 
-def killed(folder: Path, name: str, processes: int, seconds: float) -> list[str]:
+def killed(folder: Path, name: str, way: Way, seconds: float) -> list[str]:
     """Kill a run after *seconds*, finish it, and name what is not as it should be."""
-    run = _begun(folder, name, processes)
+    run = _begun(folder, name, way.options)
     time.sleep(seconds)
     run.send_signal(signal.SIGKILL)
     run.wait()
@@ -51,44 +72,95 @@ def killed(folder: Path, name: str, processes: int, seconds: float) -> list[str]
     while (left := _processes(folder / name)) and time.monotonic() < end:
         time.sleep(0.05)
     faults = [f"processes {left} outlive their parent"] if left else []
-    if (code := _begun(folder, name, processes).wait()) != 0:
-        faults.append(f"the finished run ends with {code}")
-    if contents(folder / name) != contents(folder / "whole"):
-        faults.append("the finished run has other bytes")
-    if staging := [path.name for path in (folder / name).glob(".labpipe-*")]:
-        faults.append(f"left behind: {staging}")
-    return [f"killed after {seconds:.3f} s, -j {processes}: {fault}" for fault in faults]
+    code = _begun(folder, name, way.options).wait()
+    return [f"killed after {seconds:.3f} s, {way.name}: {fault}" for fault in (*faults, *_amiss(folder, name, code, way))]
 
 
-def _begun(folder: Path, name: str, processes: int) -> subprocess.Popen[bytes]:
-    arguments = ["run", str(folder / "pipeline.yaml"), "-o", str(folder / name), "-q", "-j", str(processes)]
-    environment = {**os.environ, "LABPIPE_KILL_TEST": str(folder / name)}
+def worker_killed(folder: Path, name: str, way: Way, seconds: float, rng: random.Random) -> list[str]:
+    """Kill a worker of a run *seconds* after the first one is there, and name what is not as it should be at the run's end."""
+    run = _begun(folder, name, way.options)
+    while not (workers := way.workers(folder / name)) and run.poll() is None:
+        time.sleep(0.005)
+    time.sleep(seconds)
+    for worker in rng.sample(way.workers(folder / name), 1) if workers and run.poll() is None else ():
+        os.kill(worker, signal.SIGKILL)
+    try:
+        code = run.wait(RUN_SECONDS)
+    except subprocess.TimeoutExpired:
+        run.kill()
+        code = run.wait()
+    return [f"worker killed after {seconds:.3f} s, {way.name}: {fault}" for fault in _amiss(folder, name, code, way)]
+
+
+def _amiss(folder: Path, name: str, code: int, way: Way) -> Iterator[str]:
+    """What is not as after an undisturbed run; on a cluster also when the tasks of the killed run have ended."""
+    if code != 0:
+        yield f"the finished run ends with {code}"
+    for pause in (0.0, TASK_SECONDS) if "--cluster" in way.options else (0.0,):
+        time.sleep(pause)
+        if (found := contents(folder / name)) != (whole := contents(folder / "whole")):
+            yield f"other bytes: {', '.join(sorted(key for key in found.keys() | whole.keys() if found.get(key) != whole.get(key)))}"
+        if staging := [path.name for path in (folder / name).glob(".labpipe-*")]:
+            yield f"left behind: {staging}"
+
+
+def _begun(folder: Path, name: str, options: tuple[str, ...]) -> subprocess.Popen[bytes]:
+    arguments = ["run", str(folder / "pipeline.yaml"), "-o", str(folder / name), "-q", *options]
+    environment = {**os.environ, MARK: str(folder / name)}
     return subprocess.Popen([sys.executable, "-m", "labpipe.cli.main", *arguments], env=environment, stderr=subprocess.DEVNULL)
 
 
-def _processes(mark: Path) -> list[int]:
-    """The processes of a run, by its mark in their environment."""
+def _processes(mark: Path, words: bytes = b"") -> list[int]:
+    """The processes of a run, by its mark in their environment, whose command line holds the *words*."""
     found = []
     for entry in Path("/proc").glob("[0-9]*"):
         try:
-            marked = f"LABPIPE_KILL_TEST={mark}\0".encode() in (entry / "environ").read_bytes()
-            if marked and (entry / "stat").read_bytes().split()[2] != b"Z":
+            marked = f"{MARK}={mark}\0".encode() in (entry / "environ").read_bytes() and words in (entry / "cmdline").read_bytes()
+            if marked and (entry / "stat").read_bytes().rpartition(b")")[2].split()[0] != b"Z":
                 found.append(int(entry.name))
         except OSError:
             continue
     return found
 
 
-def kills(count: int, processes: int, seed: int = 0) -> list[str]:
-    """What went wrong in *count* kills at random moments of a run's duration."""
+def alone(processes: int) -> Way:
+    """Runs on this machine; workers are the processes that Python's spawn begins."""
+    return Way(("-j", str(processes)), lambda mark: _processes(mark, b"spawn_main"))
+
+
+@contextmanager
+def cluster(folder: Path) -> Iterator[Way]:
+    """Runs on two workers of a Dask scheduler on loopback, none of which is left at the end."""
+    import distributed
+
+    mark = folder / "cluster"
+    os.environ[MARK] = str(mark)
+    try:
+        with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as scheduler:
+            yield Way(("--cluster", scheduler.scheduler_address), lambda _: _processes(mark, b"spawn_main"))
+    finally:
+        del os.environ[MARK]
+    end = time.monotonic() + GONE_SECONDS
+    while (left := _processes(mark, b"spawn_main")) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not left, f"processes {left} of the cluster are left"
+
+
+def kills(count: int, way: Way, folder: Path, *, worker: bool = False, seed: int = 0) -> list[str]:
+    """What went wrong in *count* kills at random moments of a run's duration, in a prepared *folder*."""
     rng = random.Random(seed)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        prepared(folder)
-        began = time.monotonic()
-        assert _begun(folder, "timed", processes).wait() == 0
-        duration = time.monotonic() - began
-        return [fault for number in range(count) for fault in killed(folder, f"out{number}", processes, rng.uniform(0.3, 1) * duration)]
+    began = time.monotonic()
+    assert _begun(folder, "timed", way.options).wait() == 0
+    duration = time.monotonic() - began
+    faults: list[str] = []
+    for number in range(count):
+        name = f"out{number}"
+        if worker:
+            # Workers do their part in the second half of a run.
+            faults += worker_killed(folder, name, way, rng.uniform(0, 0.7) * duration, rng)
+        else:
+            faults += killed(folder, name, way, rng.uniform(0.2, 1) * duration)
+    return faults
 
 
 def main() -> int:
@@ -96,9 +168,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--cluster", action="store_true")
+    parser.add_argument("--worker", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    faults = kills(arguments.count, arguments.processes, arguments.seed)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        prepared(folder)
+        with cluster(folder) if arguments.cluster else nullcontext(alone(arguments.processes)) as way:
+            faults = kills(arguments.count, way, folder, worker=arguments.worker, seed=arguments.seed)
     print(*faults, f"{arguments.count} kills, {len(faults)} faults", sep="\n")
     return 1 if faults else 0
 

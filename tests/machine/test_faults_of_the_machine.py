@@ -15,7 +15,7 @@ import pytest
 from labpipe.artefacts import writing
 from labpipe.artefacts.writing import STAGING, output_folder, staging_folder
 from tests.conftest import Command
-from tests.machine.kills import kills
+from tests.machine.kills import alone, cluster, kills, prepared
 from tests.unit.pipeline.laboratory import ALONE, contents, done, laboratory, recording
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found by /proc")
@@ -30,9 +30,29 @@ def lab(tmp_path: Path) -> Path:
 @pytest.mark.long
 @needs_proc
 @pytest.mark.parametrize("processes", [1, 2])
-def test_a_killed_run_is_finished_to_the_same_bytes(processes: int) -> None:
-    """`python -m tests.machine.kills --count 100 -j 2` does more of them."""
-    assert kills(1, processes, seed=processes) == []
+def test_a_killed_run_is_finished_to_the_same_bytes(tmp_path: Path, processes: int) -> None:
+    """`python -m tests.machine.kills --count 100 --processes 2` does more of them."""
+    prepared(tmp_path)
+    assert kills(1, alone(processes), tmp_path, seed=processes) == []
+
+
+@pytest.mark.long
+@needs_proc
+def test_a_run_whose_worker_is_killed_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
+    """As when the machine is short of memory: `python -m tests.machine.kills --processes 2 --worker` does more of them."""
+    prepared(tmp_path)
+    assert kills(2, alone(2), tmp_path, worker=True) == []
+
+
+@pytest.mark.long
+@needs_proc
+@pytest.mark.parametrize("worker", [False, True])
+def test_a_run_on_a_cluster_that_is_killed_is_finished_to_the_same_bytes(tmp_path: Path, worker: bool) -> None:
+    """`python -m tests.machine.kills --cluster` does more of them."""
+    pytest.importorskip("distributed")
+    prepared(tmp_path)
+    with cluster(tmp_path) as way:
+        assert kills(1, way, tmp_path, worker=worker) == []
 
 
 def test_the_staging_folder_of_a_killed_run_goes_with_the_next_one(tmp_path: Path) -> None:

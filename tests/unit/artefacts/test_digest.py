@@ -143,6 +143,14 @@ def test_another_digest_is_refused(artefacts: Path, tmp_path: Path, stated: obje
         read_identification(path)
 
 
+def test_a_digest_whose_name_is_damaged_is_no_file_without_one(artefacts: Path, tmp_path: Path) -> None:
+    """Another damage beside it once gave other numbers."""
+    content = (artefacts / "identification.json").read_text("utf-8")
+    (tmp_path / "identification.json").write_text(content.replace('"digest"', '"digect"').replace("0.79", "0.78"), "utf-8")
+    with pytest.raises(DamagedError, match="content does not match its digest"):
+        read_identification(tmp_path / "identification.json")
+
+
 def test_a_result_of_an_earlier_version_has_no_digest_and_is_read(artefacts: Path, tmp_path: Path) -> None:
     entries = json.loads((artefacts / "identification.json").read_text("utf-8"))
     del entries["digest"]

@@ -154,6 +154,7 @@ def test_interference_loads_all_elements_alike(deep_groove: RollingBearing) -> N
     ("change", "message"),
     [
         ({"elements": 2}, "2 rolling elements do not make a bearing"),
+        ({"elements": 10**21}, "a bearing of 1000000000000000000000 rolling elements is not computed"),
         ({"stiffness_constant": 0.0}, "stiffness_constant must be above zero"),
         ({"pitch_radius": -0.03}, "pitch_radius must be above zero, found -0.03"),
         ({"groove_distance": math.inf}, "groove_distance must be above zero"),

@@ -91,6 +91,7 @@ def test_nodes_lines_and_elements_of_another_program(tmp_path: Path) -> None:
         ("    -1\n    15\n         1         0         0\n    -1\n", "the record 15 cannot be read"),
         ("    -1\n    82\n         1         1         1\nname\n         1\n    -1\n", "holds no nodes"),
         ("not a universal file", "holds no nodes"),
+        ("    -1\n    1\xb2\n    -1\n", "holds no nodes"),
         ("    -1\n    15\n 1 0 0 0 0. 0. 0.\n    -1\n    -1\n    82\n 1 2 1\nname\n 1 9\n    -1\n", "leads to node 9, which is not in"),
     ],
 )

@@ -140,6 +140,42 @@ def test_the_longest_group_of_an_mdf_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(whole(tmp_path / "r.mf4", "n", "time [s]", "f"), np.column_stack([ticks, times, force]))
 
 
+def mdf(path: Path) -> bytearray:
+    """A measurement of nine samples."""
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as file:
+        file.append([Signal(np.arange(9.0), np.arange(9.0), name="f")])
+        file.save(path)
+    return bytearray(path.read_bytes())
+
+
+def test_more_samples_than_an_mdf_file_can_hold_are_refused_at_once(tmp_path: Path) -> None:
+    """A channel group ##CG: the number of its samples at byte 80, then the bytes of a sample and of its marks at 96 and 100.
+
+    The library made room for four gigabytes, at each of its channels.
+    """
+    content = mdf(tmp_path / "r.mf4")
+    group = content.index(b"##CG")
+    for place, size in ((80, 8), (96, 4), (100, 4)):
+        damaged = bytearray(content)
+        damaged[group + place : group + place + size] = (2**31).to_bytes(size, "little")
+        (tmp_path / "r.mf4").write_bytes(damaged)
+        with pytest.raises(DataError, match=r"samples of .* bytes are stated, 144 bytes are there"):
+            open_table(tmp_path / "r.mf4")
+
+
+def test_what_a_library_prints_of_a_damaged_file_is_not_shown(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """A channel ##CN whose data stand far behind those of its sample (byte offset at 92)."""
+    content = mdf(tmp_path / "r.mf4")
+    channel = content.rindex(b"##CN")
+    content[channel + 92 : channel + 96] = (2**31).to_bytes(4, "little")
+    (tmp_path / "r.mf4").write_bytes(content)
+    with pytest.raises(DataError, match="not a readable MDF file"):
+        whole(tmp_path / "r.mf4")
+    assert capfd.readouterr() == ("", "")
+
+
 def test_damaged_files_are_refused_in_one_line(tmp_path: Path) -> None:
     """Bytes overwritten: what the libraries throw, and what half-made objects of theirs say when they go, is one message."""
     from asammdf import MDF, Signal
