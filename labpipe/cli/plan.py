@@ -10,7 +10,6 @@ from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
 from labpipe.cli.output import echo
 from labpipe.config.plan import load_plan
-from labpipe.report.plan import goal_sentence, sentence
 from labpipe.stages.plan import plan_files
 
 
@@ -25,10 +24,9 @@ def plan(plan_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool,
     file = load_plan(plan_path, overrides)
     options.teller(quiet, verbose)(f"plan      {file.title}")
     with output_folder(output) as folder:
-        planned, names = plan_files(file, folder)
+        sentences, names = plan_files(file, folder)
     if quiet:
         return
-    for line in (sentence(planned), goal_sentence(planned), *planned.notes):
-        if line:
-            echo(line)
+    for line in sentences:
+        echo(line)
     echo(f"written to {output}: {', '.join(names)}")

@@ -1,26 +1,29 @@
-"""Reading a plan file: a title, and the section `plan:`."""
+"""Reading a plan file: a title, and the section `plan:`, whose entries are those of the model it is for."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from labpipe.config.faults import Faults
-from labpipe.config.reader import read_settings
-from labpipe.marked_yaml import load_marked, set_entry
-from labpipe.planner.settings import PlanSettings
+from labpipe.config.reader import DECIDE, read_settings
+from labpipe.marked_yaml import Marked, load_marked, set_entry
+from labpipe.planner.kinds import PLANS, PlanKind
+from labpipe.registry import nearest
 
 KEYS = ("title", "plan")
 
 
 @dataclass(frozen=True)
 class PlanFile:
-    """A plan file: where it is, its title, and its settings."""
+    """A plan file: where it is, its title, what is planned, and the settings of that."""
 
     path: Path
     title: str
-    settings: PlanSettings
+    kind: PlanKind
+    settings: Any
 
 
 def load_plan(path: Path, overrides: Iterable[str] = ()) -> PlanFile:
@@ -35,10 +38,28 @@ def load_plan(path: Path, overrides: Iterable[str] = ()) -> PlanFile:
     entries = faults.mapping(tree, "")
     if entries:
         faults.unknown_keys(tree, "", KEYS)
+    kind, settings = None, None
     if "plan" not in entries:
         faults.add(tree, "plan", "is missing", "state model, expected values, noise, limits and duration")
-    settings = read_settings(PlanSettings, entries["plan"], "plan", faults) if "plan" in entries else None
+    else:
+        kind = _kind(entries["plan"], faults)
+        settings = None if kind is None else read_settings(kind.load("settings"), entries["plan"], "plan", faults)
     faults.raise_any()
-    assert settings is not None
+    assert kind is not None and settings is not None
     title = entries["title"].text if "title" in entries else ""
-    return PlanFile(path, title or path.stem, settings)
+    return PlanFile(path, title or path.stem, kind, settings)
+
+
+def _kind(node: Marked, faults: Faults) -> PlanKind | None:
+    """What the entry `model` asks for; None and a fault where there is none of that name."""
+    entries = faults.mapping(node, "plan")
+    known = PLANS.names()
+    if "model" not in entries or entries["model"].text == DECIDE:
+        faults.add(node, "plan.model", "is missing", f"known: {', '.join(known)}")
+        return None
+    name = entries["model"].text
+    if name not in known:
+        faults.add(entries["model"], "plan.model", f"unknown model '{name}'", nearest(name, known))
+        return None
+    kind: PlanKind = PLANS.load(name)
+    return kind

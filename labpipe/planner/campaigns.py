@@ -121,7 +121,7 @@ def campaign(rig: Rig, tests: Sequence[Multisines], criterion: str, goals: Float
         return equal_times(rig, tests)
     wanted = np.isfinite(goals)
     weight = 1 / np.where(wanted, goals, 1.0)
-    design = optimum(criterion, rates / np.outer(weight, weight), wanted)
+    design = optimum(criterion, rates / np.outer(weight, weight), np.eye(wanted.size)[wanted])
     shares = np.maximum(design.shares, 0.02)
     shares = shares / shares.sum()
     return Campaign(tuple(tests), shares, np.tensordot(shares, rates, 1))

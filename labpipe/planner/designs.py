@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from labpipe.arrays import BoolArray, FloatArray, IntArray
+from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import FitError
-from labpipe.planner.criteria import MINIMAX, A, Certificate, D, certificate, variances
+from labpipe.planner.criteria import MINIMAX, A, Certificate, D, certificate, variances, weights_of
 
 START_STEPS = 300
 ROUNDS = 40
@@ -30,14 +30,15 @@ class Design:
     certificate: Certificate
 
 
-def optimum(criterion: str, information: FloatArray, wanted: BoolArray | None = None, floor: FloatArray | None = None) -> Design:
+def optimum(criterion: str, information: FloatArray, wanted: FloatArray | None = None, floor: FloatArray | None = None) -> Design:
     """The best shares of a unit cost among candidates *information* (n_candidate, n, n) [1/s].
 
-    wanted (n,): coefficients that A and minimax look at, by default all. *floor* (n_candidate,) [1]: shares, of sum below 1, that the
-    design has whatever else; the certificate is then among all designs with that floor. FitError where no design is regular.
+    wanted (n_wanted, n) [1]: combinations of coefficients that A and minimax look at, by default each by itself. *floor* (n_candidate,)
+    [1]: shares, of sum below 1, that the design has whatever else; the certificate is then among all designs with that floor. FitError
+    where no design is regular.
     """
     n_candidate, n = len(information), information.shape[-1]
-    wanted = np.ones(n, bool) if wanted is None else wanted
+    wanted = np.eye(n) if wanted is None else wanted
     floor = np.zeros(n_candidate) if floor is None else floor
     free = 1 - float(floor.sum())
     # With the floor inside every candidate the problem is again one of shares that sum to one.
@@ -68,7 +69,7 @@ def _sum(shares: FloatArray, information: FloatArray) -> FloatArray:
     return np.asarray(np.tensordot(shares, information, 1))
 
 
-def _multiplied(criterion: str, information: FloatArray, wanted: BoolArray) -> FloatArray:
+def _multiplied(criterion: str, information: FloatArray, wanted: FloatArray) -> FloatArray:
     """Start by w <- w (d / f)^g; minimax by p-norms of the variances, p rising to 25."""
     shares = np.full(len(information), 1 / len(information))
     for step in range(START_STEPS):
@@ -76,17 +77,16 @@ def _multiplied(criterion: str, information: FloatArray, wanted: BoolArray) -> F
         if criterion == D:
             weights = inverse
         else:
-            v = np.diagonal(inverse)
+            v = np.einsum("wi,ij,wj->w", wanted, inverse, wanted)
             p = 1.0 if criterion == A else 1 + (LARGEST_NORM - 1) * step / START_STEPS
-            q = np.where(wanted, (v / v[wanted].max()) ** (p - 1), 0.0)
-            weights = inverse @ (q[:, None] * inverse)
+            weights = weights_of(inverse, (v / v.max()) ** (p - 1), wanted)
         d = np.einsum("ij,aij->a", weights, information)
         shares = shares * (d / float(shares @ d)) ** EXPONENT[criterion]
         shares /= shares.sum()
     return shares
 
 
-def _polished(criterion: str, information: FloatArray, wanted: BoolArray, chosen: IntArray, start: FloatArray) -> FloatArray:
+def _polished(criterion: str, information: FloatArray, wanted: FloatArray, chosen: IntArray, start: FloatArray) -> FloatArray:
     """The best shares on the *chosen* candidates by sequential quadratic programming, zero elsewhere."""
     some = information[chosen]
     begin = np.maximum(start[chosen], 1e-3 / chosen.size)
@@ -98,16 +98,16 @@ def _polished(criterion: str, information: FloatArray, wanted: BoolArray, chosen
     return shares
 
 
-def _least_smooth(criterion: str, information: FloatArray, wanted: BoolArray, begin: FloatArray) -> FloatArray:
-    scale = float(variances(_sum(begin, information))[wanted].sum())
+def _least_smooth(criterion: str, information: FloatArray, wanted: FloatArray, begin: FloatArray) -> FloatArray:
+    scale = float(variances(_sum(begin, information), wanted).sum())
 
     def value(shares: FloatArray) -> tuple[float, FloatArray]:
         design = _sum(np.maximum(shares, 0), information)
         inverse = np.linalg.inv(design)
         if criterion == D:
             return -float(np.linalg.slogdet(design)[1]), -np.einsum("ij,aij->a", inverse, information)
-        weights = inverse @ (wanted[:, None] * inverse)
-        return float(np.diagonal(inverse)[wanted].sum()) / scale, -np.einsum("ij,aij->a", weights, information) / scale
+        weights = weights_of(inverse, np.ones(len(wanted)), wanted)
+        return float(np.einsum("wi,ij,wj->", wanted, inverse, wanted)) / scale, -np.einsum("ij,aij->a", weights, information) / scale
 
     sums = {"type": "eq", "fun": lambda shares: shares.sum() - 1, "jac": np.ones_like}
     solved = minimize(value, begin, jac=True, method="SLSQP", bounds=[(0, 1)] * begin.size, constraints=[sums], options=_OPTIONS)
@@ -117,24 +117,23 @@ def _least_smooth(criterion: str, information: FloatArray, wanted: BoolArray, be
 _OPTIONS = {"maxiter": 200, "ftol": 1e-12}
 
 
-def _least_largest(_criterion: str, information: FloatArray, wanted: BoolArray, begin: FloatArray) -> FloatArray:
+def _least_largest(_criterion: str, information: FloatArray, wanted: FloatArray, begin: FloatArray) -> FloatArray:
     """Shares and the level t of least t with v_i <= t, in logarithms: ln v_i <= t."""
-    which = np.flatnonzero(wanted)
 
     def logarithms(unknowns: FloatArray) -> FloatArray:
-        return np.asarray(np.log(variances(_sum(np.maximum(unknowns[:-1], 0), information))[which]))
+        return np.asarray(np.log(variances(_sum(np.maximum(unknowns[:-1], 0), information), wanted)))
 
     def slopes(unknowns: FloatArray) -> FloatArray:
-        inverse = np.linalg.inv(_sum(np.maximum(unknowns[:-1], 0), information))
-        told = np.einsum("ij,ajk,ki->ia", inverse[which], information, inverse[:, which])
-        return np.asarray(-told / np.diagonal(inverse)[which, None])
+        rows = wanted @ np.linalg.inv(_sum(np.maximum(unknowns[:-1], 0), information))
+        told = np.einsum("ij,ajk,ik->ia", rows, information, rows)
+        return np.asarray(-told / np.einsum("wi,wi->w", rows, wanted)[:, None])
 
     unit = np.append(np.zeros(begin.size), 1.0)
     level = float(logarithms(np.append(begin, 0.0)).max())
     below = {
         "type": "ineq",
         "fun": lambda unknowns: unknowns[-1] + level - logarithms(unknowns),
-        "jac": lambda unknowns: np.hstack([-slopes(unknowns), np.ones((which.size, 1))]),
+        "jac": lambda unknowns: np.hstack([-slopes(unknowns), np.ones((len(wanted), 1))]),
     }
     sums: dict[str, str | Callable[[FloatArray], object]] = {
         "type": "eq",

@@ -95,7 +95,7 @@ def _design(found: Candidates, wanted: Wanted, criterion: str, floor: float) -> 
     which = np.isfinite(wanted.goals)
     weight = 1 / np.where(which, wanted.goals, 1.0)
     flat_shares = found.cost / found.cost.sum()
-    return optimum(criterion, found.information / np.outer(weight, weight), which, floor * flat_shares)
+    return optimum(criterion, found.information / np.outer(weight, weight), np.eye(which.size)[which], floor * flat_shares)
 
 
 def _balanced(found: Candidates, wanted: Wanted, criterion: str, floor: float, n_shaker: int) -> Design:

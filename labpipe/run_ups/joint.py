@@ -5,19 +5,20 @@ By Levenberg-Marquardt with analytic slopes (see `problem`); priors determine th
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 
 import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import FitError
+from labpipe.identify.combinations import combination_text
 from labpipe.optimise.levenberg import minimise
 from labpipe.records.run_up import RunUp
 from labpipe.rigs.film_family import BOUND, PARAMETERS, PRIOR, FilmFamily
 from labpipe.rigs.run_up_rotor import RunUpRotor, searched_over
 from labpipe.run_ups.joint_result import JointFit
-from labpipe.run_ups.misfit import LoadRuns, combination_text, rank_of, runs_by_load
+from labpipe.run_ups.misfit import LoadRuns, rank_of, runs_by_speeds
 from labpipe.run_ups.problem import RunUpProblem, measured_thresholds
 
 MOST_REFITS = 12
@@ -28,19 +29,20 @@ NEAR = 0.05
 def family_about(rig: RunUpRotor, groups: Iterable[LoadRuns]) -> FilmFamily:
     """The family about the rotor file's bearing, its slopes about the middle of the loads and half the highest speed."""
     film = rig.place.film("a joint fit of the film's parameters")
-    return FilmFamily(film, rig.search.high / 2, float(np.exp(np.mean([np.log(group.load) for group in groups]))))
+    return FilmFamily(film, rig.search.high / 2, float(np.exp(np.mean(np.log(sorted({group.load for group in groups}))))))
 
 
-def fit_jointly(rig: RunUpRotor, runs: Iterable[RunUp], use_thresholds: bool = True) -> JointFit:
+def fit_jointly(rig: RunUpRotor, runs: Iterable[RunUp], use_thresholds: bool = True, known: Collection[str] = ()) -> JointFit:
     """The twelve parameters from all runs; parameters that run into their bounds (`BOUND`) stay there and have no standard error.
 
-    FitError when no minimum is found.
+    *known*: PARAMETERS that are those of the rotor file. FitError when no minimum is found.
     """
     runs = list(runs)
     rig = searched_over(rig, runs)
-    groups = tuple(runs_by_load(rig, runs))
+    groups = tuple(runs_by_speeds(rig, runs))
     thresholds = measured_thresholds(groups) if use_thresholds else ()
     problem = RunUpProblem.of(rig, family_about(rig, groups), groups, thresholds, PRIOR)
+    problem = replace(problem, free=np.array([name not in known for name in PARAMETERS]))
     for _ in range(MOST_REFITS):
         minimum = minimise(problem, problem.values(problem.fixed[problem.free])[problem.free])
         if not minimum.converged:
@@ -50,13 +52,13 @@ def fit_jointly(rig: RunUpRotor, runs: Iterable[RunUp], use_thresholds: bool = T
         values = problem.values(minimum.values)
         beyond = np.abs(values) > BOUND * (1 + 1e-9)
         if not np.any(beyond):
-            return _result(problem, minimum.values, minimum.steps)
+            return _result(problem, minimum.values, minimum.steps, tuple(name for name in PARAMETERS if name in known))
         fixed = np.clip(values, -BOUND, BOUND)
         problem = replace(problem, free=problem.free & ~beyond, fixed=fixed)
     raise FitError("no minimum of the joint fit was found", hint="check unbalance, phases, standard errors and the rotor file")
 
 
-def _result(problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: int) -> JointFit:
+def _result(problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: int, known: tuple[str, ...]) -> JointFit:
     slopes, prior = problem.measured_slopes(parameters), PRIOR[problem.free]
     covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     free_covariance = np.linalg.inv(slopes.T @ slopes + np.diag(prior**-2.0))
@@ -67,10 +69,10 @@ def _result(problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: in
     return JointFit(
         rig=problem.rig,
         family=problem.family,
-        loads=tuple(group.load for group in problem.groups),
+        loads=tuple(dict.fromkeys(group.load for group in problem.groups)),
         values=problem.values(parameters),
         covariance=covariance,
-        at_bound=~problem.free,
+        at_bound=~problem.free & np.array([name not in known for name in PARAMETERS]),
         chi2=float(residual @ residual),
         n_datum=slopes.shape[0],
         n_effective=float(np.trace(free_covariance @ slopes.T @ slopes)),
@@ -80,6 +82,7 @@ def _result(problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: in
         condition=float(condition),
         prior_dominated=_prior_dominated(slopes * prior, problem.free),
         steps=steps,
+        known=known,
     )
 
 

@@ -29,7 +29,7 @@ class JointFit:
 
     loads [N]: those of the fit; chi2, n_datum: of responses and thresholds together; n_effective: parameters that the data determine
     against the priors; threshold_chi2, n_threshold: of the thresholds alone; rank, condition: of the data, in units of the priors;
-    prior_dominated: combinations that the priors determine, as text.
+    prior_dominated: combinations that the priors determine, as text; known: parameters that were not estimated.
     """
 
     rig: RunUpRotor
@@ -47,6 +47,7 @@ class JointFit:
     condition: float
     prior_dominated: tuple[str, ...]
     steps: int
+    known: tuple[str, ...] = ()
 
     @property
     def chi2_per_datum(self) -> float:

@@ -84,9 +84,9 @@ def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSetti
     return Solved(method, _points_at(fits), tuple(fits))
 
 
-def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001
+def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
     """(c): one fit of the physical family to all responses and thresholds."""
-    fit = fit_jointly(rig, trained)
+    fit = fit_jointly(rig, trained, known=settings.known)
     return Solved(joint_method("joint", "(c) joint physical fit", fit), _joint_at(fit, fit.rejected), anywhere=fit)
 
 
@@ -120,7 +120,7 @@ def joint_method(name: str, title: str, fit: JointFit) -> RunUpMethod:
         title,
         REJECTED if fit.rejected else "not rejected",
         predictions=(),
-        unknowns=len(PARAMETERS),
+        unknowns=len(PARAMETERS) - len(fit.known),
         rank=fit.rank,
         condition=fit.condition,
         share_at_bound=fit.share_at_bound,
@@ -129,7 +129,7 @@ def joint_method(name: str, title: str, fit: JointFit) -> RunUpMethod:
         n_datum=fit.n_datum,
         n_effective=fit.n_effective,
         free=fit.prior_dominated,
-        parameters=tuple(_parameter(fit, parameter) for parameter in PARAMETERS),
+        parameters=tuple(_parameter(fit, parameter) for parameter in PARAMETERS if parameter not in fit.known),
     )
 
 

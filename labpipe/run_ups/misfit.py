@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
+from labpipe.identify.combinations import combination_text
 from labpipe.records.run_up import RunUp
 from labpipe.rigs.film_family import COEFFICIENTS, as_matrices
 from labpipe.rigs.run_up_rotor import RunUpRotor
@@ -81,6 +82,16 @@ def runs_by_load(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
     return [_grouped(rig, load, group) for load, group in groups.items()]
 
 
+def runs_by_speeds(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
+    """The runs grouped by load and speeds, in order: for a fit over all speeds, whose runs need share none."""
+    groups: dict[tuple[float, bytes], list[RunUp]] = {}
+    for run in runs:
+        groups.setdefault((run.load, run.speed.tobytes()), []).append(run)
+    if not groups:
+        raise DataError("there is no run-up", hint="give at least one")
+    return [_grouped(rig, load, group) for (load, _), group in groups.items()]
+
+
 def _grouped(rig: RunUpRotor, load: float, group: Sequence[RunUp]) -> LoadRuns:
     """Speeds are the same when they agree to a millionth."""
     shared = group[0].speed
@@ -119,13 +130,6 @@ def scales(start: FloatArray) -> FloatArray:
     """
     direct = np.sqrt(np.abs(start[..., [0, 4]] * start[..., [3, 7]]))
     return np.maximum(np.abs(start), 0.2 * np.repeat(direct, 4, axis=-1))
-
-
-def combination_text(names: Sequence[str], direction: FloatArray, least: float = 0.2) -> str:
-    """A *direction* (n_parameter,) [-] as text: "clearance +1.00, viscosity +2.00" where both change; without parts below *least*."""
-    direction = direction / direction[np.argmax(np.abs(direction))]
-    parts = [f"{names[n]} {direction[n]:+.2f}" for n in np.argsort(-np.abs(direction), kind="stable") if abs(direction[n]) >= least]
-    return ", ".join(parts)
 
 
 def unseen_combinations(slopes: FloatArray, names: Sequence[str] = COEFFICIENTS) -> tuple[str, ...]:

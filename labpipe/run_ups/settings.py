@@ -10,6 +10,7 @@ from labpipe.records.rig import Rig
 from labpipe.records.run_up_result import HELD_OUT, TRAINED
 from labpipe.records.settings import Settings, Uncertain, setting
 from labpipe.registry import Registry, nearest
+from labpipe.rigs.film_family import PARAMETERS
 from labpipe.rigs.run_up_rotor import RunUpRotor
 
 # From rotor, trained runs and settings to a Solved: labpipe.run_ups.methods.
@@ -108,6 +109,7 @@ class RunUpSettings(Settings):
     plane: str = setting("text", "plane of the critical speeds; default: the last one", default="")
     bound: float = setting("value", "largest change of a coefficient (amplitudes, points)", unit="1", default=0.3)
     ridge: float = setting("value", "standard deviation of that change before a run is seen (points)", unit="1", default=0.15)
+    known: tuple[str, ...] = setting("names", f"joint: what is as in the rotor file, of {', '.join(PARAMETERS)}", default=())
     search: str = setting("choice", "how amplitudes are fitted", choices=SEARCHES, default="pattern")
     starts: int = setting("integer", "starts of that search at one load and speed, to show their spread", default=20)
     seed: int = setting("integer", "of random starts and networks", default=1)
@@ -115,10 +117,12 @@ class RunUpSettings(Settings):
     rig: RunUpRotor | None = None
 
     def __post_init__(self) -> None:
-        for field, table in (("methods", METHODS), ("metamodels", METAMODELS)):
+        for field, table in (("methods", METHODS), ("metamodels", METAMODELS), ("known", PARAMETERS)):
             for name in getattr(self, field):
                 if name not in table:
                     raise ConfigError(f"unknown name '{name}'", hint=nearest(name, table), field=field)
+        if len(set(self.known)) == len(PARAMETERS):
+            raise ConfigError("nothing is left to estimate", hint="leave some out", field="known")
         if not (0 < self.bound < 1 and self.ridge > 0):
             raise ConfigError("'bound' lies between 0 and 100 %, 'ridge' above 0", hint="for example bound: 30 %")
         if self.plane and self.rig is not None:

@@ -1,136 +1,19 @@
-"""plan: settings -> signals for the shakers, plan.json, a report, and the rig and pipeline files that evaluate the test."""
+"""plan: a plan file -> the plan of its kind, and the files that carry it out and evaluate it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
-from typing import Any
-
-import yaml
-
-from labpipe import __version__
-from labpipe.artefacts.identification_file import read_identification
-from labpipe.artefacts.plan_file import NAME, write_plan
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.config.plan import PlanFile
-from labpipe.document.render import DOCUMENTS
 from labpipe.errors import ConfigError, LabpipeError
-from labpipe.formats.signal_file import write_signal
-from labpipe.planner.plan import Planned, make_plan
-from labpipe.records.plan import Plan
-from labpipe.registry import nearest
-from labpipe.report.plan import plan_document
-
-RIG, PIPELINE, REPORT = "rig.yaml", "pipeline.yaml", "report.html"
-FIT = "planned"
-# Displacements of a rotor are absolute; those of a floating stator are against its shaft.
-ROTOR, FLOATING = "rotor-2dof", "dynamic-stiffness"
 
 
-def plan_files(file: PlanFile, output: OutputFolder) -> tuple[Plan, list[str]]:
-    """Plan the test and write its files; the plan and the files' names. LabpipeError names the plan file."""
+def plan_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
+    """Plan and write; sentences on the plan, and the files' names. LabpipeError names the plan file."""
     try:
-        planned = make_plan(file.settings, _expected(file), file.title)
+        sentences, names = file.kind.load("files")(file, output)
     except LabpipeError as error:
         field = f"plan.{error.field}: " if isinstance(error, ConfigError) and error.field else ""
         error.what = f"{field}{error.what}" if not error.where else error.what
         error.where = error.where or str(file.path)
         raise
-    names = list(_write_signals(planned, output))
-    write_plan(output.write_path(NAME), planned.plan)
-    content: bytes = DOCUMENTS.load("html")(plan_document(planned.plan, __version__))
-    output.write_path(REPORT).write_bytes(content)
-    for name, entries in ((RIG, rig_entries(planned.plan)), (PIPELINE, pipeline_entries(planned.plan))):
-        text = yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, width=120)
-        output.write_path(name).write_text(text, encoding="utf-8")
-    return planned.plan, [*names, NAME, REPORT, RIG, PIPELINE]
-
-
-def _expected(file: PlanFile) -> dict[str, float]:
-    """Values by name: those of `expected`, the others from the earlier result."""
-    settings = file.settings
-    given = dict(settings.expected)
-    if not settings.earlier:
-        return given
-    path = file.path.parent / settings.earlier
-    fits = {fit.name: fit for fit in read_identification(path).fits}
-    name = settings.fit or next(iter(fits), "")
-    if name not in fits or (not settings.fit and len(fits) > 1):
-        raise ConfigError(f"name the fit of {path.name}", hint=nearest(settings.fit, tuple(fits)), field="fit")
-    found = {p.name: p.value for p in fits[name].parameters if not p.derived and p.name[0] in "kcm"}
-    return {**found, **given}
-
-
-def _write_signals(planned: Planned, output: OutputFolder) -> list[str]:
-    names = []
-    for number in range(len(planned.tests)):
-        for name, samples in planned.signals(number).items():
-            write_signal(output.write_path(name), samples, planned.plan.sample_rate, "f [N]")
-            names.append(name)
-    return names
-
-
-def _at_once(plan: Plan) -> bool:
-    return any(len(test.shakers) > 1 for test in plan.tests)
-
-
-def _side_by_side(plan: Plan) -> bool:
-    """Whether the test is evaluated from spectra of all channels: a stator, or shakers that run at once."""
-    return plan.model == FLOATING or _at_once(plan)
-
-
-def rig_entries(plan: Plan) -> dict[str, Any]:
-    """The rig file that the pipeline names: a channel for every signal, its column of the same name with its unit."""
-    shakers = list(dict.fromkeys(shaker for test in plan.tests for shaker in test.shakers))
-    if _side_by_side(plan):
-        forces = {f"f_{number}": _channel(f"f_{number}", "force", "N", shaker) for number, shaker in enumerate(shakers, 1)}
-    else:
-        forces = {"f": _channel("f", "force", "N", shakers[0])}
-    axes = ("x",) if plan.model == "sdof" else ("x", "y")
-    motions = {axis: _channel(axis, "displacement", "m", axis) for axis in axes}
-    moved = {f"a_{axis}": _channel(f"a_{axis}", "acceleration", "m/s^2", axis) for axis in axes} if plan.model == FLOATING else {}
-    return {"name": plan.title, "sample_rate": f"{plan.sample_rate!r} Hz", "channels": {**forces, **motions, **moved}}
-
-
-def _channel(name: str, quantity: str, unit: str, dof: str) -> dict[str, str]:
-    role = "input" if quantity == "force" else "output"
-    return {"column": f"{name} [{unit}]", "quantity": quantity, "unit": unit, "role": role, "dof": dof}
-
-
-def pipeline_entries(plan: Plan) -> dict[str, Any]:
-    """The pipeline that evaluates the test, the planned lines passed to it; recordings are looked for in recordings/."""
-    recordings: list[Any] = [f"recordings/{test.name}.csv" for test in plan.tests]
-    if len(recordings) > 1 and not _side_by_side(plan):
-        recordings = [
-            {"file": name, "channels": {"f": {"dof": test.shakers[0]}}} for name, test in zip(recordings, plan.tests, strict=True)
-        ]
-    lines = sorted({frequency for test in plan.tests for frequency in test.frequency})
-    spacing = 1 / plan.period
-    frf: dict[str, Any] = {
-        "excitation": "periodic",
-        "period": f"{plan.period!r} s",
-        "skip": min(test.skip for test in plan.tests),
-        "band": f"{lines[0] - spacing / 4!r}-{lines[-1] + spacing / 4!r} Hz",
-    }
-    gaps = list(_gaps(lines, spacing))
-    if gaps:
-        frf["exclude"] = gaps
-    if _side_by_side(plan):
-        frf["result"] = "spectra"
-    return {"title": plan.title, "rig": RIG, "recordings": recordings, "frf": frf, "identify": {FIT: _fit(plan)}}
-
-
-def _gaps(lines: Sequence[float], spacing: float) -> list[str]:
-    """Bands between excited lines without any."""
-    return [f"{low + spacing / 4!r}-{high - spacing / 4!r} Hz" for low, high in pairwise(lines) if high - low > 1.5 * spacing]
-
-
-def _fit(plan: Plan) -> dict[str, Any]:
-    mass = {} if plan.mass is None else {"mass": f"{plan.mass!r} kg"}
-    if not _side_by_side(plan):
-        return {"model": plan.model, **mass}
-    letters = {coefficient.name[0] for coefficient in plan.coefficients}
-    own = {"form": "kcm" if "m" in letters else "kc"}
-    if plan.model == ROTOR:
-        own["motion"] = "absolute"
-    return {"model": FLOATING, **mass, "dynamic_stiffness": own}
+    return list(sentences), list(names)

@@ -17,7 +17,7 @@ from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.json_file import DIGEST, read_digested
 from labpipe.artefacts.parquet import header_of
 from labpipe.artefacts.plan_file import NAME as PLAN
-from labpipe.artefacts.plan_file import read_plan
+from labpipe.artefacts.plan_file import read_any_plan
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
 from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.response_file import SUFFIX as RESPONSE_SUFFIX
@@ -80,7 +80,7 @@ def _read_part(path: Path) -> Any:
 KINDS: Mapping[str, _Kind] = {
     NAME: _Kind(read_identification, _json_digest, lambda path: _entries("sources", path), lambda path: _entries("inputs", path)),
     RESULTS_SUFFIX: _Kind(_read_part, lambda path: header_of(path).digest, _nothing, _nothing),
-    PLAN: _Kind(read_plan, _json_digest, _nothing, _nothing),
+    PLAN: _Kind(read_any_plan, _json_digest, _nothing, _nothing),
     RECORDING_SUFFIX: _Kind(lambda path: open_recording(path).in_memory(), lambda path: header_of(path).digest, _header_inputs, _nothing),
     RESPONSE_SUFFIX: _measured(read_response),
     DECAY_SUFFIX: _measured(read_decays),

@@ -1,0 +1,16 @@
+"""Combinations of parameters in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+
+
+def combination_text(names: Sequence[str], direction: FloatArray, least: float = 0.2) -> str:
+    """A *direction* (n_parameter,) [-] as text: "clearance +1.00, viscosity +2.00" where both change; without parts below *least*."""
+    direction = direction / direction[np.argmax(np.abs(direction))]
+    parts = [f"{names[n]} {direction[n]:+.2f}" for n in np.argsort(-np.abs(direction), kind="stable") if abs(direction[n]) >= least]
+    return ", ".join(parts)

@@ -1,0 +1,189 @@
+"""Which runs, and how many of each: exact designs of operating conditions within a time.
+
+A run of condition a tells I_a of parameters in units of what is wanted, beside I_0 that is known before. Shares of the time are the
+continuous optimum of `designs`, with I_0 inside every candidate, so that its certificate holds for runs as well: the counts are rounded
+down, filled up and exchanged run by run (Fedorov 1972, Theory of Optimal Experiments, sec. 3.2), and held against that bound.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from labpipe.arrays import BoolArray, FloatArray, IntArray
+from labpipe.errors import ConfigError, FitError
+from labpipe.planner.criteria import A, D, variances
+from labpipe.planner.designs import optimum
+
+# What makes the first runs comparable, before they determine everything: this share of the information of all.
+SLIGHT = 1e-9
+MOST_EXCHANGES = 50
+# Eigenvalues of information below this share of the largest count as zero, parameters scaled to unit diagonal.
+SINGULAR = 1e-12
+# Factor of the time up to which goals are looked for.
+LONGEST = 1e6
+
+
+@dataclass(frozen=True)
+class RunChoices:
+    """Runs to choose from: *cost* (n_run,) [s], *information* (n_run, n, n) [1] of one run each, *prior* (n, n) [1] known before.
+
+    known (n,) [1]: parameters that the prior settles for good; none unless given.
+    """
+
+    cost: FloatArray
+    information: FloatArray
+    prior: FloatArray
+    known: BoolArray | None = None
+
+    def of(self, counts: FloatArray | IntArray) -> FloatArray:
+        """Information (n, n) [1] of numbers of runs (n_run,) [1], with what is known before."""
+        return np.asarray(self.prior + np.tensordot(counts, self.information, 1))
+
+    def in_units(self, units: FloatArray) -> RunChoices:
+        """Of parameters in *units* (n,) [any unit]."""
+        size = np.outer(units, units)
+        return replace(self, information=self.information * size, prior=self.prior * size)
+
+
+@dataclass(frozen=True)
+class RunDesign:
+    """*counts* (n_run,) [1] of runs; information (n, n) [1] of all and before; shares (n_run,) [1] of the time at the optimum.
+
+    efficiency [1]: the least that the counts have, by their variances, against any division of the same time, whole runs or not.
+    """
+
+    counts: IntArray
+    information: FloatArray
+    shares: FloatArray
+    efficiency: float
+
+
+def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: FloatArray) -> RunDesign:
+    """The best numbers of runs within *duration* [s] for combinations *wanted* (n_wanted, n) [1]; ConfigError where no run fits in.
+
+    FitError where no numbers of runs determine what is wanted.
+    """
+    if float(choices.cost.min()) > duration:
+        hint = f"a duration of {float(choices.cost.min()):.4g} s or more"
+        raise ConfigError(f"no run fits into {duration:g} s", hint=hint, field="duration")
+    whole = choices.information * (duration / choices.cost)[:, None, None] + choices.prior
+    design = optimum(criterion, whole, wanted)
+    counts = _exchanged(
+        criterion, choices, duration, wanted, _filled(criterion, choices, duration, wanted, _down(choices, design.shares, duration))
+    )
+    information = choices.of(counts)
+    poor = _values(criterion, information[None], wanted)[0] / _values(criterion, design.information[None], wanted)[0]
+    if not np.isfinite(poor):
+        raise FitError("no runs of that time determine what is wanted", hint="a longer duration")
+    return RunDesign(counts, information, design.shares, min(design.certificate.efficiency / float(poor), 1.0))
+
+
+def _down(choices: RunChoices, shares: FloatArray, duration: float) -> IntArray:
+    return np.floor(shares * duration / choices.cost + 1e-9).astype(int)
+
+
+def _filled(criterion: str, choices: RunChoices, duration: float, wanted: FloatArray, counts: IntArray) -> IntArray:
+    """Runs added one by one, the one that tells most per second first, until none fits in."""
+    counts = counts.copy()
+    slight = SLIGHT * choices.information.sum(axis=0)
+    while True:
+        left = duration * (1 + 1e-9) - float(counts @ choices.cost)
+        fit = np.flatnonzero(choices.cost <= left)
+        if fit.size == 0:
+            return counts
+        now = choices.of(counts) + slight
+        before = _values(criterion, now[None], wanted)[0]
+        gain = np.log(before / _values(criterion, now + choices.information[fit], wanted)) / choices.cost[fit]
+        counts[fit[int(np.argmax(gain))]] += 1
+
+
+def _exchanged(criterion: str, choices: RunChoices, duration: float, wanted: FloatArray, counts: IntArray) -> IntArray:
+    """One run of a kind taken out and the time filled again, as long as that helps."""
+    value = _values(criterion, choices.of(counts)[None], wanted)[0]
+    for _ in range(MOST_EXCHANGES):
+        trials = []
+        for number in np.flatnonzero(counts):
+            fewer = counts.copy()
+            fewer[number] -= 1
+            trials.append(_filled(criterion, choices, duration, wanted, fewer))
+        values = _values(criterion, np.stack([choices.of(trial) for trial in trials]), wanted)
+        best = int(np.argmin(values))
+        if not values[best] < value * (1 - 1e-9):
+            break
+        counts, value = trials[best], values[best]
+    return counts
+
+
+def _values(criterion: str, information: FloatArray, wanted: FloatArray) -> FloatArray:
+    """How poor every information (n_trial, n, n) [1] is, (n_trial,) [1], in variances; infinite where it is singular."""
+    root = np.sqrt(np.diagonal(information, axis1=1, axis2=2))
+    values = np.full(len(information), np.inf)
+    regular = np.all(root > 0, axis=1)
+    scaled = information[regular] / (root[regular, :, None] * root[regular, None, :])
+    regular[regular] = np.linalg.eigvalsh(scaled)[:, 0] > SINGULAR
+    if not np.any(regular):
+        return values
+    if criterion == D:
+        values[regular] = np.exp(-np.linalg.slogdet(information[regular])[1] / information.shape[-1])
+        return values
+    v = np.stack([variances(one, wanted) for one in information[regular]])
+    values[regular] = v.sum(axis=1) if criterion == A else v.max(axis=1)
+    return values
+
+
+def errors_after(choices: RunChoices, counts: FloatArray | IntArray, wanted: FloatArray) -> FloatArray:
+    """Standard errors (n_wanted,) [1] of combinations *wanted* (n_wanted, n) [1]; infinite where the runs leave them open."""
+    return _errors(choices.of(counts), wanted)
+
+
+def lasting_errors(choices: RunChoices, wanted: FloatArray) -> FloatArray:
+    """Standard errors (n_wanted,) [1] that no number of runs goes below: those of what is known before, where runs tell nothing."""
+    unseen = undetermined(choices)
+    if unseen.size == 0:
+        return np.zeros(len(wanted))
+    involved = wanted @ unseen
+    return np.where(np.any(np.abs(involved) > 1e-6, axis=1), _errors(unseen.T @ choices.prior @ unseen, involved), 0.0)
+
+
+def undetermined(choices: RunChoices) -> FloatArray:
+    """Combinations (n, n_unseen) [1] of parameters that no run of the choices tells anything of, without what is known before.
+
+    Each has a parameter that the others do not have.
+    """
+    n = len(choices.prior)
+    free = np.arange(n) if choices.known is None else np.flatnonzero(~choices.known)
+    total = np.einsum("a,aij->ij", 1 / choices.cost, choices.information)[np.ix_(free, free)]
+    root = np.sqrt(np.diagonal(total))
+    root = np.where(root > np.sqrt(SINGULAR) * root.max(), root, root.max())
+    values, vectors = np.linalg.eigh(total / np.outer(root, root))
+    unseen = np.zeros((n, int(np.count_nonzero(values <= SINGULAR * values[-1]))))
+    unseen[free] = vectors[:, : unseen.shape[1]] / root[:, None]
+    if unseen.shape[1]:
+        pivots = linalg.qr(unseen.T, mode="r", pivoting=True)[1][: unseen.shape[1]]
+        unseen = unseen @ np.linalg.inv(unseen[pivots])
+    return np.asarray(unseen / np.linalg.norm(unseen, axis=0))
+
+
+def _errors(information: FloatArray, wanted: FloatArray) -> FloatArray:
+    root = np.sqrt(np.maximum(np.diagonal(information), 0))
+    if np.any(root == 0):
+        return np.full(len(wanted), np.inf)
+    values, vectors = np.linalg.eigh(information / np.outer(root, root))
+    parts = np.abs((wanted / root) @ vectors)
+    poor = values <= SINGULAR * values[-1]
+    sums = np.sum(parts[:, ~poor] ** 2 / values[~poor], axis=1)
+    return np.asarray(np.where(np.any(parts[:, poor] > 1e-6 * np.linalg.norm(parts, axis=1, keepdims=True), axis=1), np.inf, np.sqrt(sums)))
+
+
+def time_for_goals(choices: RunChoices, counts: IntArray, wanted: FloatArray) -> float:
+    """Factor [1] of the numbers of runs after which all errors of *wanted* (n_wanted, n) [1 / goal] are below 1; or infinity."""
+    low, high = -30.0, float(np.log(LONGEST))
+    if errors_after(choices, counts * LONGEST, wanted).max() > 1:
+        return float("inf")
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (low, middle) if errors_after(choices, counts * np.exp(middle), wanted).max() <= 1 else (middle, high)
+    return float(np.exp(high))

@@ -1,0 +1,103 @@
+"""Exact designs of runs: printed designs, all divisions counted out, and what stays open."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ConfigError, FitError
+from labpipe.planner.criteria import CRITERIA
+from labpipe.planner.designs import optimum
+from labpipe.planner.run_plan import Change, Condition, Quantity, RunQuestion, goals_of, plan_runs
+from labpipe.planner.runs import RunChoices, best_runs, errors_after, lasting_errors, time_for_goals, undetermined
+
+# Quadratic regression y = a + b x + c x^2 at x = -1, -.5, 0, .5, 1.
+X = np.linspace(-1, 1, 5)
+ROWS = np.stack([np.ones(5), X, X**2], axis=1)
+QUADRATIC = np.einsum("ai,aj->aij", ROWS, ROWS)
+NOTHING = np.zeros((3, 3))
+
+
+def test_extrapolation_of_a_line() -> None:
+    # y = a + b x on [-1, 1], wanted at x = 2: Hoel and Levine 1964, shares |l_i(2)| of Lagrange's polynomials: 3/4 at 1, 1/4 at -1;
+    # the variance is (3/2 + 1/2)^2 = 4.
+    design = optimum("minimax", np.einsum("ai,aj->aij", ROWS[:, :2], ROWS[:, :2]), np.array([[1.0, 2.0]]))
+    np.testing.assert_allclose(design.shares[[0, 4]], [0.25, 0.75], atol=2e-3)
+    assert design.certificate.efficiency >= 0.999
+    assert np.linalg.inv(design.information)[0] @ [1, 2] + 2 * (np.linalg.inv(design.information)[1] @ [1, 2]) == pytest.approx(4, rel=1e-3)
+
+
+@pytest.mark.parametrize(("criterion", "runs", "counts"), [("D", 9, [3, 0, 3, 0, 3]), ("A", 8, [2, 0, 4, 0, 2])])
+def test_quadratic_regression(criterion: str, runs: int, counts: list[int]) -> None:
+    # Fedorov 1972, Theory of Optimal Experiments, sec. 2.2 and 2.9: thirds, and quarters with a half in the middle.
+    design = best_runs(criterion, RunChoices(np.ones(5), QUADRATIC, NOTHING), float(runs), np.eye(3))
+    assert design.counts.tolist() == counts
+    assert design.efficiency >= 0.999
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_no_other_counts_are_better(criterion: str) -> None:
+    # Seven runs are no multiple of the optimum: all 210 divisions of seven runs among five places.
+    choices = RunChoices(np.ones(5), QUADRATIC, 0.1 * np.eye(3))
+    design = best_runs(criterion, choices, 7.0, np.eye(3))
+    values = []
+    for counts in product(range(8), repeat=5):
+        if sum(counts) == 7:
+            inverse = np.linalg.inv(choices.of(np.array(counts)))
+            values.append(
+                {"D": np.linalg.det(inverse) ** (1 / 3), "A": np.trace(inverse), "minimax": np.diagonal(inverse).max()}[criterion]
+            )
+    inverse = np.linalg.inv(design.information)
+    own = {"D": np.linalg.det(inverse) ** (1 / 3), "A": np.trace(inverse), "minimax": np.diagonal(inverse).max()}[criterion]
+    assert own == pytest.approx(min(values))
+    assert 0.8 < design.efficiency <= 1
+    # The certificate is a bound: the best of whole runs is one division of that time.
+    assert min(values) >= own * design.efficiency * (1 - 1e-9)
+
+
+def test_runs_of_different_length_fill_the_time() -> None:
+    choices = RunChoices(np.array([2.0, 3.0]), np.stack([np.eye(2)] * 2), np.zeros((2, 2)))
+    assert best_runs("A", choices, 9.0, np.eye(2)).counts.tolist() == [4, 0]
+    with pytest.raises(ConfigError, match="no run fits into 1 s"):
+        best_runs("A", choices, 1.0, np.eye(2))
+    with pytest.raises(FitError, match="no runs of that time"):
+        best_runs("A", RunChoices(np.ones(5), QUADRATIC, NOTHING), 2.0, np.eye(3))
+
+
+def test_what_no_run_tells_stays_as_it_was_known() -> None:
+    # a + b is measured alone; both are known to 1 before: their difference stays at sqrt(2), each at 1 / sqrt(2).
+    choices = RunChoices(np.ones(1), np.ones((1, 2, 2)), np.eye(2))
+    (direction,) = undetermined(choices).T
+    np.testing.assert_allclose(np.abs(direction), np.sqrt([0.5, 0.5]))
+    wanted = np.array([[1.0, 0.0], [1.0, -1.0], [1.0, 1.0]])
+    np.testing.assert_allclose(lasting_errors(choices, wanted), [np.sqrt(0.5), np.sqrt(2), 0.0], atol=1e-9)
+    np.testing.assert_allclose(errors_after(choices, np.array([100]), wanted)[2], np.sqrt(1 / (100 + 0.5)))
+    open_choices = RunChoices(np.ones(1), np.ones((1, 2, 2)), np.zeros((2, 2)))
+    assert np.isinf(lasting_errors(open_choices, wanted)).tolist() == [True, True, False]
+
+
+def test_time_that_goals_need() -> None:
+    choices = RunChoices(np.ones(1), np.eye(1)[None], np.zeros((1, 1)))
+    # 25 runs give 0.2; 0.1 needs four times as many.
+    assert time_for_goals(choices, np.array([25]), np.array([[10.0]])) == pytest.approx(4.0)
+    assert np.isinf(time_for_goals(RunChoices(np.ones(1), np.zeros((1, 1, 1)), np.eye(1)), np.array([1]), np.array([[10.0]])))
+
+
+def test_a_goal_out_of_reach_is_refused_with_the_change_that_helps() -> None:
+    one = Condition("sum", 1.0, (), np.ones((2, 2)))
+    other = Condition("difference", 1.0, (), np.array([[1.0, -1.0], [-1.0, 1.0]]))
+    changes = (
+        Change("the same again", 1, (one, one)),
+        Change("the difference", 1, (one, other)),
+        Change("a known b", 1, (one,), ("b",)),
+        Change("both", 2, (one, other), ("b",)),
+    )
+    quantities = (Quantity("a", "1", 1.0, np.array([1.0, 0.0]), 0.1), Quantity("a + b", "1", 1.0, np.ones(2)))
+    question = RunQuestion(("a", "b"), np.ones(2), np.eye(2), (one,), quantities, 10.0, "minimax", remedies=changes)
+    with pytest.raises(ConfigError, match=r"do not determine a to the goal: no run tells a \+1.00, b -1.00") as refusal:
+        plan_runs(question, "", "run-ups")
+    assert refusal.value.hint == "the difference or a known b would determine all"
+    with pytest.raises(ConfigError, match="the runs tell no c"):
+        goals_of({"c": 1.0}, ("a", "b"))
