@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.decay.amplitude_law import FittedLaw, fitted_law
+from labpipe.decay.budget import decay_sources
 from labpipe.decay.findings import decay_findings, depends_on_amplitude
 from labpipe.decay.likelihood import Decayed, energies
 from labpipe.decay.missing_mode import MissingMode, missing_mode
@@ -21,6 +22,7 @@ from labpipe.decay.start import most_likely
 from labpipe.decay.traces import trace
 from labpipe.decay.values import law_parameters, mode_parameters, pole_correlation, without_interval
 from labpipe.errors import ConfigError, FitError
+from labpipe.identify.budget import with_sources
 from labpipe.identify.diagnostics import MISMATCH_P
 from labpipe.identify.measured import chosen_ports
 from labpipe.identify.settings import FitSettings
@@ -60,6 +62,8 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     if any(finding.code == "model-mismatch" for finding in findings):
         parameters = tuple(map(without_interval, parameters))
     fit = _reported(decays, settings, pieces, fitted, parameters)
+    ports = {mode: decays.outputs[columns[output]] for mode, (_, output) in strongest.items()}
+    fit = with_sources(fit, decay_sources(parameters, settings, ports))
     return replace(
         fit,
         findings=(*findings, *decays.findings),

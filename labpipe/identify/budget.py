@@ -18,7 +18,7 @@ from labpipe.distributions import coverage_factor
 from labpipe.identify.derived import BandModel
 from labpipe.identify.instrumental import instrument_step
 from labpipe.identify.leakage import expected
-from labpipe.identify.matrix_errors import SHARE
+from labpipe.identify.matrix_errors import SHARE, across_ports, turned
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.output_error import OutputError
@@ -167,7 +167,7 @@ def _together(entries: Sequence[tuple[Doubt, Change]]) -> Change:
 def _change_of(effect: str, number: int, sign: float) -> Change:
     """What the error of a channel does: X (1 - d), X e^{jwd}, X e^{jd}, or another direction; *sign* -1 for a force, which divides."""
     if effect == "direction":
-        return lambda case, error: (_turned(case.setup, number, sign, error), case.measured)
+        return _change_of_direction(number, sign)
     slope, power = COURSES[effect]
 
     def change(case: Case, error: float) -> tuple[Setup, Measured]:
@@ -179,6 +179,22 @@ def _change_of(effect: str, number: int, sign: float) -> Change:
             matrix[:, :, number] *= factor[:, None]
         offset = case.measured.offset
         return case.setup, replace(case.measured, matrix=matrix if offset is None else matrix - offset[:, None, None])
+
+    return change
+
+
+def _change_of_direction(number: int, sign: float) -> Change:
+    """Another direction of a force, of which the model knows; or of a sensor, which then reads something of the motion across it.
+
+    A sensor without another of known direction beside it is turned in the model, as if the motion were alike in all directions.
+    """
+
+    def change(case: Case, error: float) -> tuple[Setup, Measured]:
+        across = across_ports(case.measured.outputs) if sign > 0 else None
+        if across is None or not np.any(across[number]):
+            return _turned(case.setup, number, sign, error), case.measured
+        matrix = case.measured.matrix
+        return case.setup, replace(case.measured, matrix=matrix + error * turned(matrix, number, across, of_forces=False))
 
     return change
 
@@ -196,14 +212,14 @@ def _change_by(matrix_error: MatrixError) -> Change:
 def _turned(setup: Setup, number: int, sign: float, error: float) -> Setup:
     """The setup with an output (*sign* 1) or a force in another direction; a port without a direction stays."""
 
-    def turned(ports: tuple[Port, ...]) -> tuple[Port, ...]:
+    def other(ports: tuple[Port, ...]) -> tuple[Port, ...]:
         port = ports[number]
         angle = None if port.angle is None else port.angle + error
         return (*ports[:number], replace(port, angle=angle), *ports[number + 1 :])
 
     if sign > 0:
-        return replace(setup, outputs=turned(setup.outputs))
-    return replace(setup, inputs=turned(setup.inputs))
+        return replace(setup, outputs=other(setup.outputs))
+    return replace(setup, inputs=other(setup.inputs))
 
 
 def _heavier(case: Case, error: float) -> tuple[Setup, Measured]:

@@ -31,10 +31,12 @@ def modal_sources(
 ) -> list[Source]:
     """Changes of the *parameters* of refined modes by every source in the FRFs' sensors and sums, (n_parameter,) [parameter units] each.
 
+    Directions count where two points or more of known direction tell the motion in their plane, likewise two forces.
+
     One step of Gauss-Newton of the output-error fit from its estimate, p - (J^T J)^-1 J^T W dH; no fit is repeated. None where the
     Jacobian is too large to be held in memory.
     """
-    errors = matrix_errors(measured)
+    errors = matrix_errors(measured, directions=True)
     model = ModalReceptance.of(terms, refined, measured, real=real)
     if not errors or model.n_parameter * measured.n_equation > MOST_ENTRIES:
         return []

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.records.channel_spectra import UncertainFactor
 from labpipe.records.doubt import COURSES, ChannelDoubt
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
 
-Row = Callable[[Sequence[Channel], int], ComplexArray]
+FORCE = "force"
 
 
 def calibration_factors(channels: Sequence[Channel], combined: ComplexArray) -> tuple[UncertainFactor, ...]:
@@ -32,30 +32,37 @@ def calibration_factors(channels: Sequence[Channel], combined: ComplexArray) -> 
 
 def _derivative(channels: Sequence[Channel], combined: ComplexArray, number: int, doubt: ChannelDoubt) -> tuple[ComplexArray, int]:
     """The change of the vector per unit of the error, and the power of the angular frequency that goes with it."""
-    row, power = np.zeros(combined.shape[0], np.complex128), 0
+    n_channel, n_recorded = combined.shape
     if doubt.effect == "direction":
-        row += _turned(channels[: combined.shape[1]], number, combined.shape[0])
-    else:
-        row[number], power = COURSES[doubt.effect]
+        change = np.zeros((n_recorded, n_channel), np.complex128)
+        change[:, :n_recorded] = turned_channels(channels[:n_recorded], number)
+        return combined @ change, 0
+    row = np.zeros(n_channel, np.complex128)
+    row[number], power = COURSES[doubt.effect]
     return np.outer(combined[:, number], row), power
 
 
-def _turned(channels: Sequence[Channel], number: int, size: int) -> ComplexArray:
-    """The motion at right angles to a channel, from it and the one other of its quantity in a known direction; zero without one.
+def turned_channels(channels: Sequence[Channel], number: int) -> FloatArray:
+    """Change (n, n) [1/rad] of all recorded *channels* by all of them, where the angle of one is written too large; zero where not known.
 
-    A sensor at theta + d reads X(theta) + d X(theta + 90 deg).
+    Needed is the one other channel of its quantity in a known direction. A sensor at theta + d reads X(theta) + d X(theta + 90 deg). Forces
+    f_j along n_j add up: f_j along n_j + d m_j, m_j at right angles, is f_j m_j d more, in components along all n.
     """
-    row = np.zeros(size, np.complex128)
+    change = np.zeros((len(channels), len(channels)))
     known = {n: angle for n, one in enumerate(channels) if one.quantity == channels[number].quantity and (angle := _angle(one)) is not None}
     if number not in known or len(known) != 2:
-        return row
-    (other,) = known.keys() - {number}
-    angle, pair = known[number], [number, other]
-    angles = np.array([angle, known[other]])
+        return change
+    pair = list(known)
+    angles = np.array(list(known.values()))
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
-    if abs(np.linalg.det(directions)) > np.sin(np.deg2rad(1)):
-        row[pair] = -np.array([-np.sin(angle), np.cos(angle)]) @ np.linalg.inv(directions)
-    return row
+    if abs(np.linalg.det(directions)) <= np.sin(np.deg2rad(1)):
+        return change
+    across = np.array([-np.sin(known[number]), np.cos(known[number])])
+    if channels[number].quantity == FORCE:
+        change[pair, number] = np.linalg.solve(directions.T, across)
+    else:
+        change[number, pair] = -across @ np.linalg.inv(directions)
+    return change
 
 
 def _angle(channel: Channel) -> float | None:

@@ -15,6 +15,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.records.doubt import COURSES, Doubt, MatrixError
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import Port
+from labpipe.spectra.channel_doubts import turned_channels
 from labpipe.spectra.parts import Parts
 from labpipe.spectra.ports import Layout
 from labpipe.spectra.settings import FrfSettings
@@ -66,9 +67,10 @@ def sum_errors(
 
 
 def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Iterator[_Effect]:
-    """What the numbers and the members of the sums among the ports do to them; a member's direction is no error of a sum by itself."""
+    """What the numbers and the members of the sums among the ports do to them."""
     by_name = {channel.name: channel for source in sources for channel in source.channels}
     for port, sensor in enumerate(sensors):
+        yield from _of_directions(port, sensor, [one for one in by_name.values() if not one.terms])
         for term in sensor.terms:
             for number, slope in zip(term.numbers, term.derivatives, strict=True):
                 named = number.source or f"{number.name}, {number.value:g} {number.unit}"
@@ -77,6 +79,19 @@ def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Ite
                 if doubted.effect in COURSES:
                     course, power = COURSES[doubted.effect]
                     yield _Effect(doubted.doubt, port, term.channel, term.factor * course, power)
+
+
+def _of_directions(port: int, sensor: Channel, recorded: Sequence[Channel]) -> Iterator[_Effect]:
+    """What the directions of recorded channels do to a sum at a port: a member reads something of the channel across it."""
+    for number, channel in enumerate(recorded):
+        directions = [doubted.doubt for doubted in channel.doubts if doubted.effect == "direction"]
+        if not sensor.terms or not directions:
+            continue
+        changes = {one.name: row for one, row in zip(recorded, turned_channels(recorded, number), strict=True)}
+        for term in sensor.terms:
+            for read, change in zip(recorded, changes.get(term.channel, ()), strict=False):
+                if change:
+                    yield from (_Effect(doubt, port, read.name, complex(term.factor * change), 0) for doubt in directions)
 
 
 def _member_rows(

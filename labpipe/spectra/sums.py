@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
 
 from labpipe.errors import DataError
 from labpipe.records.channel_sum import Number
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, SampleSource
+from labpipe.spectra.channel_doubts import turned_channels
 
 
 def check_in_time(source: SampleSource, used: Iterable[Channel]) -> None:
@@ -35,16 +38,23 @@ def doubtful_numbers(channels: Iterable[Channel]) -> dict[Number, list[Channel]]
 
 
 def doubt_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
-    """Of sums that are inputs or outputs: the doubts of their members' directions are not in the intervals of an FRF."""
+    """Of sums that are inputs or outputs: doubts of their members' directions that no one channel across them propagates."""
     channels = dict.fromkeys(channel for source in sources for channel in source.channels if channel.role != "reference")
-    turned = {
-        channel.name for source in sources for channel in source.channels if any(doubt.effect == "direction" for doubt in channel.doubts)
-    }
+    turned = {name for source in sources for name in _alone(source.channels)}
     members = {channel.name: names for channel in channels if (names := [term.channel for term in channel.terms if term.channel in turned])}
     return tuple(
         Finding(
             "number-doubt",
-            f"doubts of the direction of {', '.join(names)} in {name}: they are not in the intervals of the FRF and of its fits",
+            f"doubts of the direction of {', '.join(names)} in {name}: no one other channel of the quantity in a known direction "
+            "tells what is read across, and they are not in the intervals of the FRF and of its fits",
         )
         for name, names in members.items()
     )
+
+
+def _alone(channels: Sequence[Channel]) -> Iterator[str]:
+    """Recorded channels whose direction has a doubt, and that no other one tells the motion across."""
+    recorded = [channel for channel in channels if not channel.terms]
+    for number, channel in enumerate(recorded):
+        if any(doubt.effect == "direction" for doubt in channel.doubts) and not np.any(turned_channels(recorded, number)):
+            yield channel.name

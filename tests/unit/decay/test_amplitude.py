@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -13,6 +15,9 @@ from labpipe.decay.pieces import pieces_of
 from labpipe.decay.residual_test import judged, portmanteau
 from labpipe.decay.start import most_likely
 from labpipe.decay.traces import trace
+from labpipe.identify.fitting import identify
+from labpipe.identify.settings import FitSettings
+from labpipe.records.doubt import ChannelDoubt, Doubt
 from tests.unit.decay.records_of_decay import RATE, motion, record, times
 
 OMEGA = 2 * np.pi * 40
@@ -57,6 +62,22 @@ def test_damping_over_amplitude_is_seen_and_its_law_found() -> None:
     ratios = (values - [0.0036, 0.003, TURN, OMEGA]) / np.sqrt(np.diag(law.covariance))
     assert law.converged and np.abs(ratios).max() < 3.5 and law.law.p_value > 0.01
     assert np.sqrt(law.covariance[1, 1]) < 0.1 * 0.003
+
+
+def test_the_law_goes_as_one_over_the_sensor_s_gain() -> None:
+    """1 % of a gain is 1 % of what is per amplitude, as a refit of samples 1 % too small says; poles and the law at rest do not know it."""
+    plain = record(noisy([slipping(1.0, 0.3), slipping(0.6, 2.0)], 1))
+    gain = ChannelDoubt("gain", Doubt("probe", 0.01, "1"))
+    settings = FitSettings("decay", mass="2 kg +- 1 %", name="d")  # type: ignore[arg-type]
+    (fit,) = identify(replace(plain, outputs=(replace(plain.outputs[0], doubts=(gain,)),)), settings)
+    small = replace(plain, decays=tuple(replace(decay, samples=0.99 * decay.samples) for decay in plain.decays))
+    (refit,) = identify(small, settings)
+    assert fit.budget is not None and [source.source for source in fit.budget.sources] == ["probe"]
+    for name in ("zeta_slope_1", "f_slope_1"):
+        moved = refit.parameter(name).value - fit.parameter(name).value
+        assert fit.budget.change_by("probe", name) == pytest.approx(moved, rel=0.02)
+        assert fit.parameter(name).systematic == pytest.approx(0.01 * abs(fit.parameter(name).value))
+    assert fit.parameter("zeta_rest_1").systematic is None
 
 
 def test_stretches_show_the_law() -> None:

@@ -144,6 +144,31 @@ def test_directions_of_forces_make_cross_terms_doubtful(rng) -> None:
     assert next(iter(fit.budget.shares("k_xy"))) == "fx.dof"
 
 
+def test_a_sensor_that_points_elsewhere_reads_the_motion_across(rng) -> None:
+    """x at the angle d reads cos d x + sin d y; refits of such data. Isotropic rotors would not tell this from a turned force."""
+    w = 2 * np.pi * np.arange(20.0, 90.0, 0.5)
+    stiffness, damping, size = np.array([[1e5, 1e4], [-1e4, 1.4e5]]), np.array([[60.0, 5.0], [4.0, 80.0]]), np.radians(0.5)
+    h = np.linalg.inv(stiffness - w[:, None, None] ** 2 * 0.9 * np.eye(2) + 1j * w[:, None, None] * damping)
+    std = 1e-4 * np.max(np.abs(h))
+    noisy = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    turned = ChannelDoubt("direction", Doubt("x.dof", size, "rad"))
+
+    def fitted(angle: float):
+        outputs = (Port("x", "x", "x", 0.0, (turned,)), Port("y", "y", "y", np.pi / 2))
+        inputs = (Port("fx", "fx", "x", 0.0), Port("fy", "fy", "y", np.pi / 2))
+        matrix = noisy.copy()
+        matrix[:, 0] = np.cos(angle) * noisy[:, 0] + np.sin(angle) * noisy[:, 1]
+        response = FrequencyResponse(w / (2 * np.pi), matrix, outputs, inputs, covariance=uncorrelated(np.full(h.shape, std**2)))
+        return identify(response, FitSettings("rotor-2dof", mass=0.9, name="r"))[0]
+
+    # An angle that is written too large is a sensor that is turned back.
+    fit, (up, down) = fitted(0.0), [fitted(-sign * size) for sign in (1, -1)]
+    assert fit.budget is not None
+    for name, combined in zip(fit.budget.names, fit.budget.combined, strict=True):
+        expected = (up.parameter(name).value - down.parameter(name).value) / 2
+        assert fit.budget.change_by("x.dof", name) == pytest.approx(expected, abs=0.02 * combined)
+
+
 def test_a_mass_in_the_settings_keeps_its_doubt() -> None:
     given = settings("ml", mass="0.79 kg +- 1 % (k=2)")
     assert given.mass == 0.79

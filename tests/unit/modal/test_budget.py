@@ -11,13 +11,14 @@ from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
 from labpipe.records.doubt import ChannelDoubt, Doubt, MatrixError
 from labpipe.records.identification import Fit
-from labpipe.records.response import FrequencyResponse, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.uncertain import Uncertain
 from tests.unit.modal.structures import chain_response
 
 GAIN = Doubt("x0.sensitivity", 0.01, "1")
 DELAY = Doubt("x1.delay", 5e-5, "s")
 NUMBER = Doubt("m_s, 2 kg", 5e-5, "kg")
+TURNED = Doubt("port.dof", 0.01, "rad")
 
 
 def modal(response: FrequencyResponse, **settings: object) -> Fit:
@@ -61,6 +62,42 @@ def test_changes_are_those_of_refits(known: bool) -> None:
         for name, combined in zip(budget.names, budget.combined, strict=True):
             expected = (ends[0].parameter(name).value - ends[1].parameter(name).value) / 2
             assert budget.change_by(source.source, name) == pytest.approx(expected, abs=0.02 * combined)
+
+
+def oblique(of_force: bool) -> FrequencyResponse:
+    """Two modes at 20 and 70 deg, 30 and 47 Hz, seen and driven along x and y; one sensor or force with a doubt of its direction."""
+    frequency = np.linspace(15, 80, 400)
+    w = 2 * np.pi * frequency
+    matrix = np.zeros((w.size, 2, 2), complex)
+    for f_n, zeta, mass, angle in ((30.0, 0.02, 2.0, 0.35), (47.0, 0.015, 3.0, 1.22)):
+        shape = np.array([np.cos(angle), np.sin(angle)])
+        w_n = 2 * np.pi * f_n
+        matrix += (1 / mass / (w_n**2 - w**2 + 2j * zeta * w_n * w))[:, None, None] * np.outer(shape, shape)
+    rng, std = np.random.default_rng(3), 2e-9
+    noise = std * (rng.normal(size=matrix.shape) + 1j * rng.normal(size=matrix.shape)) / np.sqrt(2)
+    doubts = [(ChannelDoubt("direction", TURNED),) if (n, of_force) in ((0, True), (1, False)) else () for n in (0, 1)]
+    outputs = tuple(Port(n, n, n, a, () if of_force else d) for (n, a), d in zip((("x", 0.0), ("y", np.pi / 2)), doubts, strict=True))
+    inputs = tuple(Port(n, n, n, a, d if of_force else ()) for (n, a), d in zip((("x", 0.0), ("y", np.pi / 2)), doubts, strict=True))
+    return FrequencyResponse(frequency, matrix + noise, outputs, inputs, covariance=uncorrelated(np.full(matrix.shape, std**2)))
+
+
+@pytest.mark.parametrize("of_force", [True, False])
+def test_a_direction_moves_modal_masses_as_refits_say(of_force: bool) -> None:
+    """A sensor or force at the angle d sees cos d and sin d of the two directions; to 2 % of the combined uncertainty."""
+    response = oblique(of_force)
+    budget = modal(response).budget
+    assert budget is not None
+    ends = []
+    # An angle that is written too large is a port that is turned back.
+    for angle in (-TURNED.std_error, TURNED.std_error):
+        matrix = response.matrix.swapaxes(1, 2).copy() if of_force else response.matrix.copy()
+        one, other, sine = (0, 1, np.sin(angle)) if of_force else (1, 0, -np.sin(angle))
+        matrix[:, one] = np.cos(angle) * matrix[:, one] + sine * matrix[:, other]
+        ends.append(modal(replace(response, matrix=matrix.swapaxes(1, 2) if of_force else matrix)))
+    for name, combined in zip(budget.names, budget.combined, strict=True):
+        expected = (ends[0].parameter(name).value - ends[1].parameter(name).value) / 2
+        assert budget.change_by("port.dof", name) == pytest.approx(expected, abs=0.02 * combined)
+    assert max(abs(budget.change_by("port.dof", name)) / budget.combined[budget.names.index(name)] for name in ("m_1", "m_2")) > 0.5
 
 
 def test_a_gain_moves_masses_and_no_frequencies() -> None:

@@ -178,6 +178,20 @@ def test_doubts_of_calibrations_change_the_vector_as_they_are_declared(effect: s
     np.testing.assert_allclose(s, -2 * d_x, rtol=1e-12)
 
 
+def test_a_force_that_points_elsewhere_pushes_across_too() -> None:
+    """Forces add up: f_x at the angle -d, written as 0, acts as f_x cos d along x and -f_x sin d along y, which is left out."""
+    angle = 1e-3
+    runs = floating_runs(quiet(seal()), 1, ["seal-plus", "seal-minus"])
+    doubt = ChannelDoubt("direction", Doubt("shaker", angle, "rad"))
+    marked = [replace(run, channels=tuple(replace(c, doubts=(doubt,)) if c.name == "f_x" else c for c in run.channels)) for run in runs]
+    found = channel_spectra(marked, PERIODIC)
+    (factor,) = found.factors
+    f_x, f_y = found.columns("force", "input")
+    changed = angle * np.einsum("cd,lrd->lrc", factor.derivative, found.vectors)
+    np.testing.assert_allclose(changed[:, :, f_y], np.sin(angle) * found.vectors[:, :, f_x], rtol=1e-6)
+    assert np.max(np.abs(np.delete(changed, f_y, axis=2))) < 1e-12 * np.max(np.abs(changed))
+
+
 def test_drives_are_instruments_for_random_forces() -> None:
     """Two runs, one per drive; the balance holds within the covariance of the residual, whatever disturbs the shaft."""
     rig = seal(drives=True, periods=120, shaft_noise=20.0)

@@ -150,6 +150,28 @@ def parts_of(response: FrequencyResponse, row: int) -> dict[str, object]:
     return {**none, "snr_channels": (), "matrix": response.matrix[:, row : row + 1], "errors": errors, "name": str(row)}
 
 
+def test_a_member_that_points_elsewhere_changes_the_sum_as_recordings_of_it_do() -> None:
+    """ax at the angle d from x reads cos d ax + sin d ay: central differences of FRFs of such recordings, 10 mrad either way."""
+    made, angle = recordings("periodic"), 0.01
+    turned = ChannelDoubt("direction", Doubt("ax.dof", angle, "rad"))
+
+    def measured(by: float, doubts: tuple[ChannelDoubt, ...] = ()) -> FrequencyResponse:
+        runs = []
+        for run in made:
+            samples = run.samples.copy()
+            samples[:, 2] = np.cos(by) * run.samples[:, 2] + np.sin(by) * run.samples[:, 3]
+            samples[:, 8] = samples[:, 0] - 3.0 * samples[:, 2]
+            channels = tuple(replace(c, doubts=doubts) if c.name == "ax" else c for c in run.channels)
+            runs.append(replace(run, samples=samples, channels=channels))
+        return measure(runs, SETTINGS["periodic"])
+
+    response = measured(0.0, (turned,))
+    assert [finding.code for finding in response.findings if finding.code == "number-doubt"] == []
+    # An angle that is written too large is a sensor that is turned back.
+    expected = (measured(-angle).matrix - measured(angle).matrix) / 2
+    assert np.linalg.norm(change_of(response, "ax.dof") - expected) < 1e-3 * np.linalg.norm(expected)
+
+
 def test_of_a_members_direction_an_frf_says_that_it_is_not_held() -> None:
     made = recordings("periodic")
     angle = ChannelDoubt("direction", Doubt("x1.dof", 0.01, "rad"))

@@ -1,0 +1,132 @@
+"""Worlds of a frequency response: what its sensors would record of a fitted model, every number off, with new noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.identify.fitting import identify
+from labpipe.identify.measured import select_ports
+from labpipe.identify.settings import MODELS, FitSettings
+from labpipe.identify.setup import Setup
+from labpipe.identify.shared_noise import SharedNoise
+from labpipe.records.identification import Fit
+from labpipe.records.response import FrequencyResponse, Port
+from tests.draws.usual import Errors, angle_error, factor_of
+
+# The matrix of a world (n_line, n_output, n_input), forces turned by angles (n_input,) [rad]; where the response's columns do not tell.
+Turned = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class ResponseWorlds:
+    """Worlds about a *response* whose matrix is that of the model: recorded with errors and noise of the response's own covariance."""
+
+    response: FrequencyResponse
+    root: np.ndarray
+    lines: SharedNoise | None
+    turned: Turned | None = None
+
+    def recorded(self, errors: Errors, rng: np.random.Generator | None) -> FrequencyResponse:
+        response = self.response
+        matrix = self._aimed(errors)
+        omega = 2 * np.pi * response.frequency
+        matrix = matrix * np.stack([factor_of(port.doubts, omega, errors) for port in response.outputs], axis=1)[:, :, None]
+        matrix = matrix / np.stack([factor_of(port.doubts, omega, errors) for port in response.inputs], axis=1)[:, None, :]
+        # What sums of channels do to the matrix, to first order.
+        matrix = matrix + sum(errors.of(one.doubt) / one.doubt.std_error * one.change for one in response.errors)
+        return replace(response, matrix=matrix if rng is None else matrix + self._noise(rng))
+
+    def _aimed(self, errors: Errors) -> np.ndarray:
+        """Sensors and forces in the directions that they have, not in those that are written: written = true + error."""
+        response = self.response
+        matrix = response.matrix
+        of_forces = np.array([angle_error(port.doubts, errors) for port in response.inputs])
+        if self.turned is not None:
+            matrix = self.turned(-of_forces)
+        else:
+            matrix = turned_rows(response.inputs, matrix.swapaxes(1, 2), -of_forces).swapaxes(1, 2)
+        return turned_rows(response.outputs, matrix, -np.array([angle_error(port.doubts, errors) for port in response.outputs]))
+
+    def _noise(self, rng: np.random.Generator) -> np.ndarray:
+        n_line, n = self.root.shape[:2]
+        if self.lines is not None:
+            white = self.lines.drawn(rng, n)
+        else:
+            parts = rng.standard_normal((2, n_line, n)) / np.sqrt(2)
+            white = parts[0] + 1j * parts[1]
+        return np.einsum("lab,lb->la", self.root, white).reshape(self.response.matrix.shape)
+
+
+def turned_rows(ports: tuple[Port, ...], matrix: np.ndarray, by: np.ndarray) -> np.ndarray:
+    """Rows (n_line, n_port, n) of ports of known direction turned *by* angles (n_port,) [rad]; as they are where the plane is not told."""
+    known = [number for number, port in enumerate(ports) if port.angle is not None]
+    angles = np.array([ports[number].angle for number in known], float)
+    plane = np.column_stack([np.cos(angles), np.sin(angles)])
+    if len(known) < 2 or np.linalg.svd(plane, compute_uv=False)[-1] < 0.1:
+        return matrix
+    turned = matrix.copy()
+    now = angles + by[known]
+    turned[:, known] = np.column_stack([np.cos(now), np.sin(now)]) @ np.linalg.pinv(plane) @ matrix[:, known]
+    return turned
+
+
+def response_worlds(response: FrequencyResponse, settings: FitSettings) -> tuple[ResponseWorlds, FrequencyResponse]:
+    """Worlds about the fit of one band to the *response*, and the part of the response on the lines of the fit."""
+    (fit,) = identify(response, replace(settings, compare=False, bootstrap=0, monte_carlo=0), judging=False)
+    curve = fit.curve
+    assert curve is not None and curve.form == response.form
+    lines = np.min(np.abs(response.frequency[:, None] - curve.frequency), axis=1) < 1e-6 * response.frequency
+    part = _on_lines(response, lines)
+    rows = [[port.label for port in part.outputs].index(name) for name in curve.outputs]
+    columns = [[port.label for port in part.inputs].index(name) for name in curve.inputs]
+    matrix = part.matrix.copy()
+    matrix[np.ix_(range(matrix.shape[0]), rows, columns)] = curve.fitted
+    truth = replace(part, matrix=matrix)
+    assert part.covariance is not None
+    values, vectors = np.linalg.eigh(part.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    noise = None
+    if part.line_correlation:
+        spacing = np.min(np.diff(response.frequency))
+        gains = None if part.line_gains is None else part.line_gains.reshape(*part.line_gains.shape[:2], -1)
+        noise = SharedNoise(np.round(part.frequency / spacing).astype(int), np.array(part.line_correlation, complex), gains)
+    return ResponseWorlds(truth, root, noise, _by_model(truth, settings, fit)), part
+
+
+def _on_lines(response: FrequencyResponse, lines: np.ndarray) -> FrequencyResponse:
+    names = ("matrix", "covariance", "coherence", "multiple_coherence", "partial_coherence", "distortion", "line_gains")
+    cut = {name: None if getattr(response, name) is None else getattr(response, name)[lines] for name in names}
+    errors = tuple(replace(one, change=one.change[lines]) for one in response.errors)
+    rest = {"change": None, "open_loop": None, "snr": None, "snr_channels": (), "errors": errors}
+    return replace(response, frequency=response.frequency[lines], **cut, **rest)
+
+
+def _by_model(truth: FrequencyResponse, settings: FitSettings, fit: Fit) -> Turned | None:
+    """The response with forces in other directions, by the fitted model; None where columns tell it, or direction does not count."""
+    if settings.model != "rotor-2dof-direct" or len(truth.inputs) > 1 or truth.inputs[0].angle is None:
+        return None
+    rows, columns = select_ports(truth, settings.input, settings.output)
+    plain = replace(settings, subtract=None, share=1)
+    whole = {p.name: p.value * settings.share for p in fit.parameters}
+    support = settings.subtract
+    if support is not None:
+        whole = {k: v + {"k": support.stiffness.value, "c": support.damping.value}.get(k[0], 0.0) for k, v in whole.items()}
+    omega = 2 * np.pi * truth.frequency
+
+    def receptance(by: np.ndarray) -> np.ndarray:
+        inputs = tuple(replace(truth.inputs[c], angle=truth.inputs[c].angle + by[c]) for c in columns)
+        model = MODELS[settings.model](Setup(tuple(truth.outputs[r] for r in rows), inputs, plain))
+        return model.receptance(np.array([whole[name] for name in model.names]), omega)
+
+    start = receptance(np.zeros(len(truth.inputs)))
+    np.testing.assert_allclose(start, truth.matrix[:, rows], rtol=1e-6)
+
+    def turned(by: np.ndarray) -> np.ndarray:
+        matrix = truth.matrix.copy()
+        matrix[:, rows] = receptance(by)
+        return matrix
+
+    return turned
