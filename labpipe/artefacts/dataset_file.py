@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,11 +21,14 @@ import pyarrow.parquet as pq
 
 from labpipe.artefacts.digest import stamp_parquet
 from labpipe.artefacts.header import Header
+from labpipe.artefacts.json_file import plain
 from labpipe.artefacts.parquet import as_written, metadata_of, open_parquet, read_columns, read_header
+from labpipe.artefacts.typed_json import entry_of, record_of
 from labpipe.artefacts.writing import OutputFolder, finished
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, si_amount
-from labpipe.records.dataset_row import DatasetRow
+from labpipe.records.dataset_row import DatasetRow, TestResult
+from labpipe.records.dataset_summary import DatasetSummary, summary_of, summed
 
 FOLDER = "dataset"
 SUFFIX = ".results.parquet"
@@ -54,17 +58,19 @@ class Part:
     date: str
 
 
-def write_parts(rows: Sequence[DatasetRow], output: OutputFolder) -> list[str]:
-    """Write the rows, one part for each rig and date, in their order; the names of the parts below the output folder."""
-    groups: dict[tuple[str, str], list[DatasetRow]] = {}
-    for row in rows:
-        groups.setdefault((row.rig, row.date), []).append(row)
+def write_parts(results: Sequence[TestResult], output: OutputFolder) -> list[str]:
+    """Write the rows of tests, one part for each rig and date, in their order; the names of the parts below the output folder."""
+    groups: dict[tuple[str, str], list[TestResult]] = {}
+    for result in results:
+        if result.rows:
+            groups.setdefault((result.rows[0].rig, result.rows[0].date), []).append(result)
     return [_write_part(rig, date, group, output) for (rig, date), group in groups.items()]
 
 
-def _write_part(rig: str, date: str, rows: Sequence[DatasetRow], output: OutputFolder) -> str:
-    header = Header(KIND, {"schema": SCHEMA}, inputs=())
-    table = _table(rows).replace_schema_metadata(metadata_of(header))
+def _write_part(rig: str, date: str, results: Sequence[TestResult], output: OutputFolder) -> str:
+    summary = json.loads(json.dumps(entry_of(summed(summary_of(result) for result in results)), default=plain))
+    header = Header(KIND, {"schema": SCHEMA}, inputs=(), contents={"summary": summary})
+    table = _table([row for result in results for row in result.rows]).replace_schema_metadata(metadata_of(header))
     stream = pa.BufferOutputStream()
     pq.write_table(table, stream, compression="zstd", write_page_checksum=True)
     content = stream.getvalue()
@@ -73,6 +79,14 @@ def _write_part(rig: str, date: str, rows: Sequence[DatasetRow], output: OutputF
     path.write_bytes(content)
     stamp_parquet(path)
     return name
+
+
+def read_summary(part: Part) -> DatasetSummary:
+    """What a part says of its tests as a whole; DamagedError for a file that is not as labpipe wrote it."""
+    header = read_header(part.path, KIND)
+    with as_written(part.path):
+        summary: DatasetSummary = record_of(header.contents["summary"], DatasetSummary)
+    return summary
 
 
 def _table(rows: Sequence[DatasetRow]) -> pa.Table:

@@ -64,7 +64,7 @@ def record_of(entry: Any, kind: Any) -> Any:
     if kind is Any:
         return entry
     if origin in (types.UnionType, Union):
-        return None if entry is None else record_of(entry, _present(kind))
+        return None if entry is None else record_of(entry, _present(kind, entry))
     if origin is tuple:
         return _tuple(entry, get_args(kind))
     if origin in (dict, Mapping):
@@ -76,9 +76,10 @@ def record_of(entry: Any, kind: Any) -> Any:
     return _scalar(entry, kind)
 
 
-def _present(kind: Any) -> Any:
-    """The type of a value that may be missing; of several the first that is no scalar text."""
-    return next(part for part in get_args(kind) if part is not types.NoneType)
+def _present(kind: Any, entry: Any) -> Any:
+    """The type of a value that may be missing: of several text for a text, where that may be, else the first."""
+    kinds = [part for part in get_args(kind) if part is not types.NoneType]
+    return str if isinstance(entry, str) and str in kinds else kinds[0]
 
 
 def _dataclass(entry: Any, kind: Any) -> Any:

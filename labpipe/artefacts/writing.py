@@ -111,6 +111,15 @@ def _remove_abandoned(home: Path) -> None:
             continue
 
 
+@contextmanager
+def only_one(path: Path) -> Iterator[None]:
+    """Hold a lock file; DataError where another process holds it. It goes with the process, however that ends."""
+    with path.open("w") as lock:
+        if fcntl is not None and not _locked(lock):
+            raise DataError("another process works on this folder", where=str(path.parent))
+        yield
+
+
 def _locked(lock: IO[str]) -> bool:
     """Take the lock of a staging folder, which goes with the process that holds it; False where another one does."""
     if fcntl is None:

@@ -16,10 +16,11 @@ from labpipe.records.identification import Failed
 
 def manner(quiet: bool, verbose: bool, jobs: int, cluster: str | None) -> Manner:
     """The manner of running tests according to the options of a command."""
-    return Manner(options.teller(quiet, verbose), silent if quiet else Progress(verbose), _execute(jobs, cluster))
+    return Manner(options.teller(quiet, verbose), silent if quiet else Progress(verbose), executor(jobs, cluster))
 
 
-def _execute(jobs: int, cluster: str | None) -> Execute:
+def executor(jobs: int, cluster: str | None) -> Execute:
+    """Where tests run according to the options of a command."""
     if cluster is not None and jobs != 1:
         raise ConfigError("--cluster and -j exclude each other", hint="the cluster's workers determine how many tests run at once")
     if cluster is not None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import KW_ONLY, dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +11,9 @@ from labpipe.config.faults import Faults, join
 from labpipe.config.file_kinds import named_files
 from labpipe.config.reader import read_settings
 from labpipe.config.reading import Reading
-from labpipe.config.recordings import read_rig
+from labpipe.config.recordings import SourceFile, read_rig
 from labpipe.config.rules import Rule, read_rules
-from labpipe.config.tests import Test, TestReader
+from labpipe.config.tests import EachFile, Test, TestReader
 from labpipe.config.uncertainty import read_uncertainty
 from labpipe.errors import ConfigError
 from labpipe.identify.model_kinds import DECAYS, RESPONSES, SPECTRA
@@ -90,6 +90,26 @@ def section_names() -> tuple[str, ...]:
 
 def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
     """The pipeline of a pipeline file, its rig files read along; ConfigErrors with every fault of all files at its place."""
+    return _loaded(path, overrides, TestReader.tests)
+
+
+def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[Pipeline, EachFile]:
+    """The pipeline of recordings that are not there yet, without tests, and what each of them becomes; errors as of `load_pipeline`."""
+    each: list[EachFile] = []
+
+    def imagined(reader: TestReader) -> tuple[Test, ...]:
+        """A test as each will be, so that settings are held against it."""
+        each.append(reader.each_file())
+        if reader.rig is None and not len(reader.faults):
+            raise ConfigError("no rig file is named", where=str(path), hint="add rig: FILE")
+        source = () if reader.rig is None else (SourceFile(path, reader.rig),)
+        return (Test("", source, frf=each[0].frf),)
+
+    pipeline = _loaded(path, overrides, imagined)
+    return replace(pipeline, tests=()), each[0]
+
+
+def _loaded(path: Path, overrides: Iterable[str], tests_of: Callable[[TestReader], tuple[Test, ...]]) -> Pipeline:
     tree = load_marked(path)
     for assignment in overrides:
         set_entry(tree, assignment)
@@ -98,7 +118,7 @@ def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
     if entries:
         faults.unknown_keys(tree, "", section_names())
     rig = read_rig(entries.get("rig"), path.parent, faults, "rig")
-    tests = TestReader(entries, path.parent, rig, faults).tests()
+    tests = tests_of(TestReader(entries, path.parent, rig, faults))
     frf = read_settings(FrfSettings, entries["frf"], "frf", faults) if "frf" in entries else None
     report = read_settings(ReportSettings, entries["report"], "report", faults) if "report" in entries else ReportSettings()
     settings, names = _sections(entries, rig, faults)

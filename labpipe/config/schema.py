@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labpipe.config.pipeline import ReportSettings
+from labpipe.config.pipeline import RESULTS, ReportSettings
 from labpipe.config.recordings import BY
 from labpipe.config.rig import ChannelSettings, RigSettings
 from labpipe.config.uncertainty import UncertaintySettings
@@ -74,6 +74,7 @@ def pipeline_schema() -> dict[str, Any]:
         "conditions": conditions,
         "frf": _object(FrfSettings),
         "uncertainty": _object(UncertaintySettings),
+        "results": {"enum": list(RESULTS), "description": "How results of many tests are kept: by their number, whole, or as a dataset."},
         **{name: _section(entry) for name, entry in sections()},
         "report": _object(ReportSettings),
         "accept": rules,

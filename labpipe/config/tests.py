@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from labpipe.config.faults import Faults, join
@@ -11,6 +11,7 @@ from labpipe.config.file_names import conditions_in, listed
 from labpipe.config.reader import read_settings
 from labpipe.config.ready_frf import ReadyFrf, read_ready_frfs
 from labpipe.config.recordings import RecordingReader, SourceFile
+from labpipe.errors import ConfigError
 from labpipe.marked_yaml import Marked
 from labpipe.records.recorded_condition import RecordedCondition
 from labpipe.records.rig import Rig
@@ -35,6 +36,32 @@ class Test:
     conditions: dict[str, str] = field(default_factory=dict)
     recorded: dict[str, RecordedCondition] = field(default_factory=dict)
     frf: FrfSettings | None = None
+
+
+@dataclass(frozen=True)
+class EachFile:
+    """What a file becomes that is a test by itself: conditions that all have, those from its name by the *pattern*, how it is measured."""
+
+    conditions: dict[str, str] = field(default_factory=dict)
+    recorded: dict[str, RecordedCondition] = field(default_factory=dict)
+    frf: FrfSettings | None = None
+    pattern: str = ""
+
+    def named(self, path: Path) -> dict[str, str]:
+        """The conditions that a file's name says; none where it does not match the pattern."""
+        return (conditions_in(_stem(path), self.pattern) or {}) if self.pattern else {}
+
+    def test(self, source: SourceFile, name: str = "") -> Test:
+        """The test of a recording, by default named after its file; ConfigError for a name that does not match the pattern."""
+        stem = _stem(source.path)
+        if self.pattern and conditions_in(stem, self.pattern) is None:
+            raise ConfigError(f"does not match '{stem}'", hint="for example '{preload}-{direction}'")
+        return Test(name or stem, (source,), (), {**self.conditions, **self.named(source.path)}, self.recorded, self.frf)
+
+
+def _stem(path: Path) -> str:
+    """A file's name up to its first point."""
+    return path.name.split(".")[0]
 
 
 @dataclass(frozen=True)
@@ -80,20 +107,38 @@ class TestReader:
 
         Files whose names differ only in the parts named by `together` are recordings of one test.
         """
-        common, recorded = self._conditions(entries, key)
-        frf = self._frf(entries, key)
+        each = self._each(entries, key)
         together = self._together(entries, key)
         tests: dict[tuple[tuple[str, str], ...], Test] = {}
         for source in self._recordings(entries["each"], join(key, "each")):
-            name = source.path.name.split(".")[0]
-            parts = conditions_in(name, entries["pattern"].text) if "pattern" in entries else {}
-            if parts is None:
-                self.faults.add(entries["pattern"], join(key, "pattern"), f"does not match '{name}'", "for example '{preload}-{direction}'")
-            conditions = {part: text for part, text in (parts or {}).items() if part not in together}
+            try:
+                test = each.test(source)
+            except ConfigError as error:
+                self.faults.add(entries["pattern"], join(key, "pattern"), error.what, error.hint)
+                test = Test(source.path.name)
+            conditions = {part: text for part, text in each.named(source.path).items() if part not in together}
             place = tuple(conditions.items()) if together else (("file", str(source.path)),)
-            first = tests.get(place, Test("-".join(conditions.values()) if together else name))
-            tests[place] = Test(first.name, (*first.recordings, source), (), {**common, **conditions}, recorded, frf)
+            first = tests.get(place, replace(test, name="-".join(conditions.values()) if together else test.name, recordings=()))
+            common = {name: text for name, text in test.conditions.items() if name not in together}
+            tests[place] = replace(first, recordings=(*first.recordings, source), conditions=common)
         yield from tests.values()
+
+    def _each(self, entries: dict[str, Marked], key: str) -> EachFile:
+        common, recorded = self._conditions(entries, key)
+        pattern = entries["pattern"].text if "pattern" in entries else ""
+        return EachFile(common, recorded, self._frf(entries, key), pattern)
+
+    def each_file(self) -> EachFile:
+        """What every file to come will be, by the only entry of `tests:`, which has `each:`."""
+        node = self.top.get("tests", Marked(None, "", ""))
+        entries = node.content[0].content if isinstance(node.content, list) and len(node.content) == 1 else None
+        if not isinstance(entries, dict) or "each" not in entries:
+            self.faults.add(node, "tests", "cannot be of recordings to come", "write one entry: - {each: '*.parquet'}")
+            return EachFile()
+        self.faults.unknown_keys(node.content[0], "tests.1", EACH)
+        if "together" in entries:
+            self.faults.add(entries["together"], "tests.1.together", "recordings to come are tests of their own", "leave it out")
+        return self._each(entries, "tests.1")
 
     def _together(self, entries: dict[str, Marked], key: str) -> list[str]:
         """The parts of the pattern that tell the recordings of one test apart."""

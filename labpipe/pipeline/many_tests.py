@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 from labpipe import __version__
 from labpipe.artefacts.code import code_digest
@@ -21,9 +22,9 @@ from labpipe.config.tests import Test
 from labpipe.errors import ConfigError, DataError
 from labpipe.identify.levels import LEVELS
 from labpipe.pipeline.one_test import Done, Job
-from labpipe.records.dataset_index import CountedFinding, DatasetIndex
-from labpipe.records.dataset_row import DatasetRow, PartialOutcome, TestResult
-from labpipe.records.identification import Failed, Identification, RuleOutcome
+from labpipe.records.dataset_row import PartialOutcome, TestResult
+from labpipe.records.dataset_summary import DatasetSummary, summary_of
+from labpipe.records.identification import Identification, RuleOutcome
 from labpipe.stages.identify import rig_entry, settings_entry
 from labpipe.stages.judging import unfounded, whole_outcome
 from labpipe.stages.result_of_test import failed_result
@@ -32,8 +33,6 @@ from labpipe.stages.result_of_test import failed_result
 DATASET_FROM = 100
 # Tests whose rows make a part of the dataset.
 PART_TESTS = 500
-# Failed tests that are named in identification.json; the dataset has them all.
-MOST_FAILED = 100
 
 
 def keeps_dataset(pipeline: Pipeline, independent: Sequence[str]) -> bool:
@@ -43,13 +42,13 @@ def keeps_dataset(pipeline: Pipeline, independent: Sequence[str]) -> bool:
     """
     if pipeline.results == "whole" or (pipeline.results == "auto" and len(pipeline.tests) < DATASET_FROM):
         return False
-    hindrance = _hindrance(pipeline, independent)
-    if hindrance and pipeline.results == "dataset":
-        raise ConfigError(f"results: {hindrance}, which needs all tests at once", where=str(pipeline.path), hint="write results: whole")
-    return not hindrance
+    what = hindrance(pipeline, independent)
+    if what and pipeline.results == "dataset":
+        raise ConfigError(f"results: {what}, which needs all tests at once", where=str(pipeline.path), hint="write results: whole")
+    return not what
 
 
-def _hindrance(pipeline: Pipeline, independent: Sequence[str]) -> str:
+def hindrance(pipeline: Pipeline, independent: Sequence[str]) -> str:
     """What needs the results of all tests at once; empty where nothing does."""
     others = [name for name in pipeline.sections if name != "identify"]
     if others:
@@ -67,108 +66,82 @@ class Gathered:
     Tests are taken in their order, whatever the order in which they end: the same results give the same bytes.
     """
 
-    def __init__(self, jobs: Sequence[Job], rules: Sequence[Rule], output: OutputFolder) -> None:
-        self._jobs, self._rules, self._output = jobs, rules, output
+    def __init__(self, jobs: Sequence[Job], output: OutputFolder) -> None:
+        self._jobs, self._output = jobs, output
         self._places = {job.test.name: place for place, job in enumerate(jobs)}
         self._early: dict[int, Done] = {}
         self._next = 0
-        self._rows: list[DatasetRow] = []
+        self._waiting: list[TestResult] = []
         self.parts: list[str] = []
-        self.failed: list[Failed] = []
-        self._partial = [PartialOutcome()] * len(rules)
-        self._forbidden: dict[str, RuleOutcome] = {}
-        self._findings: dict[tuple[str, str], CountedFinding] = {}
-        self._tests = self._not_accepted = self._n_row = 0
-        self._fits: dict[str, int] = {}
+        self.summary = DatasetSummary()
 
     def add(self, done: Done) -> None:
         """Take the outcome of a test."""
         self._output.remarks.extend(done.remarks)
         self._early[self._places[done.test]] = done
         while self._next in self._early:
-            self._take(self._early.pop(self._next), self._jobs[self._next].test)
+            result = outcome_of(self._early.pop(self._next), self._jobs[self._next].test)
+            self.summary = self.summary.with_more(summary_of(result))
+            self._waiting.append(result)
             self._next += 1
             if self._next % PART_TESTS == 0 or self._next == len(self._jobs):
-                self._write()
+                self.parts.extend(write_parts(self._waiting, self._output))
+                self._waiting.clear()
 
-    def _take(self, done: Done, test: Test) -> None:
-        if done.failed is not None:
-            self.failed.append(done.failed)
-            self._rows.extend(failed_result(test, done.failed.message).rows)
-        elif done.result is not None:
-            self._sum_up(done.result)
-            self._rows.extend(done.result.rows)
 
-    def _write(self) -> None:
-        self.parts.extend(write_parts(self._rows, self._output))
-        self._n_row += len(self._rows)
-        self._rows.clear()
-
-    def _sum_up(self, result: TestResult) -> None:
-        self._tests += 1
-        self._partial = [before.with_more(more) for before, more in zip(self._partial, result.partial, strict=True)]
-        for outcome in result.forbidden:
-            self._forbidden.setdefault(outcome.rule, outcome)
-        self._not_accepted += bool(result.rows) and result.rows[0].accepted is False
-        for name in dict.fromkeys((row.fit or "", row.term, row.low_hz) for row in result.rows):
-            self._fits[name[0]] = self._fits.get(name[0], 0) + 1
-        seen: set[tuple[str, str]] = set()
-        for origin, finding in result.findings:
-            key = finding.level, finding.code
-            known = self._findings.get(key, CountedFinding(finding, origin, 0))
-            self._findings[key] = dataclasses.replace(known, tests=known.tests + (key not in seen))
-            seen.add(key)
-
-    def index(self) -> DatasetIndex:
-        """What is said of all tests together."""
-        return DatasetIndex(
-            tests=self._tests,
-            failed=len(self.failed),
-            not_accepted=self._not_accepted,
-            rows=self._n_row,
-            fits=self._fits,
-            findings=tuple(sorted(self._findings.values(), key=lambda counted: (counted.finding.level, counted.finding.code))),
-        )
-
-    def outcomes(self) -> tuple[RuleOutcome, ...]:
-        """The outcome of every rule over all tests; ConfigError for one that addresses nothing, where no test is missing."""
-        outcomes: list[RuleOutcome] = []
-        for rule, partial in zip(self._rules, self._partial, strict=True):
-            try:
-                outcomes.append(whole_outcome(rule, partial))
-            except ConfigError:
-                if not self.failed:
-                    raise
-                outcomes.append(unfounded(rule))
-        return (*outcomes, *self._forbidden.values())
+def outcome_of(done: Done, test: Test) -> TestResult:
+    """The result of a test that ended, or why it has none."""
+    if done.failed is not None:
+        return failed_result(test, done.failed.message)
+    assert done.result is not None
+    return done.result
 
 
 def identified(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Identification:
     """The result of all tests: identification.json, which sums the dataset up. Parts of an earlier run that are no longer of it go."""
-    if not gathered.index().tests:
-        first = gathered.failed[0].message
-        raise DataError(f"{first} (and none of the other {len(gathered.failed) - 1} tests could be evaluated)")
+    failed = gathered.summary.failed
+    if failed and not gathered.summary.index.tests:
+        raise DataError(f"{failed[0].message} (and none of the other {gathered.summary.index.failed - 1} tests could be evaluated)")
     _remark_damaged(output, gathered.parts)
-    settings = settings_entry(pipeline)
-    del settings["tests"]
-    identification = Identification(
-        fits=(),
-        title=pipeline.title,
-        pipeline=pipeline.path.name,
-        sources=tuple(dataclasses.asdict(source_ref(path, pipeline.folder)) for path in pipeline.side_files),
-        inputs=tuple(dataclasses.asdict(_part_ref(output, name)) for name in gathered.parts),
-        settings=settings,
-        rig=rig_entry(pipeline),
-        outcomes=gathered.outcomes(),
-        version=__version__,
-        code=code_digest(),
-        failed=tuple(gathered.failed[:MOST_FAILED]),
-        dataset=gathered.index(),
-    )
+    identification = summed_up(pipeline, gathered.summary)
+    identification = replace(identification, inputs=tuple(asdict(_part_ref(output, name)) for name in gathered.parts))
     write_identification(output.write_path(NAME), identification)
     for name in (*gathered.parts, NAME):
         output.leave_same(name)
     return identification
+
+
+def summed_up(pipeline: Pipeline, summary: DatasetSummary) -> Identification:
+    """The result of many tests without the parts of its dataset; ConfigError for a rule that addresses nothing where no test failed."""
+    return Identification(
+        fits=(),
+        title=pipeline.title,
+        pipeline=pipeline.path.name,
+        sources=tuple(asdict(source_ref(path, pipeline.folder)) for path in pipeline.side_files),
+        settings=settings_of_many(pipeline),
+        rig=rig_entry(pipeline),
+        outcomes=(*_outcomes(pipeline.rules, summary), *summary.forbidden),
+        version=__version__,
+        code=code_digest(),
+        failed=summary.failed,
+        dataset=summary.index,
+    )
+
+
+def settings_of_many(pipeline: Pipeline) -> dict[str, Any]:
+    """The settings of a pipeline as JSON holds them, without the tests: these stand in the dataset."""
+    return {name: entry for name, entry in settings_entry(pipeline).items() if name != "tests"}
+
+
+def _outcomes(rules: Sequence[Rule], summary: DatasetSummary) -> Iterator[RuleOutcome]:
+    """The outcome of every rule over all tests."""
+    for rule, partial in zip(rules, summary.partial or (PartialOutcome(),) * len(rules), strict=True):
+        try:
+            yield whole_outcome(rule, partial)
+        except ConfigError:
+            if not summary.failed:
+                raise
+            yield unfounded(rule)
 
 
 def _part_ref(output: OutputFolder, name: str) -> SourceRef:

@@ -76,7 +76,7 @@ def _run_many(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Se
     """All stages of so many tests that their results are kept as a dataset."""
     with staging_folder(existing_home(output.target)) as scratch:
         jobs = _jobs(pipeline, output.target, scratch, fits, pipeline.rules)
-        gathered = Gathered(jobs, pipeline.rules, output)
+        gathered = Gathered(jobs, output)
         for outcome in _outcomes(jobs, manner):
             gathered.add(outcome)
     manner.tell(f"identify  {pipeline.title}")

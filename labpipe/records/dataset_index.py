@@ -1,4 +1,4 @@
-"""What the result of many tests says of them as a whole, while their numbers stand in a dataset."""
+"""What the results of many tests say as a whole, while their numbers stand in a dataset."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class CountedFinding:
 class DatasetIndex:
     """Tests with a result and *failed* ones without, those whose rules do not all hold, *rows* of the dataset, fits by their name."""
 
-    tests: int
+    tests: int = 0
     failed: int = 0
     not_accepted: int = 0
     rows: int = 0
@@ -37,3 +37,19 @@ class DatasetIndex:
     def of_level(self, level: str = WARNING) -> tuple[CountedFinding, ...]:
         """The kinds of findings of a level."""
         return tuple(counted for counted in self.findings if counted.finding.level == level)
+
+    def with_more(self, other: DatasetIndex) -> DatasetIndex:
+        """Of these tests and of further ones."""
+        counted: dict[tuple[str, str], CountedFinding] = {}
+        for one in (*self.findings, *other.findings):
+            key = one.finding.level, one.finding.code
+            before = counted.get(key)
+            counted[key] = one if before is None else CountedFinding(before.finding, before.origin, before.tests + one.tests)
+        return DatasetIndex(
+            tests=self.tests + other.tests,
+            failed=self.failed + other.failed,
+            not_accepted=self.not_accepted + other.not_accepted,
+            rows=self.rows + other.rows,
+            fits={name: self.fits.get(name, 0) + other.fits.get(name, 0) for name in dict.fromkeys((*self.fits, *other.fits))},
+            findings=tuple(counted[key] for key in sorted(counted)),
+        )

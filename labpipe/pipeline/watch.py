@@ -1,0 +1,280 @@
+"""Recordings worked on as they arrive: each exactly once, whatever ends the watch in between.
+
+The dataset is the only ledger: a recording that has rows is done. What was worked on and not yet appended is done again after a kill, from
+the artefacts on disk, which gives the same rows; a part of the dataset appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from labpipe.artefacts.dataset_file import parts, read_part, read_summary, write_parts
+from labpipe.artefacts.identification_file import NAME, read_identification, write_identification
+from labpipe.artefacts.writing import output_file, output_folder
+from labpipe.config.pipeline import Pipeline
+from labpipe.config.recordings import SourceFile
+from labpipe.config.tests import EachFile, Test
+from labpipe.errors import ConfigError, LabpipeError
+from labpipe.formats.packed import plain_suffix
+from labpipe.formats.table import READERS
+from labpipe.pipeline.executors import Execute, serially
+from labpipe.pipeline.many_tests import outcome_of, settings_of_many, summed_up
+from labpipe.pipeline.one_test import Done, Job, work
+from labpipe.records.dataset_row import TestResult
+from labpipe.records.dataset_summary import DatasetSummary, summary_of, summed
+from labpipe.records.identification import Failed
+from labpipe.stages.measured import fits_file_name
+
+LOG, METRICS, QUARANTINE, REASON = "watch.log.jsonl", "watch.prom", "quarantine", ".reason.txt"
+# A part of the dataset is written at so many tests, or at this age of the oldest one.
+PART_TESTS = 500
+
+
+@dataclass(frozen=True, kw_only=True)
+class WatchSettings:
+    """How a folder is watched. settle, every, append: seconds that a file must not have changed, between two looks, until results that
+    wait are appended to the dataset. marker: ending of a file beside a recording that says it is complete, '' for none. names: glob of
+    recordings.
+    """
+
+    settle: float = 5.0
+    every: float = 10.0
+    append: float = 300.0
+    marker: str = ""
+    names: str = "*"
+    once: bool = False
+
+
+@dataclass(frozen=True)
+class Arrived:
+    """A recording in the watched folder, with what shows whether it still changes."""
+
+    path: Path
+    size: int
+    changed: float
+
+
+@dataclass
+class Counts:
+    """What the metrics say, since the watch began and in all."""
+
+    evaluated: int = 0
+    failed: int = 0
+    waiting: int = 0
+    arriving: int = 0
+    seconds: float = 0.0
+
+
+@dataclass
+class Watch:
+    """One watched folder and its results. *stopped* is asked between recordings; *clock* gives the time in seconds since 1970."""
+
+    pipeline: Pipeline
+    each: EachFile
+    folder: Path
+    results: Path
+    settings: WatchSettings
+    execute: Execute = serially
+    stopped: Callable[[], bool] = lambda: False
+    tell: Callable[[str], None] = lambda _: None
+    clock: Callable[[], float] = time.time
+    sleep: Callable[[float], None] = time.sleep
+    counts: Counts = field(default_factory=Counts)
+
+    def __post_init__(self) -> None:
+        self._done: set[str] = set()
+        self._seen: dict[Path, Arrived] = {}
+        self._paths: dict[str, Path] = {}
+        self._waiting: list[TestResult] = []
+        self._since = self.clock()
+        self._summary = DatasetSummary()
+
+    def run(self) -> DatasetSummary:
+        """Watch until stopped, or once: what all tests say. ConfigError for results of other settings, DataError for damaged ones."""
+        self._resume()
+        while True:
+            complete = list(self._complete())
+            for done, job in self._worked(complete):
+                self._take(done, job)
+            stopped = self.stopped()
+            self._append(whole=self.settings.once or stopped)
+            self._write_metrics()
+            if stopped or (self.settings.once and not complete):
+                return self._summary
+            if not complete:
+                self._rest()
+
+    def _rest(self) -> None:
+        end = self.clock() + self.settings.every
+        while self.clock() < end and not self.stopped():
+            self.sleep(min(0.2, self.settings.every))
+
+    def _resume(self) -> None:
+        """What earlier watches did, by the dataset; the move of a bad recording that a kill cut short is finished."""
+        before = self.results / NAME
+        if before.exists() and read_identification(before).settings != settings_of_many(self.pipeline):
+            hint = "name another folder, or run the whole archive with `labpipe run`"
+            raise ConfigError("holds results of other settings", where=str(self.results), hint=hint)
+        found = parts(self.results)
+        self._summary = summed(read_summary(part) for part in found)
+        rows = [row for part in found for row in read_part(part, ("test", "failed")).to_pylist()]
+        for arrived in self._arrived():
+            self._paths[self.name_of(arrived.path)] = arrived.path
+        self._done.update(row["test"] for row in rows)
+        for row in rows:
+            if row["failed"] is not None:
+                self._quarantine(row["test"], row["failed"])
+        if found:
+            self._write_index()
+
+    def _complete(self) -> Iterator[Arrived]:
+        """New recordings that are complete: marked so, or neither longer nor later than at the last look, and old enough."""
+        seen: dict[Path, Arrived] = {}
+        self.counts.arriving = 0
+        for arrived in self._arrived():
+            seen[arrived.path] = arrived
+            marked = self.settings.marker and arrived.path.with_name(arrived.path.name + self.settings.marker).exists()
+            still = not self.settings.marker and self.clock() - arrived.changed >= self.settings.settle
+            known = self._seen.get(arrived.path) == arrived or self.settings.settle == 0 or self.settings.once
+            if marked or (still and known):
+                yield arrived
+            else:
+                self.counts.arriving += 1
+        self._seen = seen
+
+    def _arrived(self) -> Iterator[Arrived]:
+        """Recordings that have no results yet, the oldest first."""
+        found = []
+        for path in self.folder.rglob(self.settings.names):
+            if plain_suffix(path) not in READERS or any(part.startswith(".") for part in path.relative_to(self.folder).parts):
+                continue
+            if self.results in path.parents or self.name_of(path) in self._done:
+                continue
+            try:
+                status = path.stat()
+            except FileNotFoundError:
+                continue
+            if path.is_file():
+                found.append(Arrived(path, status.st_size, status.st_mtime))
+        return iter(sorted(found, key=lambda arrived: (arrived.changed, arrived.path)))
+
+    def name_of(self, path: Path) -> str:
+        """The name of the test of a recording: its path below the folder, with its ending, so that it is of one file only."""
+        return "-".join(path.relative_to(self.folder).parts)
+
+    def _worked(self, complete: Sequence[Arrived]) -> Iterator[tuple[Done, Job]]:
+        """The outcomes of recordings as they end; those that are not finished when the watch is stopped are left for the next one."""
+        if not complete:
+            return
+        with output_folder(self.results) as folder:
+            jobs: dict[str, Job] = {}
+            for arrived in complete:
+                try:
+                    job = self._job(arrived.path, folder.staging)
+                except LabpipeError as error:
+                    self._refuse(arrived.path, str(error))
+                    continue
+                self._paths[job.test.name] = arrived.path
+                jobs[job.test.name] = job
+            for done in self.execute(work, list(jobs.values())):
+                yield done, jobs[done.test]
+                if self.stopped():
+                    return
+
+    def _job(self, path: Path, scratch: Path) -> Job:
+        assert self.pipeline.rig is not None
+        test = self.each.test(SourceFile(path, self.pipeline.rig), self.name_of(path))
+        frf = test.frf or self.pipeline.frf
+        name = Path(fits_file_name(test.name)).stem
+        rules = self.pipeline.rules
+        where = {"pipeline_path": self.pipeline.path, "target": self.results, "scratch": scratch}
+        return Job(test, (name,), frf=frf, fits=self.pipeline.fits, rules=rules, **where)
+
+    def _refuse(self, path: Path, message: str) -> None:
+        """A recording that is no test, such as one of another name than the pattern's."""
+        assert self.pipeline.rig is not None
+        test = Test(self.name_of(path), (SourceFile(path, self.pipeline.rig),))
+        self._paths[test.name] = path
+        self._keep(outcome_of(Done(test.name, failed=Failed(test.name, message)), test))
+
+    def _take(self, done: Done, job: Job) -> None:
+        self._keep(outcome_of(done, job.test))
+        for remark in done.remarks:
+            self._log("damaged", done.test, remark=remark)
+
+    def _keep(self, result: TestResult) -> None:
+        """Hold a result until it is appended; a part is written as soon as there is enough for one."""
+        row = result.rows[0] if result.rows else None
+        if row is None:
+            return
+        if not self._waiting:
+            self._since = self.clock()
+        self._waiting.append(result)
+        self._done.add(row.test)
+        self.counts.waiting = len(self._waiting)
+        self.counts.evaluated += 1
+        self.counts.failed += row.failed is not None
+        self.tell(f"{row.test}: {row.failed or row.warnings or 'done'}")
+        self._log("failed" if row.failed else "evaluated", row.test, failed=row.failed, accepted=row.accepted, warnings=row.warnings)
+        if len(self._waiting) >= PART_TESTS:
+            self._append(whole=True)
+
+    def _append(self, whole: bool) -> None:
+        """Append the waiting results as parts where it is time; then bad recordings go to the quarantine."""
+        if not self._waiting or not (whole or self.clock() - self._since >= self.settings.append):
+            return
+        with output_folder(self.results) as folder:
+            write_parts(self._waiting, folder)
+        for result in self._waiting:
+            self._summary = self._summary.with_more(summary_of(result))
+            row = result.rows[0]
+            if row.failed is not None:
+                self._quarantine(row.test, row.failed)
+        self._waiting.clear()
+        self.counts.waiting = 0
+        self._write_index()
+
+    def _write_index(self) -> None:
+        with output_folder(self.results) as folder:
+            write_identification(folder.write_path(NAME), summed_up(self.pipeline, self._summary))
+
+    def _quarantine(self, test: str, reason: str) -> None:
+        """Move a bad recording aside, its reason first; nothing where it has gone already."""
+        path = self._paths.get(test)
+        if path is None or not path.exists():
+            return
+        aside = self.results / QUARANTINE / path.relative_to(self.folder)
+        with output_file(aside.with_name(aside.name + REASON)) as file:
+            file.write_text(reason + "\n")
+        shutil.move(path, aside)
+        self._log("quarantined", test)
+
+    def _log(self, event: str, test: str, **entries: object) -> None:
+        line = {"time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self.clock())), "event": event, "test": test, **entries}
+        self.results.mkdir(parents=True, exist_ok=True)
+        with (self.results / LOG).open("a") as log:
+            log.write(json.dumps({name: entry for name, entry in line.items() if entry not in (None, "")}) + "\n")
+
+    def _write_metrics(self) -> None:
+        """Counters for Prometheus, as a text file of the node exporter's collector."""
+        index = self._summary.index
+        values = {
+            "labpipe_watch_recordings_evaluated_total": ("counter", "Recordings worked on since the watch began", self.counts.evaluated),
+            "labpipe_watch_recordings_failed_total": ("counter", "Recordings that could not be evaluated since then", self.counts.failed),
+            "labpipe_watch_results_waiting": ("gauge", "Results not yet appended to the dataset", self.counts.waiting),
+            "labpipe_watch_recordings_arriving": ("gauge", "Recordings that are not complete yet", self.counts.arriving),
+            "labpipe_dataset_tests": ("gauge", "Tests with a result in the dataset", index.tests),
+            "labpipe_dataset_tests_failed": ("gauge", "Tests without a result in the dataset", index.failed),
+            "labpipe_dataset_tests_not_accepted": ("gauge", "Tests in the dataset whose rules do not all hold", index.not_accepted),
+            "labpipe_watch_cpu_seconds_total": ("counter", "Processor time of the watch", sum(os.times()[:4])),
+            "labpipe_watch_last_look_seconds": ("gauge", "Time of the last look, seconds since 1970", self.clock()),
+        }
+        lines = (f"# HELP {name} {text}\n# TYPE {name} {kind}\n{name} {value}\n" for name, (kind, text, value) in values.items())
+        with output_file(self.results / METRICS) as file:
+            file.write_text("".join(lines))
