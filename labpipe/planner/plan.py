@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import ceil, pi
+from math import ceil
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from labpipe.registry import nearest
 from labpipe.signals.least_peak import peaks
 
 FEWEST_PERIODS = 3
+# Of one period: a search over more lines takes hours.
+MOST_LINES, MOST_SAMPLES = 20_000, 1 << 24
 # True errors with weights from the scatter of P periods, over those with known noise: measured on simulated tests.
 WEIGHTED = {3: 1.44, 4: 1.17, 5: 1.11, 10: 1.05}
 # Beyond the last of these the excess of the variance falls with 1 / (P - 2).
@@ -45,9 +47,10 @@ class Planned:
         """Force of every running shaker of a test, by file, (n_sample,) [N]: all its periods, transient ones included."""
         multisines, planned = self.tests[test], self.plan.tests[test]
         n_sample = round(self.plan.period * self.plan.sample_rate)
-        angle = 2 * pi * np.outer(np.arange(n_sample) / n_sample, multisines.lines)
         running = multisines.forces[:, running_shakers(multisines)]
-        period = np.cos(angle) @ running.real - np.sin(angle) @ running.imag
+        spectrum = np.zeros((n_sample // 2 + 1, running.shape[1]), complex)
+        spectrum[multisines.lines] = running * (n_sample / 2)
+        period = np.fft.irfft(spectrum, n_sample, axis=0)
         whole = np.tile(period, (planned.periods + planned.skip, 1))
         return dict(zip(planned.files, whole.T, strict=True))
 
@@ -71,6 +74,9 @@ def make_plan(settings: PlanSettings, expected: Mapping[str, float], title: str)
 def planned_lines(settings: PlanSettings) -> IntArray:
     """Lines (n_line,) [multiples of 1 / period] that may be excited; ConfigError where none is left."""
     low, high = settings.band
+    if (high - low) * settings.period > MOST_LINES or settings.sample_rate * settings.period > MOST_SAMPLES:
+        what = f"a period of {settings.period:g} s has {(high - low) * settings.period:.3g} lines in the band"
+        raise ConfigError(what, hint=f"plan with up to {MOST_LINES} lines, and up to {MOST_SAMPLES} samples a period", field="period")
     lines = np.arange(max(ceil(low * settings.period - 1e-9), 1), int(high * settings.period + 1e-9) + 1)
     frequency = lines / settings.period
     kept = np.ones(lines.size, bool)

@@ -23,6 +23,8 @@ from labpipe.registry import nearest
 COEFFICIENT_UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg", "b": "1"}
 ESTIMATE = "estimate"
 LONGEST_ECHO = 80
+# No count of a test rig comes near it.
+LARGEST_INTEGER = 10**9
 _NUMBER = r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)"
 _BAND = re.compile(rf"^\s*{_NUMBER}\s*((?!to\b)[^\d\s.–-][^\s–]*?)?\s*(?:-|–|\.\.|to)\s*{_NUMBER}\s*(.*?)\s*$")
 
@@ -109,9 +111,11 @@ def to_peaks(value: Any, setting: Setting) -> tuple[tuple[str, tuple[Band, ...]]
 
 
 def to_integer(value: Any, setting: Setting) -> int:  # noqa: ARG001 (one signature for the whole table)
-    """A whole number, zero or more."""
+    """A whole number from zero to LARGEST_INTEGER."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value < 0:
         raise UnitError(f"'{_shown(value)}' is not a whole number of at least 0")
+    if int(value) > LARGEST_INTEGER:
+        raise UnitError(f"'{_shown(value)}' is beyond what can be counted here", f"up to {LARGEST_INTEGER}")
     return int(value)
 
 

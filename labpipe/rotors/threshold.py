@@ -19,6 +19,8 @@ from labpipe.rotors.pinned import PinnedRotor
 
 # Least share of the journal in a mode's squared deflections.
 LEAST_PARTICIPATION = 1e-8
+# To which a speed of resonance is found [rad/s].
+RESONANCE_TOLERANCE = 1e-4
 
 # K [N/m] and C [N s/m], (n_speed, 2, 2) each, at speeds (n_speed,) [rad/s].
 CoefficientsAtSpeed = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
@@ -149,8 +151,23 @@ def resonance_speed(stability: Stability, coefficients: CoefficientsAtSpeed, spe
     below = [int(np.sum(modes < value)) for modes, value in zip(frequencies, speed, strict=True)]
     for n in range(1, speed.size):
         if below[n] > below[n - 1]:
-            return float(optimize.brentq(lambda value: _detuning(stability, coefficients, value), speed[n - 1], speed[n], xtol=1e-4))
+            return _crossing(stability, coefficients, (float(speed[n - 1]), float(speed[n])), below[n - 1])
     return None
+
+
+def _crossing(stability: Stability, coefficients: CoefficientsAtSpeed, between: tuple[float, float], below: int) -> float:
+    """The speed [rad/s] *between* two at which the number of modes below 1x rises above *below*."""
+    low, high = between
+    if _detuning(stability, coefficients, low) < 0 < _detuning(stability, coefficients, high):
+        return float(optimize.brentq(lambda value: _detuning(stability, coefficients, value), low, high, xtol=RESONANCE_TOLERANCE))
+    # Another mode is nearer to an end than the one that is crossed: only their number tells.
+    while high - low > RESONANCE_TOLERANCE:
+        middle = (low + high) / 2
+        if np.sum(_damped_frequencies(stability, coefficients, middle) < middle) > below:
+            high = middle
+        else:
+            low = middle
+    return high
 
 
 def _damped_frequencies(stability: Stability, coefficients: CoefficientsAtSpeed, speed: float) -> FloatArray:

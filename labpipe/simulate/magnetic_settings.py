@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 
 from labpipe.bearings.magnetic_loop import ControlLoop as ControlLoop
+from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, setting
 
 KIND = "virtual-magnetic-rig"
@@ -26,6 +27,12 @@ class Levitation(Settings):
     corner: float = setting("value", "corner frequency f_c", unit="Hz", default=150.0)
     bearings: int = setting("integer", "equal bearings in parallel", default=2)
     loop: ControlLoop = setting("section", "the position control (law control-loop)", section=ControlLoop, default=ControlLoop())
+
+    def __post_init__(self) -> None:
+        if not self.bearings > 0:
+            raise ConfigError("the rotor hangs in one bearing or more", field="bearings")
+        if not self.corner > 0:
+            raise ConfigError("corner must be positive", field="corner")
 
 
 @dataclass(frozen=True)
@@ -57,3 +64,8 @@ class VirtualMagneticRig(Settings):
     radial_force: float = setting("value", "rms force of the shaker in radial runs", unit="N", default=2.0)
     levitation: Levitation = setting("section", "the magnetic bearings", section=Levitation, default=Levitation())
     noise: Noise = setting("section", "measuring noise", section=Noise, default=Noise())
+
+    def __post_init__(self) -> None:
+        for name in ("pedestal_mass", "rotor_mass", "axial_mass", "pedestal_stiffness", "axial_stiffness"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} must be positive", field=name)

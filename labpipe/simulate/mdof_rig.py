@@ -42,7 +42,8 @@ class VirtualMdofRig(Settings):
         for name in ("stiffness", "damping"):
             if np.shape(getattr(self, name)) != (n, n):
                 raise ConfigError(f"{name} is not a {n} x {n} matrix")
-        if not isinstance(self.mass, tuple) or np.shape(self.mass) not in ((n,), (n, n)):
+        # A list of masses, or of rows; both, or rows of other lengths, have no shape.
+        if not isinstance(self.mass, tuple) or len(self.mass) != n or {np.shape(row) for row in self.mass} not in ({()}, {(n,)}):
             raise ConfigError(f"mass does not fit {n} dofs", hint="a list of masses, or a matrix")
         if self.noise < 0:
             raise ConfigError("noise must not be negative")

@@ -136,6 +136,7 @@ def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
         ({"noise": {}}, "no sensor has noise"),
         ({"noise_density": {"force": "1 mN/Hz^0.5"}}, "one of 'noise' and 'noise_density'"),
         ({"floor": "100 %"}, "leaves nothing to plan"),
+        ({"period": "1e7 s"}, "a period of 1e+07 s has 6e+08 lines in the band"),
         ({"expected": {"k_xx": "1 N/m"}}, "no value is expected for k_xy"),
         ({"earlier": "none.json"}, "no such file"),
         ({"speeed": "50 Hz"}, "did you mean 'speed'"),

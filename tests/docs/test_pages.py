@@ -22,6 +22,7 @@ PAGES = sorted((DOCS / "pages").rglob("*.md"))
 SHELL = {
     "python -m tests.fuzz.run --seconds 600": "tests/fuzz, with a fixed number of trials",
     "python -m tests.machine.kills --count 100 --processes 2": "tests/machine, with one kill",
+    "python -m tests.machine.kills --count 100 --cluster --worker": "tests/machine, with one kill",
     "python -m tests.mutants.run --count 200": "takes hours",
     "dask scheduler": "tests/cli/test_many_tests.py, on loopback",
     "dask worker tcp://10.0.0.1:8786 --nthreads 1": "tests/cli/test_many_tests.py, on loopback",

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.fuzz.seeds import CALIBRATION, PLAN, SENSOR
+from tests.fuzz.seeds import CALIBRATION, DATASET, PLAN, SENSOR
 from tests.unit.pipeline.laboratory import ALONE, RIG, STIFFNESS, recording
 from tests.unit.pipeline.test_every_key import FLOATING, LEVITATED, RING_DOWN, SECTIONS
 
@@ -93,6 +93,7 @@ SCENARIOS: dict[str, Scenario] = {
     "campaign": Scenario("pipeline.yaml", RUN, CAMPAIGN),
     "campaign, rig": Scenario("rig.yaml", RUN, CAMPAIGN),
     "campaign, bearing": Scenario("bearing.yaml", RUN, CAMPAIGN),
+    "dataset": Scenario("pipeline.yaml", RUN, {**LABORATORY, "hard.csv": recording(STIFFNESS["hard"]), "pipeline.yaml": DATASET}),
     "ready FRFs": Scenario("pipeline.yaml", RUN, FRFS),
     "calibrate": Scenario("pipeline.yaml", ("calibrate", "-c", "pipeline.yaml", "-o", "out", "-q"), SECTIONS["calibrate"]),
     "unbalance": Scenario("pipeline.yaml", RUN, SECTIONS["unbalance"]),

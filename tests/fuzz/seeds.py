@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.io import savemat, wavfile
 
+from labpipe.artefacts.dataset_file import Part, read_part
 from labpipe.artefacts.decay_file import read_decays, write_decays
 from labpipe.artefacts.fits_file import read_fits
 from labpipe.artefacts.header import Header
@@ -104,6 +105,7 @@ ARTEFACTS: dict[str, Read] = {
     "a.frf.parquet": response_content,
     "a.decay.parquet": whole(read_decays),
     "a.spectra.parquet": whole(read_spectra),
+    "a.results.parquet": whole(lambda path: read_part(Part(path, "", ""))),
     "identification.json": whole(read_identification),
     "fits.json": whole(read_fits),
     "plan.json": whole(read_plan),
@@ -193,6 +195,7 @@ plan:
   force_limit: 1 N
   duration: 4 s
 """
+DATASET = PIPELINE.replace("title: Small", "title: Small\nresults: dataset").split("accept:")[0] + "report: {formats: []}\n"
 CALIBRATION = "x [um],y [V]\n0,0.01\n10,0.08\n20,0.17\n30,0.24\n40,0.33\n"
 SENSOR = "frequency_hz,gain,phase_deg\n0,1,0\n20,1.005,-0.4\n50,1.01,-1\n"
 
@@ -272,6 +275,9 @@ def _write_artefacts(folder: Path) -> None:
     _measured(spectra, lab / "spectra")
     (lab / "plan.yaml").write_text(PLAN)
     assert run_command(["plan", str(lab / "plan.yaml"), "-o", str(lab / "plan"), "-q"]) == 0
+    dataset = lab / "dataset.yaml"
+    dataset.write_text(DATASET)
+    assert run_command(["run", str(dataset), "-o", str(lab / "dataset"), "-q"]) == 0
     decay = FreeDecay("soft", 0.1, np.random.default_rng(1).normal(size=(50, 1)))
     decays = FreeDecays(100.0, (Port("y", "displacement", "y"),), ("m",), (decay,), name="soft")
     write_decays(folder / "a.decay.parquet", decays, Header("decay", {}, inputs=()))
@@ -283,6 +289,8 @@ def _write_artefacts(folder: Path) -> None:
         "fits.json": "out/fits/soft.json",
         "plan.json": "plan/plan.json",
     }
+    (part,) = (lab / "dataset").rglob("*.results.parquet")
+    (folder / "a.results.parquet").write_bytes(part.read_bytes())
     for name, source in names.items():
         (folder / name).write_bytes((lab / source).read_bytes())
     with open_index(lab / "out"):

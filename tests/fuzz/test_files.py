@@ -8,8 +8,11 @@ import pytest
 
 from labpipe.catalogue.index import INDEX
 from labpipe.cli.main import run_command
+from labpipe.formats.packed import plain_suffix
+from labpipe.formats.table import READERS
+from labpipe.stages.verification import KINDS
 from tests.fuzz.scenarios import SCENARIOS, write_scenario
-from tests.fuzz.seeds import ARTEFACTS, READS, write_seeds
+from tests.fuzz.seeds import ARTEFACTS, READS, TABLES, write_seeds
 from tests.fuzz.trials import Tally, trial_of_file, trial_of_yaml
 
 TRIALS, FEWER = 60, 12
@@ -22,6 +25,16 @@ def seeds(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("seeds")
     write_seeds(folder)
     return folder
+
+
+def test_every_kind_of_artefact_is_mutated() -> None:
+    assert not [kind for kind in KINDS if not any(name.endswith(kind) for name in ARTEFACTS)]
+
+
+def test_every_reader_of_tables_is_given_mutated_files() -> None:
+    """By the function that reads, since some have several endings."""
+    tried = {READERS.load(plain_suffix(Path(kind))) for kind in TABLES}
+    assert {READERS.load(suffix) for suffix in READERS.names()} == tried
 
 
 @pytest.mark.parametrize("kind", READS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -14,7 +15,8 @@ import pytest
 
 from labpipe.artefacts import writing
 from labpipe.artefacts.writing import STAGING, output_folder, staging_folder
-from tests.conftest import Command
+from tests.conftest import ROOT, Command
+from tests.fuzz.seeds import READS, write_seeds
 from tests.machine.kills import alone, cluster, kills, prepared
 from tests.unit.pipeline.laboratory import ALONE, contents, done, laboratory, recording
 
@@ -171,3 +173,36 @@ def test_two_runs_and_a_list_at_once_on_one_folder(lab: Path, labpipe: Command) 
     said = [process.communicate()[1] for process in processes]
     assert [process.returncode for process in processes[:2]] == [0, 0] and b"Traceback" not in b"".join(said)
     assert contents(lab / "out") == contents(lab / "whole")
+
+
+READ_ALL = """
+import hashlib, os, sys, warnings
+from pathlib import Path
+from tests.fuzz.seeds import READS
+
+warnings.simplefilter("ignore")
+folder = Path(sys.argv[1])
+print("at once", len(os.read(os.open(folder / "a.recording.parquet", os.O_RDONLY), 1 << 20)))
+for kind, read in READS.items():
+    print(kind, hashlib.sha256(repr(read(folder / kind)).encode()).hexdigest())
+"""
+
+
+@pytest.mark.long
+def test_reads_that_return_less_than_was_asked_for_change_nothing(tmp_path: Path) -> None:
+    """As from a network folder: every reader, ours and those of libraries, under a C library that reads half of it."""
+    library = tmp_path / "short_reads.so"
+    command = ["cc", "-shared", "-fPIC", "-o", str(library), str(Path(__file__).with_name("short_reads.c")), "-ldl"]
+    if shutil.which("cc") is None or subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("a C compiler is needed")
+    write_seeds(tmp_path)
+    (tmp_path / "identification.json").write_bytes((tmp_path / "laboratory/out/identification.json").read_bytes())
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", READ_ALL, str(tmp_path)], env=environment, cwd=ROOT, capture_output=True, text=True, check=True
+        )
+        for environment in (dict(os.environ), {**os.environ, "LD_PRELOAD": str(library)})
+    ]
+    (at_once, *whole), (less_at_once, *short) = (process.stdout.decode().splitlines() for process in said)
+    assert at_once == f"at once {(tmp_path / 'a.recording.parquet').stat().st_size}" and less_at_once == "at once 4099"
+    assert short == whole and len(whole) == len(READS)

@@ -2,22 +2,31 @@
 
 python -m tests.mutants.run [--count N] [--seed S] [--modules labpipe/stages/judging.py ...]
 
-A mutant is made in a copy of the checkout; the tests of its package run on it, then, when all of them pass, the whole short suite with
---whole. Prints every survivor with its place; a survivor is a missing test, or a change without effect.
+A mutant is made in a copy of the checkout; the tests that are named after its module run on it first, then those that import it, then
+those of its package, up to the first that fails, in a process that has the libraries from its parent: a few seconds each. With --whole
+the short suite follows where all of them pass. Prints every mutant with its outcome; a survivor is a missing test, or a change without
+effect. The same seed makes the same mutants of the same code; --skip goes on where a run was interrupted.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import compileall
+import importlib
 import os
 import random
+import select
 import shutil
-import subprocess
+import signal
 import sys
 import tempfile
+import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 PACKAGES = (
@@ -33,7 +42,14 @@ PACKAGES = (
     "rotors",
     "campaign",
 )
-SECONDS = 300
+# For the tests of a mutant, and for one of them alone: longer, it hangs.
+SECONDS, ONE_TEST_SECONDS = 300.0, 60.0
+SURVIVES, HANGS = "survives", "hangs"
+# What the tests import; a mutant's process has it from its parent. Nothing of labpipe.
+HEAVY = (
+    "numpy", "scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.stats", "scipy.fft", "scipy.special", "scipy.interpolate", "pandas",
+    "pyarrow.parquet", "pyarrow.csv", "h5py", "yaml", "click", "matplotlib.figure", "nptdms", "fpdf",
+)  # fmt: skip
 # Tests beside those of a module's own package.
 ALSO = {
     "artefacts": ("tests/cli/test_verify.py", "tests/unit/pipeline/test_freshness.py"),
@@ -94,27 +110,105 @@ def mutant(source: str, rng: random.Random) -> tuple[str, str] | None:
     return ast.unparse(tree), f"{line}: {what}: {before[:80]} -> {ast.unparse(node).splitlines()[0][:80]}"
 
 
-def tests_of(module: str) -> list[str]:
-    """The tests that look at a module most closely."""
+def tests_of(module: str) -> Iterator[list[str]]:
+    """The tests that look at a module, the closest first: files named after it, those that import it, others of its package, ALSO."""
     package, stem = Path(module).parent.name, Path(module).stem
-    named = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "tests").rglob(f"test_{stem}*.py"))
-    users = [
-        path.relative_to(ROOT).as_posix()
-        for path in sorted((ROOT / "tests").rglob("test_*.py"))
-        if f"labpipe.{package}.{stem}" in path.read_text("utf-8")
-    ]
-    folder = f"tests/unit/{package}"
-    return list(dict.fromkeys([*named, *users, *([folder] if (ROOT / folder).is_dir() else []), *ALSO.get(package, ())]))
+    folder = f"tests/unit/{package}/"
+    every = {path.relative_to(ROOT).as_posix(): path for path in sorted((ROOT / "tests").rglob("test_*.py"))}
+    users = [name for name, path in every.items() if f"labpipe.{package}.{stem}" in path.read_text("utf-8")]
+    stages = (
+        [name for name in every if Path(name).stem.startswith(f"test_{stem}")],
+        [name for name in users if name.startswith(folder)],
+        [name for name in users if name.startswith("tests/unit/")],
+        users,
+        [name for name in every if name.startswith(folder)],
+        [name for name in every if name.startswith(ALSO.get(package, ()))],
+    )
+    done: set[str] = set()
+    for stage in stages:
+        if fresh := [name for name in stage if name not in done]:
+            done.update(fresh)
+            yield fresh
 
 
-def noticed(copy: Path, tests: Sequence[str]) -> bool:
-    """Whether a test fails, or takes so long that somebody would look."""
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:randomly", *tests]
-    environment = {**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
+def noticed(copy: Path, tests: Sequence[str], seconds: float = SECONDS) -> str:
+    """What a process of its own says of the tests on the copy: the first that failed, "hangs", or nothing where all passed in time."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(reading)
+        os._exit(_tested(copy, tests, writing))
+    os.close(writing)
+    said, began, end = b"", time.monotonic(), time.monotonic() + seconds
+    with os.fdopen(reading, "rb") as starts:
+        while time.monotonic() < end:
+            done, status = os.waitpid(child, os.WNOHANG)
+            if done:
+                return (said.rpartition(b" ")[2].decode() or "no test runs") if status else ""
+            # The child writes when a test begins, and the name of one that fails.
+            if select.select([starts], [], [], 0.05)[0] and (new := os.read(starts.fileno(), 1 << 16)):
+                said, began = said + new, time.monotonic()
+            if time.monotonic() - began > ONE_TEST_SECONDS:
+                break
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return HANGS if time.monotonic() - began > ONE_TEST_SECONDS else ""
+
+
+class _Said:
+    """A plug-in of pytest that writes a blank when a test begins, and the file of one that fails."""
+
+    def __init__(self, pipe: int) -> None:
+        self.pipe = pipe
+
+    def pytest_runtest_logstart(self) -> None:
+        os.write(self.pipe, b" ")
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:
+            os.write(self.pipe, report.nodeid.partition("[")[0].encode())
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        if report.failed:
+            os.write(self.pipe, report.nodeid.encode())
+
+
+def _tested(copy: Path, tests: Sequence[str], pipe: int) -> int:
+    """In the child: 0 when all tests pass. What the copy does not change is imported already, or compiled."""
+    os.nice(10)
+    os.chdir(copy)
+    sys.path.insert(0, str(copy))
+    os.environ["PYTHONPATH"] = str(copy)
+    sys.dont_write_bytecode = True
+    for name in [name for name in sys.modules if name.partition(".")[0] == "tests"]:
+        del sys.modules[name]
+    silence = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silence, 1)
+    os.dup2(silence, 2)
     try:
-        return subprocess.run(command, cwd=copy, env=environment, capture_output=True, timeout=SECONDS, check=False).returncode != 0
-    except subprocess.TimeoutExpired:
-        return True
+        return int(pytest.main(["-q", "-x", "-n", "0", "-p", "no:faulthandler", *tests], [_Said(pipe)]))
+    except BaseException:
+        return 1
+
+
+def outcome_of(copy: Path, module: str, seconds: float, whole: bool) -> str:
+    """The first test that notices the change of a module of the copy, HANGS, or SURVIVES: not noticed within *seconds*."""
+    end = time.monotonic() + seconds
+    for tests in (*tests_of(module), *([["tests"]] if whole else [])):
+        left = end - time.monotonic()
+        if left > 0 and (said := noticed(copy, tests, left)):
+            return said
+    return SURVIVES
+
+
+def copied(folder: Path) -> Path:
+    """A copy of the checkout, compiled, so that a mutant costs one module's compilation."""
+    copy = folder / "labpipe-mutant"
+    shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", "*.egg-info", "__pycache__", ".mypy_cache", ".ruff_cache"))
+    compileall.compile_dir(copy, quiet=2)
+    for name in HEAVY:
+        importlib.import_module(name)
+    return copy
 
 
 def main() -> int:
@@ -122,31 +216,45 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--skip", type=int, default=0, help="mutants of the seed that were made before")
     parser.add_argument("--modules", nargs="*", default=[])
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="for each mutant: what is not noticed by then survives")
     parser.add_argument("--whole", action="store_true")
     arguments = parser.parse_args()
     modules = arguments.modules or [
         path.relative_to(ROOT).as_posix() for package in PACKAGES for path in sorted((ROOT / "labpipe" / package).glob("*.py"))
     ]
-    rng, survivors, count = random.Random(arguments.seed), 0, 0
+    outcomes: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as name:
-        copy = Path(name) / "labpipe-mutant"
-        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", "*.egg-info", "__pycache__", ".mypy_cache", ".ruff_cache"))
-        while count < arguments.count:
-            module = rng.choice(modules)
-            source = (ROOT / module).read_text("utf-8")
-            made = mutant(source, rng)
-            if made is None:
+        copy = copied(Path(name))
+        for number, (module, source, place) in enumerate(mutants(modules, random.Random(arguments.seed), arguments.count)):
+            if number < arguments.skip:
                 continue
-            count += 1
-            (copy / module).write_text(made[0], "utf-8")
-            caught = noticed(copy, tests_of(module)) or (arguments.whole and noticed(copy, ["tests"]))
-            (copy / module).write_text(source, "utf-8")
-            if not caught:
-                survivors += 1
-                print(f"survivor {module}:{made[1]}", flush=True)
-    print(f"{count - survivors} of {count} mutants are noticed")
-    return 1 if survivors else 0
+            path, stamp = copy / module, (copy / module).stat()
+            original = path.read_text("utf-8")
+            path.write_text(source, "utf-8")
+            began = time.monotonic()
+            outcome = outcome_of(copy, module, arguments.seconds, arguments.whole)
+            path.write_text(original, "utf-8")
+            os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+            outcomes[outcome] += 1
+            print(f"{number} {module}:{place}\n    {outcome} ({time.monotonic() - began:.0f} s)", flush=True)
+        doubtful = noticed(copy, sorted(outcomes.keys() - {SURVIVES, HANGS}), 20 * SECONDS)
+    print(f"{outcomes.total() - outcomes[SURVIVES]} of {outcomes.total()} mutants are noticed, {outcomes[HANGS]} since they hang")
+    if doubtful:
+        print(f"{doubtful} fails on the code as it is: what it noticed does not count")
+    return 1 if outcomes[SURVIVES] or doubtful else 0
+
+
+def mutants(modules: Sequence[str], rng: random.Random, number: int) -> Iterator[tuple[str, str, str]]:
+    """Module, changed source and place of *number* mutants: the same for the same seed and modules."""
+    made = 0
+    while made < number:
+        module = rng.choice(modules)
+        mutant_made = mutant((ROOT / module).read_text("utf-8"), rng)
+        if mutant_made is not None:
+            made += 1
+            yield module, *mutant_made
 
 
 if __name__ == "__main__":

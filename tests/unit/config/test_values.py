@@ -172,6 +172,11 @@ def test_what_is_no_whole_number(text: str) -> None:
     assert fault("integer", text)[0].endswith("is not a whole number of at least 0")
 
 
+def test_a_number_of_pieces_beyond_all_counting_is_refused() -> None:
+    """Of blocks, balls or draws: a billion is none, 10^21 fits no array."""
+    assert fault("integer", "1" + 21 * "0")[0].endswith("is beyond what can be counted here")
+
+
 def test_flags_are_true_or_false_and_nothing_else() -> None:
     assert read("flag", "true") is True and read("flag", "false") is False
     for text in ("yes", "1", "'true'", "", "[true]"):

@@ -29,6 +29,20 @@ def test_a_shipped_rig_is_read_into_the_class_of_its_kind(path: Path) -> None:
     assert isinstance(rig, VIRTUAL_RIGS.load(kind_of(path)).settings) and dataclasses.is_dataclass(rig)
 
 
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("three-dof", "mass=[1 kg, 2 kg, []]", "mass does not fit 3 dofs"),
+        ("virtual-hmb", "pedestal_mass=0 kg", "pedestal_mass must be positive"),
+        ("virtual-hmb", "levitation.bearings=0", "one bearing or more"),
+        ("virtual-hmb", "levitation.corner=0 Hz", "corner must be positive"),
+    ],
+)
+def test_a_rig_that_cannot_be_is_refused(name: str, change: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        load_virtual_rig(CONFIGS / f"{name}.yaml", [change])
+
+
 def test_every_kind_has_a_shipped_example() -> None:
     assert {kind_of(path) for path in SHIPPED} == set(VIRTUAL_RIGS.names())
 

@@ -99,3 +99,19 @@ def test_the_critical_speed_by_eigenvalues_is_where_a_mode_meets_the_speed() -> 
     roots = STABILITY.eigenvalues(place, *film()(place))[0]
     assert np.min(np.abs(roots.imag - found)) < 1e-3
     assert resonance_speed(STABILITY, film(), SPEEDS[-3:]) is None
+
+
+class TwoModes:
+    """Modes at 100 and 101 rad/s whatever the speed, both of the journal."""
+
+    def system(self, *_: object) -> np.ndarray:
+        return np.diag([-0.1 + 100j, -0.1 + 101j])[None]
+
+    def moving(self, *_: object) -> np.ndarray:
+        return np.ones(2, bool)
+
+
+def test_a_resonance_beside_another_one_is_found() -> None:
+    """Between 95 and 100.6 rad/s only the mode at 100 is crossed; that at 101 is nearer to the upper end."""
+    found = resonance_speed(TwoModes(), lambda _: (np.zeros(2), np.zeros(2)), [95.0, 100.6])  # type: ignore[arg-type]
+    assert found == pytest.approx(100, abs=2e-4)

@@ -46,3 +46,10 @@ def test_what_is_no_resonance_is_refused() -> None:
     near = FREQUENCY[(FREQUENCY > 45) & (FREQUENCY < 52.1)]
     with pytest.raises(DataError, match="does not fall to half power above"):
         half_power(near, receptance(near), (45.0, 52.0))
+
+
+def test_both_edges_of_the_band_belong_to_it() -> None:
+    """The highest line is that at 51.5 Hz."""
+    wide = half_power(FREQUENCY, receptance(FREQUENCY), (40.0, 60.0))
+    for band in ((51.5, 60.0), (40.0, 51.5)):
+        assert half_power(FREQUENCY, receptance(FREQUENCY), band) == wide
