@@ -193,7 +193,7 @@ def _plan(
         criterion=wanted.criterion,
         scheme=found.scheme,
         design=found.criterion,
-        floor=wanted.floor,
+        floor=found.floor,
         period=settings.period,
         sample_rate=settings.sample_rate,
         duration=duration,
@@ -233,7 +233,7 @@ def _test(settings: PlanSettings, rig: Rig, test: Multisines, periods: int) -> P
 def _notes(rig: Rig, lines: IntArray, found: Candidate, wanted: Wanted) -> tuple[str, ...]:
     """What the reader must know of the plan beside its numbers."""
     notes = []
-    if wanted.floor == 0:
+    if found.floor == 0 and found.criterion != "flat":
         notes.append("Without a floor the plan leaves few lines: the model cannot be tested on the data. 20 % of the power is usual.")
     if found.criterion == "flat":
         notes.append("No design tells more than a flat spectrum within these limits: the plan is flat, with phases of least peak.")
