@@ -73,7 +73,10 @@ def _point(bearing: JournalBearing) -> FloatArray:
 
 
 def film_slope(film: JournalEquilibrium, name: str) -> FloatArray:
-    """Derivatives of stiffness [N/m] and damping [N s/m], (2, 2, 2), by one parameter [per SI unit], by a difference wide enough for a film of finite cells."""
+    """Derivatives (2, 2, 2) of stiffness and damping by one parameter [N/m, N s/m per SI unit].
+
+    By a difference wide enough for a film of finite cells.
+    """
     here = float(getattr(film.bearing, name))
     step = STEPS[name] * (here if name in ("viscosity", "clearance") else 1.0)
     ends = [here + step, here - step]
