@@ -20,10 +20,12 @@ from labpipe.config.plan import PlanFile
 from labpipe.document.render import DOCUMENTS
 from labpipe.errors import ConfigError
 from labpipe.formats.signal_file import write_signal
+from labpipe.marked_yaml import set_entry
 from labpipe.planner.model import AXES
 from labpipe.planner.plan import Planned, make_plan
 from labpipe.planner.settings import TheorySettings
 from labpipe.records.plan import Plan
+from labpipe.records.settings import settings_of
 from labpipe.registry import nearest
 from labpipe.report.plan import goal_sentence, plan_document, sentence
 
@@ -70,9 +72,12 @@ def _theory(theory: TheorySettings, folder: Path) -> dict[str, float]:
         place = rig.place(theory.name)
         found = place.bearing.at(OperatingPoint(rig.static_loads()[place.name], rig.omega, rig.omega))
     else:
-        state = {"load": (theory.load, "N"), "speed": (theory.speed, "Hz")}
-        overrides = [f"{name}={value!r} {unit}" for name, (value, unit) in state.items() if value is not None]
-        bearing = open_bearing(folder / theory.bearing, overrides)
+        bearing = open_bearing(folder / theory.bearing)
+        for name, value, unit in (("load", theory.load, "N"), ("speed", theory.speed, "Hz")):
+            if value is not None and name not in settings_of(bearing.kind.settings):
+                raise ConfigError(f"a file of a {bearing.kind_name} has no '{name}'", hint="state it in the bearing file", field="theory")
+            if value is not None:
+                set_entry(bearing.tree, f"{name}={value!r} {unit}")
         (whole,) = bearing.coefficients([bearing.settings()])
         found = whole.lateral(*bearing.kind.lateral)
     if not np.any(found.damping):

@@ -34,7 +34,8 @@ PLAN = {
 
 def _write(folder: Path, **changes: object) -> Path:
     path = folder / "plan.yaml"
-    path.write_text(yaml.safe_dump({"title": "Wear", "plan": {**PLAN, **changes}}), encoding="utf-8")
+    entries = {name: value for name, value in {**PLAN, **changes}.items() if value is not None}
+    path.write_text(yaml.safe_dump({"title": "Wear", "plan": entries}), encoding="utf-8")
     return path
 
 
@@ -92,7 +93,7 @@ def test_refusals_name_place_and_remedy(labpipe: Command, tmp_path: Path, change
 def test_tests_made_as_planned_end_within_the_predicted_errors(labpipe: Command, tmp_path: Path) -> None:
     """The rehearsal on the virtual rig: the last fit knows what all tests told. Beside noise, its films have finite cells."""
     folder = tmp_path / "planned"
-    small = {"bands": ["60-100 Hz"], "duration": "200 s", "force": "2 N"}
+    small = {"bands": ["60-100 Hz"], "duration": "200 s", "force": "2 N", "clearance": None}
     assert labpipe("plan", _write(tmp_path, **small, criterion="D"), "-o", folder).code == 0
     plan = read_any_plan(folder / "plan.json")
     assert isinstance(plan, RunPlan)
