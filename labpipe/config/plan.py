@@ -43,11 +43,25 @@ def load_plan(path: Path, overrides: Iterable[str] = ()) -> PlanFile:
         faults.add(tree, "plan", "is missing", "state model, expected values, noise, limits and duration")
     else:
         kind = _kind(entries["plan"], faults)
+        _sort_theory(entries["plan"])
         settings = None if kind is None else read_settings(kind.load("settings"), entries["plan"], "plan", faults)
     faults.raise_any()
     assert kind is not None and settings is not None
     title = entries["title"].text if "title" in entries else ""
     return PlanFile(path, title or path.stem, kind, settings)
+
+
+def _sort_theory(node: Marked) -> None:
+    """expected: {bearing: FILE, ...} is what `theory` says."""
+    entries = node.content if isinstance(node.content, dict) else {}
+    expected = entries.get("expected")
+    if (
+        expected is not None
+        and isinstance(expected.content, dict)
+        and "theory" not in entries
+        and {"bearing", "rotor"} & set(expected.content)
+    ):
+        entries["theory"] = entries.pop("expected")
 
 
 def _kind(node: Marked, faults: Faults) -> PlanKind | None:

@@ -26,10 +26,10 @@ from labpipe.signals.least_peak import peaks
 FEWEST_PERIODS = 3
 # Of one period: a search over more lines takes hours.
 MOST_LINES, MOST_SAMPLES = 20_000, 1 << 24
-# True errors with weights from the scatter of P periods, over those with known noise: measured on simulated tests.
-WEIGHTED = {3: 1.44, 4: 1.17, 5: 1.11, 10: 1.05}
-# Beyond the last of these the excess of the variance falls with 1 / (P - 2).
-EXCESS = (WEIGHTED[10] ** 2 - 1) * 8
+# True errors of labpipe's own fits over those with known noise, by the number of periods that tell the noise: of 2000 simulated tests each
+# (tests/unit/planner/test_weights.py). Fits of FRFs have the noise of neighbouring lines and lose nothing; fits of the spectra of all
+# channels know it from the periods alone.
+OF_SPECTRA = {3: 1.11, 4: 1.08, 5: 1.04, 10: 1.0}
 MAINS_WIDTH = 0.5
 # One direction of force whose errors are more than this times those of x and then y gets a note.
 MUCH_WORSE = 2.0
@@ -91,12 +91,10 @@ def planned_lines(settings: PlanSettings) -> IntArray:
     return np.asarray(lines[kept])
 
 
-def weighting_factor(periods: int) -> float:
-    """Standard error over that with known noise, where weights come from the scatter of *periods* periods."""
-    known = sorted(WEIGHTED)
-    if periods >= known[-1]:
-        return float(np.sqrt(1 + EXCESS / (periods - 2)))
-    return float(np.interp(periods, known, [WEIGHTED[number] for number in known]))
+def weighting_factor(periods: int, of_spectra: bool) -> float:
+    """Standard error over that with known noise, where *periods* periods tell it; *of_spectra*: in a fit of all channels' spectra."""
+    known = sorted(OF_SPECTRA)
+    return float(np.interp(periods, known, [OF_SPECTRA[number] for number in known])) if of_spectra else 1.0
 
 
 def _rig(settings: PlanSettings, model: PlannedModel) -> Rig:
@@ -177,7 +175,8 @@ def _plan(
 ) -> Plan:
     duration = sum(periods) * settings.period
     errors = timed.errors(duration)
-    factor = weighting_factor(min(periods))
+    of_spectra = rig.model.stator_mass > 0 or any(np.count_nonzero(running_shakers(test)) > 1 for test in found.campaign.tests)
+    factor = weighting_factor(min(periods), of_spectra)
     flat_errors = flats[FLAT_PHASES[1]].errors(duration)
     model = rig.model
     goals = dict(settings.goal)
@@ -199,7 +198,7 @@ def _plan(
         criterion=wanted.criterion,
         scheme=found.scheme,
         design=found.criterion,
-        floor=wanted.floor,
+        floor=found.floor,
         period=settings.period,
         sample_rate=settings.sample_rate,
         duration=duration,
@@ -239,7 +238,7 @@ def _test(settings: PlanSettings, rig: Rig, test: Multisines, periods: int) -> P
 def _notes(rig: Rig, lines: IntArray, found: Candidate, wanted: Wanted) -> tuple[str, ...]:
     """What the reader must know of the plan beside its numbers."""
     notes = []
-    if wanted.floor == 0:
+    if found.floor == 0 and found.criterion != "flat":
         notes.append("Without a floor the plan leaves few lines: the model cannot be tested on the data. 20 % of the power is usual.")
     if found.criterion == "flat":
         notes.append("No design tells more than a flat spectrum within these limits: the plan is flat, with phases of least peak.")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -89,6 +89,10 @@ class Answered:
 
     plan: RunPlan
     covariance: FloatArray
+
+    def noted(self, notes: Iterable[str]) -> Answered:
+        """With further notes."""
+        return replace(self, plan=replace(self.plan, notes=(*self.plan.notes, *notes)))
 
 
 def plan_runs(question: RunQuestion, title: str, model: str, notes: Sequence[str] = ()) -> Answered:

@@ -23,6 +23,8 @@ CLOSE = 3
 CLOSE_STARTS = 2
 # Phases of a flat multisine: as they are known, of the least crest factor, or of the least peak of forces and displacements.
 SCHROEDER, LEAST_CREST, BOTH_LIMITS = FLAT_PHASES = ("schroeder", "least crest", "both limits")
+# Share of the power on all lines alike that is tried whatever floor is asked for.
+USUAL_FLOOR = 0.2
 # Steps towards shakers that do the same.
 BALANCING = 5
 
@@ -47,7 +49,10 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A design on the shakers: where it comes from, its power (n_line, n_shaker) [1] before scaling, and what it tells at the limits."""
+    """A design on the shakers: where it comes from, its power (n_line, n_shaker) [1] before scaling, and what it tells at the limits.
+
+    floor [1]: share of the power that is on all lines alike.
+    """
 
     criterion: str
     displacement_share: float
@@ -55,6 +60,7 @@ class Candidate:
     certificate: Certificate | None
     power: FloatArray
     campaign: Campaign
+    floor: float = 0.0
 
 
 def flat(rig: Rig, lines: IntArray, scheme: str, phases: str = BOTH_LIMITS) -> Campaign:
@@ -119,6 +125,7 @@ class _Source:
     scheme: str
     certificate: Certificate | None
     power: FloatArray
+    floor: float = 0.0
 
 
 def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> Iterator[_Source]:
@@ -130,15 +137,21 @@ def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) 
     for share in DISPLACEMENT_SHARES if limited else (0.0,):
         found = candidates(rig.model, rig.noise, omega, rig.directions, share, stroke)
         for criterion in CRITERIA:
-            for floor in (wanted.floor, min(2 * wanted.floor, 0.9)) if criterion == wanted.criterion else (wanted.floor,):
+            for floor in _floors(wanted) if criterion == wanted.criterion else (wanted.floor,):
                 if ONE_BY_ONE in schemes:
                     design = _design(found, wanted, criterion, floor)
-                    yield _Source(criterion, share, ONE_BY_ONE, design.certificate, _power(found, design, lines))
+                    yield _Source(criterion, share, ONE_BY_ONE, design.certificate, _power(found, design, lines), floor)
                 if at_once:
                     design = _balanced(found, wanted, criterion, floor, len(rig.shakers))
-                    yield from (_Source(criterion, share, name, design.certificate, _power(found, design, lines)) for name in at_once)
+                    told = design.certificate, _power(found, design, lines), floor
+                    yield from (_Source(criterion, share, name, *told) for name in at_once)
     for scheme in schemes:
-        yield _Source("flat", 0.0, scheme, None, np.ones((lines.size, len(rig.shakers))))
+        yield _Source("flat", 0.0, scheme, None, np.ones((lines.size, len(rig.shakers))), wanted.floor)
+
+
+def _floors(wanted: Wanted) -> tuple[float, ...]:
+    """The least floor, and larger ones: many lines have a lower peak than the few of an optimum, which can tell more at the limits."""
+    return tuple(sorted({wanted.floor, max(wanted.floor, USUAL_FLOOR), min(2 * max(wanted.floor, USUAL_FLOOR), 0.9)}))
 
 
 def _power(found: Candidates, design: Design, lines: IntArray) -> FloatArray:
@@ -150,7 +163,7 @@ def _looked(rig: Rig, lines: IntArray, wanted: Wanted, source: _Source | Candida
     tests: tuple[Multisines, ...] = SCHEMES[source.scheme](lines, source.power, rig.shakers)
     large = [as_large_as_allowed(rig, test, random_starts=random_starts) for test in tests]
     told = campaign(rig, large, wanted.criterion, wanted.goals)
-    return Candidate(source.criterion, source.displacement_share, source.scheme, source.certificate, source.power, told)
+    return Candidate(source.criterion, source.displacement_share, source.scheme, source.certificate, source.power, told, source.floor)
 
 
 def _crest(candidate: Candidate) -> float:

@@ -9,6 +9,7 @@ from labpipe.planner.criteria import CRITERIA, MINIMAX
 from labpipe.planner.model import MODELS
 from labpipe.planner.schemes import SCHEMES
 from labpipe.records.settings import Settings, setting
+from labpipe.rigs.rotor_rig import RotorRig
 
 BEST = "best"
 
@@ -32,6 +33,30 @@ class DensitySettings(Settings):
 
 
 @dataclass(frozen=True)
+class TheorySettings(Settings):
+    """A bearing whose theory is expected: of a bearing file at its load and speed, or on the rotor of a rotor file; *rig*: of `rotor`."""
+
+    bearing: str = setting("file", "bearing file; its y and z are the plan's x and y", default="", file_kind="bearing")
+    load: float | None = setting("value", "in place of the bearing file's `load`", unit="N", default=None)
+    speed: float | None = setting("value", "in place of the file's `speed`", unit="Hz", default=None)
+    rotor: str = setting("file", "or a rotor file", default="", file_kind="rotor", into="rig")
+    name: str = setting("text", "bearing of the rotor file; default: the last one", default="")
+    rig: RotorRig | None = None
+
+    def __post_init__(self) -> None:
+        if bool(self.bearing) == bool(self.rotor):
+            raise ConfigError("a bearing file or a rotor file is needed", hint="{bearing: FILE, load: 2 kN, speed: 3000 rpm}")
+        if self.rotor and self.load is not None:
+            raise ConfigError("the load follows from the rotor", hint="leave it out", field="load")
+        for name in ("load", "speed"):
+            value = getattr(self, name)
+            if value is not None and value <= 0:
+                raise ConfigError(f"'{name}' must be positive", field=name)
+        if self.rig is not None:
+            self.rig.place(self.name)
+
+
+@dataclass(frozen=True)
 class PlanSettings(Settings):
     """What is to be determined, with which rig, within which limits."""
 
@@ -47,6 +72,12 @@ class PlanSettings(Settings):
     expected: tuple[tuple[str, float], ...] = setting("coefficients", "expected values, by name", default=())
     earlier: str = setting("file", "identification.json whose values are expected where `expected` has none", default="")
     fit: str = setting("text", "the fit of `earlier`; default: its only one", default="")
+    theory: TheorySettings | None = setting(
+        "section",
+        "bearing whose theory is expected where `expected` has no value; also expected: {bearing: FILE, ...}",
+        section=TheorySettings,
+        default=None,
+    )
     mass: float | None = setting("value", "known mass that moves; dynamic-stiffness: of the stator", unit="kg", default=None)
     noise: NoiseSettings | None = setting("section", "noise of the sensors per sample", section=NoiseSettings, default=None)
     noise_density: DensitySettings | None = setting("section", "or its density", section=DensitySettings, default=None)
@@ -71,10 +102,11 @@ class PlanSettings(Settings):
             raise ConfigError(
                 "one of 'noise' and 'noise_density' is needed", hint="noise: {force: 20 mN, displacement: 0.3 um}", field="noise"
             )
-        if not self.expected and not self.earlier:
-            raise ConfigError(
-                "nothing is expected", hint="expected: {k_xx: 180 kN/m, ...}, or earlier: identification.json", field="expected"
-            )
+        if not self.expected and not self.earlier and self.theory is None:
+            hint = "expected: {k_xx: 180 kN/m, ...}, {bearing: FILE}, or earlier: identification.json"
+            raise ConfigError("nothing is expected", hint=hint, field="expected")
+        if self.theory is not None and self.model == "sdof":
+            raise ConfigError("theory gives matrices", hint="state k and c of the pedestal under `expected`", field="theory")
         for name, values in self.goal:
             if len(values) != 1 or values[0] <= 0:
                 raise ConfigError(f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal")

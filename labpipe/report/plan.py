@@ -107,8 +107,9 @@ def _explained(plan: Plan) -> str:
     return (
         "The prediction is the Cramer-Rao bound of errors in variables, with white noise in all sensors. The noise is not known before the "
         f"test: weights from the scatter of {min(test.periods for test in plan.tests)} periods make the errors {plan.factor:.2f} times as "
-        "large. Errors are relative to the expected size, of coefficients that are nearly zero to 1 % of the largest of their kind. The "
-        "prediction holds where the rig is as expected: plan again from the result of a short flat test, if it may not be."
+        "large, as counted on simulated tests. Errors are relative to the expected size, of coefficients that are nearly zero to 1 % of "
+        "the largest of their kind. The prediction holds where the rig is as expected: plan again from the result of a short flat test, "
+        "if it may not be."
     )
 
 

@@ -57,6 +57,7 @@ class VirtualJournalRig(Settings):
     cells_across: int = setting("integer", "cells of the oil film across the bearing", default=60)
     force: float = setting("value", "rms force of the shaker", unit="N", default=30.0)
     bandwidth: float = setting("value", "the force is white up to here", unit="Hz", default=120.0)
+    lowest: float = setting("value", "and from here", unit="Hz", default=0.0)
     sample_rate: float = setting("value", "sampling rate", unit="Hz", default=256.0)
     duration: float = setting("value", "length of one run", unit="s", default=60.0)
     unbalance: float = setting("value", "mass times eccentricity at the force's node", unit="kg.m", default=1e-5)
@@ -73,6 +74,8 @@ class VirtualJournalRig(Settings):
                 raise ConfigError(f"{name} must be positive")
         if not self.bandwidth < self.sample_rate / 2:
             raise ConfigError(f"bandwidth must lie below half the sampling rate, {self.sample_rate / 2:g} Hz")
+        if not 0 <= self.lowest < self.bandwidth:
+            raise ConfigError("lowest must lie between 0 Hz and the bandwidth")
         for name in ("viscosity_error", "clearance_error"):
             if not abs(getattr(self, name)) < 0.5:
                 raise ConfigError(f"{name} must lie between -50 % and 50 %")
@@ -133,7 +136,7 @@ def journal_runs(virtual: VirtualJournalRig, seed: int, names: Sequence[str]) ->
 
 @lru_cache(maxsize=8)
 def _response(virtual: VirtualJournalRig, wear: Wear) -> ComplexArray:
-    """H on every line of a run up to the bandwidth and at the shaft speed, which comes last, (n_line + 1, 2, 2) [m/N]."""
+    """H on every line of a run that the force excites and at the shaft speed, which comes last, (n_line + 1, 2, 2) [m/N]."""
     rig = true_rig(virtual, wear.depth, wear.angle)
     return receptance(rig, np.append(_lines(virtual), rig.speed), virtual.mesh)
 
@@ -141,13 +144,14 @@ def _response(virtual: VirtualJournalRig, wear: Wear) -> ComplexArray:
 def _lines(virtual: VirtualJournalRig) -> FloatArray:
     """Frequencies of the run's lines that the force excites, (n_line,) [Hz]."""
     lines = fft.rfftfreq(virtual.n_sample, 1 / virtual.sample_rate)[1:]
-    return np.asarray(lines[lines <= virtual.bandwidth])
+    return np.asarray(lines[(lines <= virtual.bandwidth) & (lines >= virtual.lowest)])
 
 
 def _run(virtual: VirtualJournalRig, name: str, response: ComplexArray, rng: np.random.Generator) -> Recording:
     n, axis = virtual.n_sample, name[-1]
     spectrum = np.zeros(n // 2 + 1, np.complex128)
-    excited = slice(1, response.shape[0])
+    first = int(np.argmax(fft.rfftfreq(n, 1 / virtual.sample_rate)[1:] >= virtual.lowest)) + 1
+    excited = slice(first, first + response.shape[0] - 1)
     spectrum[excited] = rng.standard_normal(response.shape[0] - 1) + 1j * rng.standard_normal(response.shape[0] - 1)
     spectrum *= virtual.force * n / np.sqrt(2 * np.sum(np.abs(spectrum) ** 2))
     moved = np.zeros((n // 2 + 1, 2), np.complex128)

@@ -4,20 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from labpipe import __version__
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.plan_file import NAME, write_plan
 from labpipe.artefacts.writing import OutputFolder
+from labpipe.bearings.kinds import OperatingPoint
+from labpipe.config.bearing import open_bearing
 from labpipe.config.plan import PlanFile
 from labpipe.document.render import DOCUMENTS
 from labpipe.errors import ConfigError
 from labpipe.formats.signal_file import write_signal
+from labpipe.marked_yaml import set_entry
+from labpipe.planner.model import AXES
 from labpipe.planner.plan import Planned, make_plan
+from labpipe.planner.settings import TheorySettings
 from labpipe.records.plan import Plan
+from labpipe.records.settings import settings_of
 from labpipe.registry import nearest
 from labpipe.report.plan import goal_sentence, plan_document, sentence
 
@@ -42,9 +50,10 @@ def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], l
 
 
 def _expected(file: PlanFile) -> dict[str, float]:
-    """Values by name: those of `expected`, the others from the earlier result."""
+    """Values by name: those of `expected`, the others from the earlier result, then from theory."""
     settings = file.settings
-    given = dict(settings.expected)
+    theory = {} if settings.theory is None else _theory(settings.theory, file.path.parent)
+    given = theory | dict(settings.expected)
     if not settings.earlier:
         return given
     path = file.path.parent / settings.earlier
@@ -53,7 +62,30 @@ def _expected(file: PlanFile) -> dict[str, float]:
     if name not in fits or (not settings.fit and len(fits) > 1):
         raise ConfigError(f"name the fit of {path.name}", hint=nearest(settings.fit, tuple(fits)), field="fit")
     found = {p.name: p.value for p in fits[name].parameters if not p.derived and p.name[0] in "kcm"}
-    return {**found, **given}
+    return theory | found | dict(settings.expected)
+
+
+def _theory(theory: TheorySettings, folder: Path) -> dict[str, float]:
+    """k_xx ... c_yy [N/m, N.s/m] of a bearing's theory, its y and z the plan's x and y."""
+    if theory.rig is not None:
+        rig = theory.rig if theory.speed is None else theory.rig.at_speed(theory.speed)
+        place = rig.place(theory.name)
+        found = place.bearing.at(OperatingPoint(rig.static_loads()[place.name], rig.omega, rig.omega))
+    else:
+        bearing = open_bearing(folder / theory.bearing)
+        for name, value, unit in (("load", theory.load, "N"), ("speed", theory.speed, "Hz")):
+            if value is not None and name not in settings_of(bearing.kind.settings):
+                raise ConfigError(f"a file of a {bearing.kind_name} has no '{name}'", hint="state it in the bearing file", field="theory")
+            if value is not None:
+                set_entry(bearing.tree, f"{name}={value!r} {unit}")
+        (whole,) = bearing.coefficients([bearing.settings()])
+        found = whole.lateral(*bearing.kind.lateral)
+    if not np.any(found.damping):
+        raise ConfigError(
+            "this theory has no damping", hint="a journal or a magnetic bearing has; or state all under `expected`", field="theory"
+        )
+    matrices = {"k": found.stiffness, "c": found.damping}
+    return {f"{letter}_{AXES[i]}{AXES[j]}": float(matrix[i, j]) for letter, matrix in matrices.items() for i in (0, 1) for j in (0, 1)}
 
 
 def _write_signals(planned: Planned, output: OutputFolder) -> list[str]:

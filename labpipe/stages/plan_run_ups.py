@@ -144,17 +144,18 @@ def _allowed(
 ) -> tuple[list[RunCandidate], list[str]]:
     """The candidates at the speeds that limits and stability allow, and notes on those that were cut."""
     limits = Limits(settings.displacement_limit, settings.journal_limit)
-    kept, cut = [], []
+    kept, cut, whole = [], 0, 0
     for candidate in candidates:
         found = at_allowed_speeds(expected, candidate, limits)
         kept += [] if found is None else [found]
-        cut += [candidate.name] if found is None or found.speed.size < candidate.speed.size else []
+        full = found is not None and found.speed.size == candidate.speed.size
+        cut, whole = cut + (not full), whole + full
     if not kept:
         raise ConfigError(
             "no run keeps within the limits and above the noise", hint="other trial unbalances, or other speeds", field="trials"
         )
-    words = "Unstable, beyond the limits or within the noise at some of their speeds, which are left out"
-    return kept, [f"{words}: {', '.join(cut)}."] if cut else []
+    words = f"{cut} of {cut + whole} candidates leave out speeds at which they would be unstable, beyond the limits or within the noise."
+    return kept, [words] if cut else []
 
 
 def _condition(settings: RunUpPlanSettings, expected: ExpectedRig, candidate: RunCandidate) -> Condition:

@@ -118,8 +118,10 @@ def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
     ranges, box = _reach(settings, prior, rig)
     loads, mesh = rig.static_loads(), FilmMesh(settings.cells_around, settings.cells_across)
     bearings = tuple(tabled(place, loads[place.name], rig.omega, place.name == worn, ranges, mesh) for place in rig.bearings)
-    names = (*(() if settings.healthy else (DEPTH, ANGLE)), *prior.names)
-    scale = np.array([*(SCALES[name] for name in names if name in SCALES), *prior.std])
+    nuisances = tuple(name for name in prior.names if name not in SCALES)
+    names = (*(() if settings.healthy else (DEPTH, ANGLE)), *nuisances)
+    spread = dict(zip(prior.names, prior.std.tolist(), strict=True))
+    scale = np.array([SCALES.get(name) or spread[name] for name in names])
     low, high = (np.array([box[name][end] for name in names]) / scale for end in (0, 1))
     lines = tuple(np.asarray(frequency, float).tolist())
     return WornModel(
@@ -138,7 +140,7 @@ def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
 
 def _centred(rig: RotorRig, centre: dict[str, float]) -> RotorRig:
     """The rig with bearings and shaft damping at the prior means, around which the tables are made."""
-    film_values: dict[str, float] = {name: value for name, value in centre.items() if name != "beta"}
+    film_values: dict[str, float] = {name: value for name, value in centre.items() if name != "beta" and name not in SCALES}
     rig = rig.with_bearings((), **film_values) if film_values else rig
     return replace(rig, rotor=replace(rig.rotor, beta=centre["beta"])) if "beta" in centre else rig
 
@@ -147,7 +149,8 @@ def _reach(settings: WearSettings, prior: Gaussian, rig: RotorRig) -> tuple[Rang
     """The tables' ranges and the bounds of all parameters, SI units."""
     box = {DEPTH: (0.0, settings.depth_limit), ANGLE: (-settings.angle_limit, settings.angle_limit)}
     for name, mean, std in zip(prior.names, prior.mean, prior.std, strict=True):
-        box[name] = (mean - REACH * float(std), mean + REACH * float(std))
+        low, high = box.get(name, (-np.inf, np.inf))
+        box[name] = (max(low, mean - REACH * float(std)), min(high, mean + REACH * float(std)))
     if "cavitation_pressure" in box:
         box["cavitation_pressure"] = (box["cavitation_pressure"][0], min(box["cavitation_pressure"][1], 0.0))
     viscosity, clearance = (_factor(prior, box, name) for name in ("viscosity", "clearance"))

@@ -11,7 +11,7 @@ from labpipe.errors import ConfigError
 from labpipe.identify.settings import FitSettings
 from labpipe.records.identification import Fit
 from labpipe.registry import nearest
-from labpipe.wear.settings import NUISANCES, Gaussian, WearSettings
+from labpipe.wear.settings import ANGLE, DEPTH, NUISANCES, Gaussian, WearSettings
 
 # Standard error of a parameter at its bound, relative to its value.
 LEAST_SHARE = 1e-3
@@ -24,18 +24,22 @@ def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
         return settings
     for fit in fits:
         if fit.name == wear.prior:
-            return replace(settings, model_settings=replace(wear, posterior=posterior(fit)))
+            return replace(settings, model_settings=replace(wear, posterior=posterior(fit, wear.same_wear)))
     hint = nearest(wear.prior, [fit.name for fit in fits])
     raise ConfigError(f"wear.prior: no earlier fit '{wear.prior}'", hint=f"fits are made in their order; {hint}")
 
 
-def posterior(fit: Fit) -> Gaussian:
-    """Mean and covariance of the tuned parameters of a fit, [SI units].
+def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
+    """Mean and covariance of the tuned parameters of a fit, [SI units]; of depth and angle as well where it was of the *same_wear*.
 
     Standard errors are taken as inflated where the residual exceeds the noise; ConfigError where the fit tuned nothing.
     """
     estimated = [parameter for parameter in fit.parameters if not parameter.derived]
-    numbers = [number for number, parameter in enumerate(estimated) if parameter.name in NUISANCES]
+    carried = (DEPTH, ANGLE, *NUISANCES) if same_wear else tuple(NUISANCES)
+    numbers = [number for number, parameter in enumerate(estimated) if parameter.name in carried]
+    if same_wear and not all(any(p.name == name and p.std_error for p in estimated) for name in (DEPTH, ANGLE)):
+        what = f"wear.same_wear: the fit '{fit.name}' gives no depth and angle with standard errors"
+        raise ConfigError(what, hint="begin with the test that tells both best")
     if not numbers:
         hint = "give it wear: {healthy: true, ...}"
         raise ConfigError(f"wear.prior: the fit '{fit.name}' tuned none of {', '.join(NUISANCES)}", hint=hint)

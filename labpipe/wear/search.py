@@ -38,10 +38,10 @@ class Minimum:
 
 
 def start_mesh(settings: WearSettings, misfit: Misfit) -> list[FloatArray]:
-    """Every start (n,), scaled [1]: depths by angles, the other parameters at their prior mean."""
+    """Every start (n,), scaled [1]: depths by angles, the other parameters at their prior mean; that alone where wear is known before."""
     model = misfit.model
     mean = np.array(model.prior.mean) / model.scale[len(model.names) - misfit.n_prior :]
-    if DEPTH not in model.names:
+    if DEPTH not in model.names or DEPTH in model.prior.names:
         return [mean]
     depths = [max(depth, SHALLOWEST_START) for depth in settings.start_depths]
     scales = [model.scale[model.names.index(name)] for name in (DEPTH, ANGLE)]

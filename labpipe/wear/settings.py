@@ -64,6 +64,7 @@ class WearSettings(Settings):
     )
     beta: Uncertain | None = setting("uncertain", "damping of the shaft, estimated along, e.g. 1.6e-4 s +- 20 %", unit="s", default=None)
     prior: str = setting("text", "an earlier fit of this pipeline (a tuning) whose posterior is the prior", default="")
+    same_wear: bool = setting("flag", "the fit of `prior` was of this same wear: its depth and angle are known too", default=False)
     cells_around: int = setting("integer", "cells of the oil film around the journal", default=120)
     cells_across: int = setting("integer", "cells of the oil film across the bearing", default=30)
     rig: RotorRig | None = None
@@ -80,6 +81,8 @@ class WearSettings(Settings):
             raise ConfigError("'start_depths' leave the range of depths", hint="from 0 to depth_limit")
         if not all(abs(angle) <= self.angle_limit for angle in self.start_angles):
             raise ConfigError("'start_angles' leave the range of angles", hint="from -angle_limit to angle_limit")
+        if self.same_wear and (not self.prior or self.healthy):
+            raise ConfigError("'same_wear' goes with the 'prior' of a worn bearing", hint="prior: FIT, the fit of another speed or load")
         if self.prior and self.nuisances:
             raise ConfigError(f"'prior' already covers {', '.join(self.nuisances)}", hint="leave one of them out")
         if self.healthy and not self.nuisances:

@@ -72,8 +72,11 @@ def _point(bearing: JournalBearing) -> FloatArray:
     return np.array([getattr(bearing, name) for name in PARAMETERS])
 
 
-def _film_slope(film: JournalEquilibrium, name: str) -> FloatArray:
-    """Derivatives of stiffness and damping (2, 2, 2) by one parameter, by a difference wide enough for a film of finite cells."""
+def film_slope(film: JournalEquilibrium, name: str) -> FloatArray:
+    """Derivatives (2, 2, 2) of stiffness and damping by one parameter [N/m, N s/m per SI unit].
+
+    By a difference wide enough for a film of finite cells.
+    """
     here = float(getattr(film.bearing, name))
     step = STEPS[name] * (here if name in ("viscosity", "clearance") else 1.0)
     ends = [here + step, here - step]
@@ -155,7 +158,7 @@ class TabledBearing:
             slopes = np.zeros_like(by_parameter)
             for number, name in enumerate(PARAMETERS):
                 if name in values and (self.worn or name not in WEAR):
-                    slopes[:, number] = _film_slope(film, name) - by_parameter[:, number]
+                    slopes[:, number] = film_slope(film, name) - by_parameter[:, number]
         return replace(self, correction=Correction(_point(bearing), np.stack([film.stiffness, film.damping]) - matrices, slopes))
 
     def mesh_error(self, values: Mapping[str, float], mesh: FilmMesh) -> FloatArray:

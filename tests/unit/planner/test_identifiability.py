@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.planner.identifiability import Excitation, Identifiability, identifiability
+from labpipe.planner.information import Noise, relative_errors, sensitivities, vector_information
 from labpipe.planner.model import PlannedModel, rotor, sdof
 from tests.unit.planner.rigs import PEDESTAL, ROTOR, pedestal, rig_rotor, seal
 
@@ -68,3 +69,26 @@ def test_a_vector_per_line_cannot_tell_more_than_its_equations(lines: list[float
     found = _found(model, lines, AXES[:1])
     # Two complex equations for every line.
     assert found.rank <= min(4 * len(lines), 10)
+
+
+@pytest.mark.parametrize(("damping", "ratios"), [(120.0, (59, 20, 6.0)), (26.5, (13, 4.5, 1.6))])
+def test_forces_at_45_degrees_on_a_rig_that_is_nearly_symmetric(damping: float, ratios: tuple[float, ...]) -> None:
+    """Largest error over that of x, then y at equal power, for 1, 3, 10 % of anisotropy: sqrt(1 + (4 zeta / a)^2), calculated apart.
+
+    The two planes are told apart by how far their resonances lie from each other, in half-power widths: zeta is 15 and 3.3 %.
+    """
+    _, noise, lines = rig_rotor()
+    force_alone = Noise(force=noise.force)
+    for anisotropy, expected in zip((0.01, 0.03, 0.1), ratios, strict=True):
+        both = 1 + anisotropy
+        values = {**SYMMETRIC, "k_yy": 180e3 * both, "c_xx": damping, "c_yy": damping * both}
+        sensitivity = sensitivities(rotor(values, 0.92), force_alone, 2 * np.pi * lines)
+        spread = [np.tile(direction, (lines.size, 1)) for direction in AXES / np.sqrt(2)]
+        apart = sum(vector_information(sensitivity, forces).sum(axis=0) for forces in spread)
+        oblique = vector_information(sensitivity, np.tile(OBLIQUE[0], (lines.size, 1))).sum(axis=0)
+        # Errors in units of the largest of their kind, so that terms expected as zero count alike.
+        largest = np.array([value for value in (180e3 * both, damping * both) for _ in range(4)])
+        scale = largest / rotor(values, 0.92).scales
+        found = (relative_errors(oblique) / scale).max() / (relative_errors(apart) / scale).max()
+        assert found == pytest.approx(expected, rel=0.06)
+        assert found == pytest.approx(np.hypot(1, 4 * damping / (2 * np.sqrt(180e3 * 0.92)) / anisotropy), rel=0.08)
