@@ -38,7 +38,7 @@ def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:
         rows.append((case.name, *wear, *peaks, f"{backward / forward:.3f}"))
     caption = f"Largest radii over {len(runs.speed)} speeds from {runs.speed[0]:g} to {runs.speed[-1]:g} Hz, and backward over forward"
     if any(case.changes for case in runs.cases):
-        caption += "; standard uncertainties by the doubts of the bearings' numbers"
+        caption += "; standard uncertainties by the doubts of the bearings' numbers and the step of the speeds"
     return (Paragraph(EXPLAINED), Table(HEADER, tuple(rows), caption, tuple(range(1, 8))), unbalance_figure(runs))
 
 

@@ -15,6 +15,7 @@ from labpipe.rigs.rotor_rig import RotorRig
 from labpipe.rotors.response import forward_backward_motion, unbalance_response
 
 MOST_SPEEDS = 2000
+STEP_OF_SPEED = "step of the speeds"
 
 
 @dataclass(frozen=True)
@@ -63,8 +64,12 @@ def unbalance_runs(settings: UnbalanceSettings) -> UnbalanceRuns:
     for name, case in settings.cases:
         worn_rig = rig.with_bearings((worn,), wear_depth=case.depth, wear_angle=case.angle)
         forward, backward = _radii(worn_rig, settings.speed).tolist()
-        changes = tuple(_changes(worn_rig, settings.speed, source.source) for source in worn_rig.sources)
-        cases.append(UnbalanceCase(name, case.depth, case.angle, tuple(forward), tuple(backward), changes))
+        changes = [_changes(worn_rig, settings.speed, source.source) for source in worn_rig.sources]
+        if changes:
+            # A peak lies anywhere within half a step of its speed: limits of a rectangular distribution.
+            within = settings.step / np.sqrt(12.0)
+            changes.append(PeakChange(STEP_OF_SPEED, 0.0, within, 0.0, within))
+        cases.append(UnbalanceCase(name, case.depth, case.angle, tuple(forward), tuple(backward), tuple(changes)))
     return UnbalanceRuns(rig.name, worn, rig.response, tuple(settings.speed.tolist()), tuple(cases))
 
 

@@ -104,8 +104,9 @@ def test_doubts_of_films_make_peaks_doubtful(tmp_path: Path) -> None:
         (tmp_path / name).write_text(text.replace("viscosity: 0.07 Pa.s", f'viscosity: "{viscosity}"'), encoding="utf-8")
         rig = load_rotor(tmp_path / name)
         found[name] = unbalance_runs(UnbalanceSettings("r", (50.0, 54.0), CASES[1:], 0.5, "bearing 2", rig)).cases[0]
-    (change,) = found["doubt"].changes
-    assert change.source == "oil" and not found["above"].changes and found["above"].error("forward_peak") is None
+    change, step = found["doubt"].changes
+    assert change.source == "oil" and (step.forward_peak, step.forward_speed) == (0.0, pytest.approx(0.5 / 12**0.5))
+    assert not found["above"].changes and found["above"].error("forward_peak") is None
 
     def peak(name: str) -> tuple[float, float]:
         radius = np.array(found[name].forward)
