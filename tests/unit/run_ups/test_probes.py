@@ -98,3 +98,11 @@ def test_doubts_of_tables_are_read() -> None:
     assert errors[-1].doubt.std_error == pytest.approx(np.radians(1))
     with pytest.raises(ConfigError, match="no uncertainty"):
         ProbeSettings(gain="much")
+
+
+def test_the_report_states_parameters_with_the_doubts_of_probes() -> None:
+    """Two significant digits of the combined error, not of that by noise alone."""
+    (viscosity, *_) = joint_method("joint", "joint", fit_jointly(RIG, RUNS)).parameters
+    assert viscosity.std_error < 0.95 * viscosity.combined and viscosity.full_error == viscosity.combined
+    half = (viscosity.ci95[1] - viscosity.ci95[0]) / 2
+    assert half == pytest.approx(viscosity.coverage_factor * viscosity.combined)
