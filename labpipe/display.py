@@ -128,3 +128,14 @@ def amount_text(value: float, error: float | None, si_unit: str, sign: str = "±
     """One text for a value and its uncertainty in SI, with the unit that suits both."""
     unit = shown_unit(si_unit, value, error)
     return with_error(to_display(value, unit), None if error is None else difference_in(error, unit), unit, sign)
+
+
+def plain_text(value: float, si_unit: str, digits: int = 5) -> str:
+    """A value in SI of which no uncertainty is known, with the unit that suits it: '45.9 kN/m', '16', '876.17 kPa'."""
+    unit = shown_unit(si_unit, value)
+    return f"{number(to_display(value, unit), digits)} {unit_label(unit)}".rstrip()
+
+
+def significant(value: float, digits: int) -> str:
+    """A number with so many significant digits, zeros at its end among them: 459000 is '4.590e+05', 22.8 is '22.80'."""
+    return f"{value:#.{digits}g}".removesuffix(".") if value and math.isfinite(value) else number(value)

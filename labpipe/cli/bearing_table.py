@@ -10,9 +10,7 @@ from labpipe.arrays import FloatArray
 from labpipe.bearings.coefficients import Amount, BearingCoefficients
 from labpipe.bearings.doubts import BearingDoubts
 from labpipe.cli.output import echo
-from labpipe.display import amount_text
-from labpipe.quantities import display_unit, to_display
-from labpipe.report.wording import unit_text
+from labpipe.display import amount_text, plain_text, significant
 from labpipe.stages.bearing import Evaluated
 from labpipe.stages.sweep import Sweep
 
@@ -22,6 +20,9 @@ LEAST_SPREAD = 1e-4
 MAX_ROWS = 12
 # Sources shown of a coefficient, and the least share in its variance.
 MAX_SHARES, LEAST_SHARE = 3, 0.01
+# Significant digits of coefficients without a doubt; amounts at rest that people think of as percentages.
+DIGITS = 4
+PERCENTAGES = ("mesh_error",)
 
 
 def echo_bearing(name: str, kind: str, whole: Evaluated) -> None:
@@ -63,7 +64,9 @@ def _echo_matrix(title: str, coefficients: BearingCoefficients, matrix: FloatArr
     echo("      " + "".join(f"{dof:>12}" for dof in coefficients.dofs))
     for row, dof in enumerate(coefficients.dofs):
         numbers = [
-            "0" if relative is not None and abs(relative[row, column]) < STRUCTURAL_ZERO else f"{matrix[row, column]:.4g}"
+            "0"
+            if relative is not None and abs(relative[row, column]) < STRUCTURAL_ZERO
+            else significant(float(matrix[row, column]), DIGITS)
             for column in range(len(coefficients.dofs))
         ]
         echo(f"  {dof:<4}" + "".join(f"{number:>12}" for number in numbers))
@@ -92,9 +95,10 @@ def _rounding(amounts: Sequence[Amount]) -> float:
 
 def _amount(amount: Amount, least: float) -> str:
     """Name, value and unit; zero below *least* [SI]."""
-    unit = display_unit(amount.unit)
-    value = amount.value if abs(amount.value) > least else 0.0
-    return f"{amount.name.removeprefix('load_')} {to_display(value, unit):.5g}{'' if unit == '1' else f' {unit_text(unit)}'}"
+    name, value = amount.name.removeprefix("load_"), amount.value if abs(amount.value) > least else 0.0
+    if amount.name in PERCENTAGES:
+        return f"{name} {significant(100 * value, 2)} %"
+    return f"{name} {plain_text(value, amount.unit)}"
 
 
 def _echo_passage(coefficients: BearingCoefficients) -> None:
@@ -120,7 +124,7 @@ def echo_sweep(name: str, sweep: Sweep, cases: Sequence[BearingCoefficients]) ->
         if len(cases) > MAX_ROWS and number == len(cases) - MAX_ROWS // 2:
             echo(f"{'...':>20}")
         diagonal = np.diag(cases[number].stiffness)
-        echo(f"{sweep.values[number]:>20.6g}" + "".join(f"{value:>12.4g}" for value in diagonal))
+        echo(f"{sweep.values[number]:>20.6g}" + "".join(f"{significant(float(value), DIGITS):>12}" for value in diagonal))
     codes = sorted({finding.code for case in cases for finding in case.findings})
     for code in codes:
         affected = [case for case in cases if any(finding.code == code for finding in case.findings)]

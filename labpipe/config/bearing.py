@@ -66,7 +66,7 @@ def open_bearing(path: Path, overrides: Iterable[str] = ()) -> BearingFile:
     kind = kind_of(tree, "", faults)
     faults.raise_any()
     assert kind is not None
-    doubts = _taken_doubts(tree, kind, "", kind.settings, faults)
+    doubts = taken_doubts(tree, kind, "", kind.settings, faults)
     faults.raise_any()
     return BearingFile(path, tree.content["kind"].text, kind, tree, doubts)
 
@@ -78,7 +78,7 @@ def setting_at(owner: type, key: str) -> Setting:
     return declared if not rest or declared.section is None else setting_at(declared.section, rest)
 
 
-def _taken_doubts(node: Marked, kind: BearingKind, key: str, owner: type, faults: Faults) -> dict[str, Uncertain]:
+def taken_doubts(node: Marked, kind: BearingKind, key: str, owner: type, faults: Faults) -> dict[str, Uncertain]:
     """The numbers of a mapping that carry a doubt, by their keys; in the tree their values stand alone after that."""
     doubts: dict[str, Uncertain] = {}
     if not isinstance(node.content, dict):
@@ -88,7 +88,7 @@ def _taken_doubts(node: Marked, kind: BearingKind, key: str, owner: type, faults
         if entry is None:
             continue
         if declared.section is not None:
-            doubts |= _taken_doubts(entry, kind, join(key, name), declared.section, faults)
+            doubts |= taken_doubts(entry, kind, join(key, name), declared.section, faults)
             continue
         entry = in_one_line(entry, declared)
         if declared.kind != "value" or not is_doubtful(entry.text):

@@ -7,7 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from labpipe.config.bearing import kind_of
+from labpipe.bearings.kinds import Bearing
+from labpipe.config.bearing import kind_of, setting_at, taken_doubts
 from labpipe.config.faults import Faults, join
 from labpipe.config.reader import read_setting, read_settings
 from labpipe.config.rotor_parts import (
@@ -22,10 +23,11 @@ from labpipe.config.rotor_parts import (
 )
 from labpipe.errors import ConfigError
 from labpipe.marked_yaml import Marked, load_marked, set_entry
+from labpipe.records.doubt import doubt_of
 from labpipe.records.file_kind import FileKind
 from labpipe.records.settings import Setting
 from labpipe.registry import nearest
-from labpipe.rigs.rotor_rig import BearingPlace, RotorRig, Unbalance
+from labpipe.rigs.rotor_rig import BearingPlace, DoubtfulBearing, RotorRig, Unbalance
 from labpipe.rotors.parts import ALUMINIUM, STEEL, Material, Rotor, ShaftElement, Sleeve
 
 MATERIALS = {"steel": STEEL, "aluminium": ALUMINIUM}
@@ -187,12 +189,32 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
         if name in entries:
             faults.add(entries[name], join(key, name), "follows from the rotor", "leave it out")
     # Load and speed come with every question to the bearing; until then they are any number above zero.
-    settings = read_settings(kind.on_rotor or kind.settings, plain, key, faults, **dict.fromkeys(kind.operating, 1.0))
-    if settings is None or node is None or len(faults) > before:
+    owner = kind.on_rotor or kind.settings
+    doubts = taken_doubts(plain, kind, "", owner, faults)
+
+    def mounted() -> tuple[str, Bearing | None]:
+        settings = read_settings(owner, plain, key, faults, **dict.fromkeys(kind.operating, 1.0))
+        if settings is None or len(faults) > before:
+            return "", None
+        return getattr(settings, "name", "") or str(number), tried(lambda: kind.mounted(settings), entry, key, faults)
+
+    name, bearing = mounted()
+    if bearing is None or node is None:
         return None
-    bearing = tried(lambda: kind.mounted(settings), entry, key, faults)
-    name = getattr(settings, "name", "") or str(number)
-    return None if bearing is None else BearingPlace(name, node, bearing, entries["kind"].text)
+    doubtful = []
+    for entry_name, uncertain in doubts.items():
+        unit = setting_at(owner, entry_name).unit
+        ends = [_at_end(plain, entry_name, uncertain.value + sign * uncertain.std_error, unit, mounted) for sign in (1.0, -1.0, 0.0)]
+        if ends[0] is None or ends[1] is None:
+            return None
+        doubtful.append(DoubtfulBearing(doubt_of(uncertain, f"{name}: {entry_name}", unit), ends[0], ends[1]))
+    return BearingPlace(name, node, bearing, entries["kind"].text, tuple(doubtful))
+
+
+def _at_end(plain: Marked, key: str, value: float, unit: str, mounted: Callable[[], tuple[str, Bearing | None]]) -> Bearing | None:
+    """The bearing with another number at its key, which stays."""
+    set_entry(plain, f"{key}={value!r} {unit}".rstrip())
+    return mounted()[1]
 
 
 ROTOR_FILE = FileKind(load_rotor)

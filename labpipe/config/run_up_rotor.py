@@ -80,7 +80,12 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
     rotor = None if len(faults) > before else build_rotor(lists, materials, damping, tree, faults)
     if rotor is None or settings is None or len(faults) > before:
         return None
-    (_, place), *_ = bearings
+    (entry, place), *_ = bearings
+    if place.doubts:
+        names = ", ".join(one.doubt.source for one in place.doubts)
+        hint = "leave it out: clearance, viscosity and the film's other numbers are estimated about the value that is given here"
+        faults.add(entry, "bearings.1", f"the doubt of {names} is not used by run-ups", hint)
+        return None
     place = replace(place, name="bearing") if place.name == "1" else place
     speeds = None if settings.speeds is None else (2 * np.pi * settings.speeds[0], 2 * np.pi * settings.speeds[1])
     unbalances = tuple(Unbalance(unbalance.node, unbalance.size, unbalance.phase) for _, unbalance in lists["unbalances"])

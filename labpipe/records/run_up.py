@@ -10,6 +10,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.arrays import frozen_array
+from labpipe.records.doubt import Doubt
 from labpipe.records.settings import Uncertain
 
 DIRECTIONS = ("x", "y")
@@ -26,13 +27,30 @@ class Shaker:
 
 
 @dataclass(frozen=True)
+class ProbeError:
+    """What an error of a probe or of the keyphasor does to a run: d w^power (matrix @ X) at every plane, X = (x, y).
+
+    doubt: of the number that errs by d [its unit]; matrix (n_plane, 2, 2) complex [1/unit of the number], w the frequency of the response.
+    """
+
+    doubt: Doubt
+    matrix: ComplexArray
+    power: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "matrix", frozen_array(self.matrix, np.complex128, f"matrix of {self.doubt.source}", np.shape(self.matrix))
+        )
+
+
+@dataclass(frozen=True)
 class RunUp:
     """One run under one static *load* [N]; x along the load, y a quarter turn further with the spin.
 
     speed (n_speed,) [rad/s], rising; response (n_speed, n_plane, 2): complex phasors [m], 0-to-peak, from x(t) = Re(X exp(j w t)), w
     the frequency of the excitation; amplitude_error [m] and phase_error [rad], like response: standard errors. unbalance [kg m] by
     plane, complex with its angle from x at time zero; shaker: what excited the rotor instead; threshold [rad/s]: of instability, where
-    it was measured. DataError where these do not fit together.
+    it was measured. doubts: of the probes' calibration. DataError where these do not fit together.
     """
 
     name: str
@@ -46,6 +64,7 @@ class RunUp:
     unbalance: Mapping[str, complex] = field(default_factory=dict)
     shaker: Shaker | None = None
     threshold: Uncertain | None = None
+    doubts: tuple[ProbeError, ...] = ()
 
     def __post_init__(self) -> None:
         n, shape = np.size(self.speed), (np.size(self.speed), len(self.planes), 2)
@@ -75,6 +94,16 @@ class RunUp:
                 raise DataError(f"run '{self.name}' is excited at '{plane}', which is not among its planes", hint=", ".join(self.planes))
         if bool(self.unbalance) == (self.shaker is not None):
             raise DataError(f"run '{self.name}' needs either an unbalance or a shaker, and not both")
+
+    def changes(self) -> dict[str, ComplexArray]:
+        """Change (n_speed, n_plane, 2) [m] of the response by one standard uncertainty of every source; one source errs as one."""
+        omega = self.speed if self.shaker is None else self.shaker.frequency_ratio * self.speed
+        found: dict[str, ComplexArray] = {}
+        for error in self.doubts:
+            course = error.doubt.std_error * omega**error.power
+            change = course[:, None, None] * np.einsum("pij,npj->npi", error.matrix, self.response)
+            found[error.doubt.source] = found.get(error.doubt.source, np.zeros_like(self.response)) + change
+        return found
 
     @property
     def n_speed(self) -> int:

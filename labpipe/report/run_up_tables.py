@@ -213,7 +213,7 @@ def parameter_table(method: RunUpMethod) -> Table:
     rows = []
     for parameter in method.parameters:
         kind = "exponent" if parameter.name.startswith("viscosity_") else "factor"
-        value, error, *ends = written(parameter.value, parameter.std_error, *(parameter.ci95 or ()))
+        value, error, *ends = written(parameter.value, parameter.full_error, *(parameter.ci95 or ()))
         rows.append((parameter.name, kind, value, error or "none", " to ".join(ends) or "at bound"))
     caption = f"{method.title}: posterior values with their standard deviations, as factors on the rotor file's bearing"
     return Table(("parameter", "kind", "value", "std. deviation", "95 % interval"), tuple(rows), caption, (2, 3, 4))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from labpipe.display import with_error
 from labpipe.records.identification import Identification
-from labpipe.records.unbalance import UnbalanceRuns
+from labpipe.records.unbalance import UnbalanceCase, UnbalanceRuns
 from labpipe.report.chart import Axis, Panel, curve, look, stacked
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 
@@ -28,10 +29,23 @@ def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:
     for case in runs.cases:
         (forward, _), (at, _), (backward, _), (back_at, _) = runs.values(case).values()
         wear = (f"{UM * case.depth:.4g}", f"{np.degrees(case.angle):.4g}") if case.depth else ("0", "")
-        peaks = (f"{UM * forward:.4g}", f"{at:g}", f"{UM * backward:.4g}", f"{back_at:g}", f"{backward / forward:.3f}")
-        rows.append((case.name, *wear, *peaks))
+        peaks = (
+            _with_doubt(UM * forward, UM, case, "forward_peak"),
+            _with_doubt(at, 1.0, case, "forward_speed"),
+            _with_doubt(UM * backward, UM, case, "backward_peak"),
+            _with_doubt(back_at, 1.0, case, "backward_speed"),
+        )
+        rows.append((case.name, *wear, *peaks, f"{backward / forward:.3f}"))
     caption = f"Largest radii over {len(runs.speed)} speeds from {runs.speed[0]:g} to {runs.speed[-1]:g} Hz, and backward over forward"
+    if any(case.changes for case in runs.cases):
+        caption += "; standard uncertainties by the doubts of the bearings' numbers and the step of the speeds"
     return (Paragraph(EXPLAINED), Table(HEADER, tuple(rows), caption, tuple(range(1, 8))), unbalance_figure(runs))
+
+
+def _with_doubt(value: float, factor: float, case: UnbalanceCase, name: str) -> str:
+    """A value [shown unit] with its standard uncertainty, *factor* of it [shown unit per SI unit], where it has one."""
+    error = case.error(name)
+    return f"{value:.4g}" if error is None else with_error(value, factor * error)
 
 
 def unbalance_figure(runs: UnbalanceRuns) -> Figure:

@@ -13,5 +13,6 @@ def listed_peaks(runs: UnbalanceRuns) -> Iterator[ListedParameter]:
     """Peaks [m] and their speeds [Hz] of every state of wear."""
     for case in runs.cases:
         for name, (value, unit) in runs.values(case).items():
-            parameter = Parameter(name, value, unit, derived=True)
+            error = case.error(name)
+            parameter = Parameter(name, value, unit, derived=True, std_error=error)
             yield ListedParameter(fit="unbalance", parameter=parameter, test=case.name, model="unbalance")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
@@ -11,24 +11,51 @@ from labpipe.bearings.journal import DEFAULT_MESH, JournalBearing, JournalEquili
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.bearings.kinds import Bearing, OperatingPoint
 from labpipe.errors import ConfigError
+from labpipe.records.doubt import Doubt
 from labpipe.registry import nearest
 from labpipe.rotors.assembly import bearing_loads
 from labpipe.rotors.parts import Rotor, Support
 
 
 @dataclass(frozen=True)
+class DoubtfulBearing:
+    """A bearing with one number a standard uncertainty *above* its value, and *below* it; *doubt* of the number."""
+
+    doubt: Doubt
+    above: Bearing
+    below: Bearing
+
+
+@dataclass(frozen=True)
 class BearingPlace:
-    """A bearing on a node of the rotor; *kind*: that of its file."""
+    """A bearing on a node of the rotor; *kind*: that of its file; *doubts* of the numbers in its entry."""
 
     name: str
     node: int
     bearing: Bearing
     kind: str = "journal-bearing"
+    doubts: tuple[DoubtfulBearing, ...] = ()
 
     @property
     def is_film(self) -> bool:
         """True for an oil film, whose parameters can be changed and estimated."""
         return isinstance(self.bearing, JournalBearing)
+
+    def with_film(self, method: str, changes: Mapping[str, float]) -> BearingPlace:
+        """The place with other numbers in its oil film, doubtful or not; a number that is changed has no doubt any more."""
+
+        def changed(bearing: Bearing) -> JournalBearing:
+            return replace(replace(self, bearing=bearing).film(method), **changes)
+
+        doubts = [DoubtfulBearing(one.doubt, changed(one.above), changed(one.below)) for one in self.doubts]
+        return replace(self, bearing=changed(self.bearing), doubts=tuple(one for one in doubts if one.above != one.below))
+
+    def with_error(self, source: str, sign: int) -> BearingPlace:
+        """The place with every number of a *source* a standard uncertainty above (*sign* 1) or below (-1); unchanged without one."""
+        return next(
+            (replace(self, bearing=one.above if sign > 0 else one.below, doubts=()) for one in self.doubts if one.doubt.source == source),
+            self,
+        )
 
     def film(self, method: str) -> JournalBearing:
         """The journal bearing; ConfigError that names the *method* which needs its oil film, where there is none."""
@@ -131,6 +158,20 @@ class RotorRig:
         """The same rig at another speed [Hz]."""
         return replace(self, speed=speed)
 
+    @property
+    def sources(self) -> tuple[Doubt, ...]:
+        """The doubts in the bearings' entries, each source once."""
+        found: dict[str, Doubt] = {}
+        for place in self.bearings:
+            for one in place.doubts:
+                found.setdefault(one.doubt.source, one.doubt)
+        return tuple(found.values())
+
+    def ends(self, source: str) -> tuple[RotorRig, RotorRig]:
+        """The rig with all numbers of a *source* a standard uncertainty above, and below."""
+        above, below = (replace(self, bearings=tuple(place.with_error(source, sign) for place in self.bearings)) for sign in (1, -1))
+        return above, below
+
     def with_bearings(self, names: Iterable[str] = (), **changes: float) -> RotorRig:
         """The rig with *changes* (wear_depth, viscosity, ...) in the oil films of these *names*; in all, where none is named.
 
@@ -141,9 +182,7 @@ class RotorRig:
         purpose = f"a change of {', '.join(changes)}"
         return replace(
             self,
-            bearings=tuple(
-                replace(place, bearing=replace(place.film(purpose), **changes)) if place in chosen else place for place in self.bearings
-            ),
+            bearings=tuple(place.with_film(purpose, changes) if place in chosen else place for place in self.bearings),
         )
 
 

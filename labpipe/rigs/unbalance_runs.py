@@ -10,11 +10,12 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.journal_kind import Wear
 from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, setting
-from labpipe.records.unbalance import UnbalanceCase, UnbalanceRuns
+from labpipe.records.unbalance import PeakChange, UnbalanceCase, UnbalanceRuns
 from labpipe.rigs.rotor_rig import RotorRig
 from labpipe.rotors.response import forward_backward_motion, unbalance_response
 
 MOST_SPEEDS = 2000
+STEP_OF_SPEED = "step of the speeds"
 
 
 @dataclass(frozen=True)
@@ -62,9 +63,36 @@ def unbalance_runs(settings: UnbalanceSettings) -> UnbalanceRuns:
     cases = []
     for name, case in settings.cases:
         worn_rig = rig.with_bearings((worn,), wear_depth=case.depth, wear_angle=case.angle)
-        forward, backward = np.abs([orbit(worn_rig.at_speed(float(speed))) for speed in settings.speed]).T.tolist()
-        cases.append(UnbalanceCase(name, case.depth, case.angle, tuple(forward), tuple(backward)))
+        forward, backward = _radii(worn_rig, settings.speed).tolist()
+        changes = [_changes(worn_rig, settings.speed, source.source) for source in worn_rig.sources]
+        if changes:
+            # A peak lies anywhere within half a step of its speed: limits of a rectangular distribution.
+            within = settings.step / np.sqrt(12.0)
+            changes.append(PeakChange(STEP_OF_SPEED, 0.0, within, 0.0, within))
+        cases.append(UnbalanceCase(name, case.depth, case.angle, tuple(forward), tuple(backward), tuple(changes)))
     return UnbalanceRuns(rig.name, worn, rig.response, tuple(settings.speed.tolist()), tuple(cases))
+
+
+def _radii(rig: RotorRig, speeds: FloatArray) -> FloatArray:
+    """Radii (2, n_speed) [m] of the forward and the backward circle at *speeds* (n_speed,) [Hz]."""
+    return np.abs([orbit(rig.at_speed(float(speed))) for speed in speeds]).T
+
+
+def _changes(rig: RotorRig, speeds: FloatArray, source: str) -> PeakChange:
+    """Half the difference of the peaks with the numbers of a *source* a standard uncertainty above and below (GUM 5.1.3, note 2)."""
+    above, below = (np.concatenate([_peak(speeds, radius) for radius in _radii(end, speeds)]) for end in rig.ends(source))
+    forward_peak, forward_speed, backward_peak, backward_speed = ((above - below) / 2).tolist()
+    return PeakChange(source, forward_peak, forward_speed, backward_peak, backward_speed)
+
+
+def _peak(speeds: FloatArray, radius: FloatArray) -> FloatArray:
+    """Largest radius [m] and its speed [Hz], (2,), by a parabola through three speeds, which tells less than a step; an end as it is."""
+    at = int(np.argmax(radius))
+    if not 0 < at < radius.size - 1:
+        return np.array([radius[at], speeds[at]])
+    before, top, after = radius[at - 1 : at + 2]
+    shift = 0.5 * (before - after) / (before - 2 * top + after)
+    return np.array([top - 0.25 * (before - after) * shift, speeds[at] + shift * (speeds[at + 1] - speeds[at])])
 
 
 def orbit(rig: RotorRig) -> ComplexArray:

@@ -18,7 +18,8 @@ from labpipe.records.run_up import RunUp
 from labpipe.rigs.film_family import BOUND, PARAMETERS, PRIOR, FilmFamily
 from labpipe.rigs.run_up_rotor import RunUpRotor, searched_over
 from labpipe.run_ups.joint_result import JointFit
-from labpipe.run_ups.misfit import LoadRuns, rank_of, runs_by_speeds
+from labpipe.run_ups.misfit import LoadRuns, rank_of, runs_by_speeds, sources_of
+from labpipe.run_ups.probes import explained, steps_by
 from labpipe.run_ups.problem import RunUpProblem, measured_thresholds
 
 MOST_REFITS = 12
@@ -66,6 +67,10 @@ def _result(problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: in
     residual = problem.residual(parameters)[: slopes.shape[0]]
     rank, condition = rank_of(slopes * prior)
     n_threshold = len(problem.thresholds)
+    sources = sources_of(problem.groups)
+    changes = problem.residual_changes(sources)
+    systematic = np.zeros((len(sources), len(PARAMETERS)))
+    systematic[:, problem.free] = steps_by(changes, slopes, free_covariance)
     return JointFit(
         rig=problem.rig,
         family=problem.family,
@@ -73,7 +78,7 @@ def _result(problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: in
         values=problem.values(parameters),
         covariance=covariance,
         at_bound=~problem.free & np.array([name not in known for name in PARAMETERS]),
-        chi2=float(residual @ residual),
+        chi2=float(residual @ residual) - explained(residual, changes, slopes, free_covariance),
         n_datum=slopes.shape[0],
         n_effective=float(np.trace(free_covariance @ slopes.T @ slopes)),
         threshold_chi2=float(np.sum(residual[residual.size - n_threshold :] ** 2)),
@@ -83,6 +88,8 @@ def _result(problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: in
         prior_dominated=_prior_dominated(slopes * prior, problem.free),
         steps=steps,
         known=known,
+        sources=sources,
+        systematic=systematic,
     )
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
+from labpipe.records.doubt import Doubt
 from labpipe.records.settings import Uncertain
 from labpipe.rigs.film_family import PARAMETERS, FilmFamily
 from labpipe.rigs.run_up_rotor import RunUpRotor
@@ -19,6 +20,8 @@ from labpipe.rotors.threshold import CoefficientsAtSpeed
 REJECTED = 1e-3
 # Tolerance of the range of fitted loads, relative.
 LOAD_SLACK = 0.01
+# Parameters that are exponents, not logarithms of factors.
+EXPONENTS = ("viscosity_speed", "viscosity_load")
 # Step of a difference, in standard errors along each axis of the covariance.
 STEP = 0.5
 
@@ -29,7 +32,8 @@ class JointFit:
 
     loads [N]: those of the fit; chi2, n_datum: of responses and thresholds together; n_effective: parameters that the data determine
     against the priors; threshold_chi2, n_threshold: of the thresholds alone; rank, condition: of the data, in units of the priors;
-    prior_dominated: combinations that the priors determine, as text; known: parameters that were not estimated.
+    prior_dominated: combinations that the priors determine, as text; known: parameters that were not estimated. systematic (n_source,
+    12): changes by one standard uncertainty of each of the *sources*, doubts of the probes; chi2 is without what these explain.
     """
 
     rig: RunUpRotor
@@ -48,6 +52,8 @@ class JointFit:
     prior_dominated: tuple[str, ...]
     steps: int
     known: tuple[str, ...] = ()
+    sources: tuple[Doubt, ...] = ()
+    systematic: FloatArray = field(default_factory=lambda: np.zeros((0, len(PARAMETERS))))
 
     @property
     def chi2_per_datum(self) -> float:
@@ -76,13 +82,18 @@ class JointFit:
     @property
     def std_error(self) -> FloatArray:
         """Posterior standard deviations of the logarithms (12,) [-], widened; NaN at a bound."""
-        return np.where(self.at_bound, np.nan, np.sqrt(np.diag(self.covariance))) * self.widening
+        return np.where(self.at_bound, np.nan, np.sqrt(np.diag(self.whole_covariance)))
+
+    @property
+    def whole_covariance(self) -> FloatArray:
+        """Of the logarithms (12, 12) [1]: by noise and priors, widened, and by the doubts of the probes."""
+        return np.asarray(self.widening**2 * self.covariance + self.systematic.T @ self.systematic)
 
     def parameter(self, name: str) -> Uncertain:
         """The factor exp(value) on the rotor file's value, for the two slopes the exponent itself, with its standard error."""
         n = PARAMETERS.index(name)
         value, error = float(self.values[n]), float(self.std_error[n])
-        if name in ("viscosity_speed", "viscosity_load"):
+        if name in EXPONENTS:
             return Uncertain(value, error)
         return Uncertain(float(np.exp(value)), float(np.exp(value)) * error)
 
@@ -94,7 +105,7 @@ class JointFit:
         """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
         speed = np.asarray(speed, np.float64)
         eight, slopes = self.family.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
-        return eight, np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.covariance, slopes)) * self.widening
+        return eight, np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.whole_covariance, slopes))
 
     def critical_speed(self, load: float, plane: str = "") -> Uncertain:
         """Speed [rad/s] of the largest displacement under the known unbalance, at the last plane unless named."""
@@ -130,10 +141,10 @@ class JointFit:
 
     def _predicted(self, predict: Callable[[FloatArray], float]) -> Uncertain:
         """A prediction with its standard error: central differences along the axes of the covariance."""
-        sizes, axes = np.linalg.eigh(self.covariance)
+        sizes, axes = np.linalg.eigh(self.whole_covariance)
         variance = 0.0
         for size, axis in zip(np.sqrt(np.maximum(sizes, 0)), axes.T, strict=True):
             if size > 0:
                 change = STEP * size * axis
                 variance += ((predict(self.values + change) - predict(self.values - change)) / (2 * STEP)) ** 2
-        return Uncertain(predict(self.values), float(np.sqrt(variance)) * self.widening)
+        return Uncertain(predict(self.values), float(np.sqrt(variance)))

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
-from labpipe.records.parameter import Parameter
+from labpipe.records.parameter import Contribution, Parameter
 from labpipe.records.run_up import RunUp
-from labpipe.records.run_up_result import REJECTED, START, Amount, Convergence, RunUpMethod, StartSpread
+from labpipe.records.run_up_result import REJECTED, START, TWO_SIDED, Amount, Convergence, RunUpMethod, StartSpread
 from labpipe.rigs.film_family import PARAMETERS, as_eight
 from labpipe.rigs.run_up_rotor import RunUpRotor
 from labpipe.run_ups.amplitudes import AmplitudeFit, fit_amplitudes, perfect_but_wrong
 from labpipe.run_ups.joint import fit_jointly
+from labpipe.run_ups.joint_result import EXPONENTS, JointFit
 from labpipe.run_ups.joint_result import REJECTED as LEAST_PROBABILITY
-from labpipe.run_ups.joint_result import JointFit
 from labpipe.run_ups.measured import column
 from labpipe.run_ups.metamodels_grid import Fitted, Queried
 from labpipe.run_ups.points import PointFit, fit_points
@@ -139,7 +139,29 @@ def _parameter(fit: JointFit, name: str) -> Parameter:
         return Parameter(name, factor.value, "1", at_bound=True)
     if fit.rejected:
         return Parameter(name, factor.value, "1")
-    return Parameter(name, factor.value, "1", std_error=factor.std_error, ci95=Amount(factor.value, factor.std_error).ci95)
+    return with_sources_of(fit, Parameter(name, factor.value, "1", ci95=Amount(factor.value, factor.std_error).ci95), factor.std_error)
+
+
+def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Parameter:
+    """The parameter with its *combined* error [1] in parts: of noise and priors, and of every doubt of the probes, the largest first."""
+    scale = 1.0 if parameter.name in EXPONENTS else parameter.value
+    changes = scale * fit.systematic[:, PARAMETERS.index(parameter.name)]
+    systematic = float(np.sqrt(np.sum(changes**2)))
+    if not systematic:
+        return replace(parameter, std_error=combined)
+    noise = float(np.sqrt(max(combined**2 - systematic**2, 0.0)))
+    pairs = [("noise", noise), *((source.source, abs(float(change))) for source, change in zip(fit.sources, changes, strict=True))]
+    parts = tuple(Contribution(name, size, size**2 / combined**2) for name, size in sorted(pairs, key=lambda pair: -pair[1]))
+    return replace(
+        parameter,
+        std_error=noise,
+        std_error_inflated=combined,
+        systematic=systematic,
+        combined=combined,
+        expanded=TWO_SIDED * combined,
+        coverage_factor=TWO_SIDED,
+        budget=parts,
+    )
 
 
 def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:

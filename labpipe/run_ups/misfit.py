@@ -10,6 +10,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.identify.combinations import combination_text
+from labpipe.records.doubt import Doubt
 from labpipe.records.run_up import RunUp
 from labpipe.rigs.film_family import COEFFICIENTS, as_matrices
 from labpipe.rigs.run_up_rotor import RunUpRotor
@@ -44,6 +45,13 @@ class ExcitedRun:
         response, slopes = self.condensed.response_and_slopes(*as_matrices(coefficients))
         return self._weighted(response - self._measured), np.moveaxis(self._weighted(np.moveaxis(slopes, -1, 0)), 0, -1)
 
+    def residual_changes(self, sources: Sequence[str]) -> FloatArray:
+        """Changes (n_source, n_speed, n_equation) [-] of the residual by one standard uncertainty of each of the *sources*."""
+        changes = self.run.changes()
+        none = np.zeros_like(self.run.response)
+        rows = [self._weighted(-changes.get(source, none).reshape(self.run.n_speed, -1)) for source in sources]
+        return np.array(rows).reshape(len(sources), self.run.n_speed, self.n_equation)
+
     @property
     def _measured(self) -> ComplexArray:
         return self.run.response.reshape(self.run.n_speed, -1)
@@ -70,6 +78,20 @@ class LoadRuns:
         """Residual (n_speed, n_equation) [-] of all runs, derivatives (n_speed, n_equation, 8) by *coefficients* [N/m, N s/m]."""
         parts = [run.residual_and_slopes(coefficients) for run in self.runs]
         return np.concatenate([part[0] for part in parts], axis=1), np.concatenate([part[1] for part in parts], axis=1)
+
+    def residual_changes(self, sources: Sequence[str]) -> FloatArray:
+        """Changes (n_source, n_speed, n_equation) [-] of the residual of all runs by one standard uncertainty of each source."""
+        return np.concatenate([run.residual_changes(sources) for run in self.runs], axis=2)
+
+
+def sources_of(groups: Iterable[LoadRuns]) -> tuple[Doubt, ...]:
+    """The doubts of the probes of all runs, each source once."""
+    found: dict[str, Doubt] = {}
+    for group in groups:
+        for run in group.runs:
+            for error in run.run.doubts:
+                found.setdefault(error.doubt.source, error.doubt)
+    return tuple(found.values())
 
 
 def runs_by_load(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:

@@ -18,7 +18,7 @@ from labpipe.records.run_up import RunUp
 from labpipe.rigs.film_family import as_eight, carried_beyond
 from labpipe.rigs.run_up_rotor import RunUpRotor
 from labpipe.rotors.threshold import CoefficientsAtSpeed
-from labpipe.run_ups.misfit import LoadRuns, rank_of, runs_by_load, scales
+from labpipe.run_ups.misfit import LoadRuns, rank_of, runs_by_load, scales, sources_of
 
 BOUND = 0.3
 RIDGE = 0.15
@@ -31,8 +31,9 @@ LEAST_DAMPING = 1e-9
 class PointFit:
     """The coefficients of one *load* [N] at every *speed* (n_speed,) [rad/s].
 
-    coefficients, start, std_error (n_speed, 8) [N/m, N s/m]; at_bound (n_speed, 8): there the standard error is NaN; rank, condition
-    (n_speed,): of the data alone; chi2, n_datum, n_effective: sum of squares, real data, and parameters that the data determine.
+    coefficients, start, std_error (n_speed, 8) [N/m, N s/m], with the doubts of probes; at_bound (n_speed, 8): there the standard error
+    is NaN; rank, condition (n_speed,): of the data alone; chi2, n_datum, n_effective: sum of squares, real data, and parameters that the
+    data determine.
     """
 
     load: float
@@ -81,7 +82,11 @@ def _fit_load(rig: RunUpRotor, group: LoadRuns, bound: float, ridge: float) -> P
     at_bound = np.abs(parts) >= bound
     free = slopes * ~at_bound[:, None, :]
     covariance = np.linalg.inv(_normal(free) + np.eye(8) / ridge**2)
-    deviation = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * unit
+    of_probes = np.zeros_like(start)
+    names = [source.source for source in sources_of([group])]
+    for change in group.residual_changes(names):
+        of_probes += np.einsum("nij,nkj,nk->ni", covariance, free, change) ** 2
+    deviation = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) + of_probes) * unit
     rank, condition = rank_of(slopes)
     return PointFit(
         load=group.load,

@@ -7,6 +7,7 @@ eigenvectors.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
@@ -15,6 +16,7 @@ import numpy as np
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.optimise.levenberg import sum_of_squares
+from labpipe.records.doubt import Doubt
 from labpipe.records.settings import Uncertain
 from labpipe.rigs.film_family import as_matrices
 from labpipe.rigs.run_up_rotor import RunUpRotor
@@ -96,6 +98,13 @@ class RunUpProblem(Generic[Family]):
         values = self.values(parameters)
         measured = [self._response(group, values)[1] for group in self.groups]
         return np.concatenate([*measured, self._thresholds(values)[1]])[:, self.free]
+
+    def residual_changes(self, sources: Sequence[Doubt]) -> FloatArray:
+        """Changes (n_source, n_datum) [-] of the residual of responses and thresholds by one standard uncertainty of each source."""
+        names = [source.source for source in sources]
+        by_group = [group.residual_changes(names) for group in self.groups]
+        measured = [changes.reshape(len(names), int(np.prod(changes.shape[1:]))) for changes in by_group]
+        return np.concatenate([*measured, np.zeros((len(names), len(self.thresholds)))], axis=1)
 
     def chi2(self, parameters: FloatArray) -> float:
         """Sum of squares [-] of the residual at the free parameters (n_free,); infinite where the residual cannot be computed."""

@@ -22,7 +22,8 @@ from labpipe.rigs.film_family import PARAMETERS, PRIOR
 from labpipe.rigs.run_up_rotor import RunUpRotor, searched_over
 from labpipe.run_ups.joint import family_about
 from labpipe.run_ups.joint_result import JointFit
-from labpipe.run_ups.misfit import LoadRuns, rank_of, runs_by_load
+from labpipe.run_ups.misfit import LoadRuns, rank_of, runs_by_load, sources_of
+from labpipe.run_ups.probes import explained, steps_by
 from labpipe.run_ups.problem import RunUpProblem, Thresholds, measured_thresholds, threshold_row
 from labpipe.run_ups.process_field import ProcessFamily, SmoothField, SquaredExponential, places_of
 from labpipe.run_ups.process_result import ProcessFit
@@ -175,17 +176,21 @@ def _result(problem: RunUpProblem[ProcessFamily], values: FloatArray, steps: int
     residual = problem.residual(values)[: slopes.shape[0]]
     rank, condition = rank_of(slopes * spread)
     singular = np.linalg.svd(slopes * spread, compute_uv=False)
+    sources = sources_of(problem.groups)
+    changes = problem.residual_changes(sources)
     return ProcessFit(
         rig=problem.rig,
         family=problem.family,
         loads=tuple(group.load for group in problem.groups),
         values=values,
         covariance=covariance,
-        chi2=float(residual @ residual),
+        chi2=float(residual @ residual) - explained(residual, changes, slopes, covariance),
         n_datum=slopes.shape[0],
         n_effective=float(np.trace(covariance @ slopes.T @ slopes)),
         rank=int(rank),
         condition=float(condition),
         n_determined=int(np.sum(singular > 1)),
         steps=steps,
+        sources=sources,
+        systematic=steps_by(changes, slopes, covariance),
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.records.doubt import Doubt
 from labpipe.records.settings import Uncertain
 from labpipe.rigs.film_family import as_matrices
 from labpipe.rigs.run_up_rotor import RunUpRotor, largest_displacement
@@ -25,7 +26,8 @@ class ProcessFit:
     """Parameters *values* and *covariance* (n_parameter, n_parameter) of the *family*; *loads* [N]: those of the fit.
 
     chi2, n_datum: of responses and thresholds; n_effective: parameters that the data determine against the priors; rank, condition: of
-    the data, in units of the priors; n_determined: combinations that the data determine better than the priors do.
+    the data, in units of the priors; n_determined: combinations that the data determine better than the priors do. systematic (n_source,
+    n_parameter): changes by one standard uncertainty of each of the *sources*, doubts of probes; chi2 is without what these explain.
     """
 
     rig: RunUpRotor
@@ -40,6 +42,8 @@ class ProcessFit:
     condition: float
     n_determined: int
     steps: int
+    sources: tuple[Doubt, ...]
+    systematic: FloatArray
 
     @property
     def kernel(self) -> SquaredExponential:
@@ -76,7 +80,8 @@ class ProcessFit:
         eight, slopes = self.family.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
         variance = np.einsum("nij,jk,nik->ni", slopes, self.covariance, slopes)
         beyond = np.diagonal(self.family.field.unexplained(places_of(load, speed)))[:, None] * eight**2
-        return eight, np.sqrt(variance + np.maximum(beyond, 0)) * self.widening
+        of_probes = np.sum((slopes @ self.systematic.T) ** 2, axis=2)
+        return eight, np.sqrt(self.widening**2 * (variance + np.maximum(beyond, 0)) + of_probes)
 
     def factors(self, load: float, speed: FloatArray) -> FloatArray:
         """The smooth factors (n_speed, 8) [-]."""
@@ -125,4 +130,5 @@ class ProcessFit:
         by_parameter = np.einsum("ni,nij->j", weights, slopes)
         by_field = weights * eight
         beyond = np.einsum("ni,nm,mi->", by_field, self.family.field.unexplained(places_of(load, speed)), by_field)
-        return float(np.sqrt(by_parameter @ self.covariance @ by_parameter + max(float(beyond), 0.0))) * self.widening
+        noise = by_parameter @ self.covariance @ by_parameter + max(float(beyond), 0.0)
+        return float(np.sqrt(self.widening**2 * noise + np.sum((self.systematic @ by_parameter) ** 2)))

@@ -6,12 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labpipe.errors import ConfigError
+from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
 from labpipe.records.run_up_result import HELD_OUT, TRAINED
 from labpipe.records.settings import Settings, Uncertain, setting
+from labpipe.records.uncertain import parse_uncertain
 from labpipe.registry import Registry, nearest
 from labpipe.rigs.film_family import PARAMETERS
 from labpipe.rigs.run_up_rotor import RunUpRotor
+from labpipe.run_ups.probes import ProbeDoubts
 
 # From rotor, trained runs and settings to a Solved: labpipe.run_ups.methods.
 METHODS = Registry(
@@ -95,6 +98,28 @@ class RunSettings(Settings):
             raise ConfigError("'pulses' and 'harmonics' are at least 1, 'revolutions' at least 2")
 
 
+@dataclass(frozen=True)
+class ProbeSettings(Settings):
+    """Standard uncertainties of the probes of all runs, each by itself; how else they are meant stands in brackets, as in a rig file."""
+
+    gain: str = setting("text", "of every probe, relative: 1 %, or 2 % (k=2), or 1 % (source=calibrator) of all together", default="")
+    phase: str = setting("text", "of every probe, at every speed alike: 0.5 deg", default="")
+    delay: str = setting("text", "of every probe's chain: 5 us", default="")
+    keyphasor: str = setting("text", "of the keyphasor's angle, which turns all phasors alike: 1 deg", default="")
+    doubts: ProbeDoubts = ProbeDoubts()
+
+    def __post_init__(self) -> None:
+        units = {"gain": ("1", "1"), "phase": ("0 rad", "rad"), "delay": ("0 s", "s"), "keyphasor": ("0 rad", "rad")}
+        numbers = {}
+        for name, (value, unit) in units.items():
+            text = getattr(self, name)
+            try:
+                numbers[name] = parse_uncertain(f"{value} +- {text}", unit) if text else None
+            except UnitError as error:
+                raise ConfigError(f"'{text}' is no uncertainty: {error.what}", hint=error.hint, field=name) from None
+        object.__setattr__(self, "doubts", ProbeDoubts(**numbers))
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunUpSettings(Settings):
     """The ``run_ups:`` section; *rig*: contents of `rotor`."""
@@ -114,6 +139,9 @@ class RunUpSettings(Settings):
     starts: int = setting("integer", "starts of that search at one load and speed, to show their spread", default=20)
     seed: int = setting("integer", "of random starts and networks", default=1)
     source: str = setting("text", "where the printed values are from", default="")
+    probes: ProbeSettings = setting(
+        "section", "doubts of the probes of tables; a recording has those of its rig file", section=ProbeSettings, default=ProbeSettings()
+    )
     rig: RunUpRotor | None = None
 
     def __post_init__(self) -> None:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
-from labpipe.records.run_up import RunUp
+from labpipe.records.doubt import COURSES
+from labpipe.records.run_up import ProbeError, RunUp
 from labpipe.spectra.orders import OrderTrack
 
 # Relative tolerance within which two speeds count as equal.
@@ -34,7 +35,32 @@ def run_up_of(track: OrderTrack, name: str, load: float, unbalance: Mapping[str,
     if speed.size < 2:
         raise DataError(f"recording '{name}' has a constant speed", hint="a run-up needs a speed that changes")
     size = np.maximum(np.abs(response), np.finfo(float).tiny)
-    return RunUp(name, load, speed, names, response, amplitude_error=deviation, phase_error=deviation / size, unbalance=dict(unbalance))
+    return RunUp(
+        name,
+        load,
+        speed,
+        names,
+        response,
+        amplitude_error=deviation,
+        phase_error=deviation / size,
+        unbalance=dict(unbalance),
+        doubts=tuple(_probe_errors(track)),
+    )
+
+
+def _probe_errors(track: OrderTrack) -> Iterator[ProbeError]:
+    """The doubts of the probes of all planes: a probe at theta + d reads what one at theta does and d times what is across it."""
+    for at, plane in enumerate(track.planes):
+        to_plane = np.linalg.inv(plane.directions)
+        for row, column in enumerate(plane.columns):
+            along = plane.directions[row]
+            across = np.array([-along[1], along[0]])
+            for doubted in track.ports[column].doubts:
+                slope, power = COURSES.get(doubted.effect, (0.0, 0))
+                read = -across if doubted.effect == "direction" else slope * along
+                matrix = np.zeros((len(track.planes), 2, 2), np.complex128)
+                matrix[at] = np.outer(to_plane[:, row], read)
+                yield ProbeError(doubted.doubt, matrix, power)
 
 
 def _by_speed(speed: FloatArray, response: ComplexArray, deviation: FloatArray) -> tuple[FloatArray, ComplexArray, FloatArray]:

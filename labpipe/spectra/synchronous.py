@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.display import plain_text
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
@@ -137,7 +138,7 @@ def _removed(channels: Sequence[Channel], motion: ShaftMotion, amplitude: Comple
         note(
             "synchronous-removed",
             f"channel {channel.name}: the part synchronous with {speed} was taken out, "
-            + ", ".join(f"{order}x {abs(value):.3g} {channel.unit}" for order, value in enumerate(amplitudes, 1))
+            + ", ".join(f"{order}x {plain_text(abs(value), channel.unit, 3)}" for order, value in enumerate(amplitudes, 1))
             + " 0-to-peak",
         )
         for channel, amplitudes in zip(channels, amplitude.T, strict=True)

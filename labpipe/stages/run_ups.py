@@ -24,4 +24,5 @@ def identify_run_ups(settings: RunUpSettings, output: OutputFolder, folder: Path
     """All methods of the section, fitted to the trained runs and compared on every run. *folder*: of the pipeline file."""
     rig = settings.rig
     assert rig is not None
-    return run_up_result(settings, rig, [read_run(run_settings, rig, output, folder) for run_settings in settings.runs], tell)
+    probes = settings.probes.doubts
+    return run_up_result(settings, rig, [read_run(run_settings, rig, output, folder, probes) for run_settings in settings.runs], tell)

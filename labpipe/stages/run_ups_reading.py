@@ -17,6 +17,7 @@ from labpipe.records.run_up_result import Cascade
 from labpipe.records.settings import Uncertain
 from labpipe.rigs.run_up_rotor import RunUpRotor
 from labpipe.run_ups.measured import ReadRun, column
+from labpipe.run_ups.probes import ProbeDoubts, turning
 from labpipe.run_ups.settings import RunSettings
 from labpipe.spectra.cascade import cascade_spectra
 from labpipe.spectra.orders import track_order
@@ -26,12 +27,13 @@ from labpipe.stages.ingest import ingest, is_recording
 
 # Lines of a stored cascade, more than a figure can show.
 MOST_LINES = 240
+NO_DOUBTS = ProbeDoubts()
 
 
-def read_run(settings: RunSettings, rig: RunUpRotor, output: OutputFolder, folder: Path) -> ReadRun:
-    """The run of a pipeline's entry, its residual run subtracted where named; LabpipeError names the entry."""
+def read_run(settings: RunSettings, rig: RunUpRotor, output: OutputFolder, folder: Path, probes: ProbeDoubts = NO_DOUBTS) -> ReadRun:
+    """The run of a pipeline's entry, its residual run subtracted where named; LabpipeError names the entry. *probes*: those of tables."""
     try:
-        read = _recorded(settings, rig, output, folder) if settings.recording else _tabled(settings)
+        read = _recorded(settings, rig, output, folder) if settings.recording else _tabled(settings, probes)
         rig.excited(read.run)
         return read
     except LabpipeError as error:
@@ -39,8 +41,9 @@ def read_run(settings: RunSettings, rig: RunUpRotor, output: OutputFolder, folde
         raise
 
 
-def _tabled(settings: RunSettings) -> ReadRun:
+def _tabled(settings: RunSettings, probes: ProbeDoubts) -> ReadRun:
     run = _stated(settings, read_run_up_csv(settings.path, settings.name, dict(settings.unbalance) or None))
+    run = replace(run, doubts=probes.errors(run.planes))
     if settings.subtracted is not None:
         run = difference(run, read_run_up_csv(settings.subtracted, settings.subtracted.stem, {}))
     return ReadRun(settings, run)
@@ -84,7 +87,11 @@ def _opened(path: Path, settings: RunSettings, output: OutputFolder, folder: Pat
 def _tracked(recording: StoredRecording, lines: ShaftLines, settings: RunSettings, unbalance: dict[str, complex]) -> RunUp:
     track = track_order(recording, lines, revolutions=settings.revolutions)
     assert settings.load is not None
-    return run_up_of(track, settings.name, settings.load, unbalance)
+    run = run_up_of(track, settings.name, settings.load, unbalance)
+    tacho = next(channel for channel in recording.channels if channel.name == settings.tacho)
+    turned = [one.doubt for one in tacho.doubts if one.effect == "phase"]
+    of_keyphasor = [error for doubt in turned for error in turning(doubt, len(run.planes))]
+    return replace(run, doubts=(*run.doubts, *of_keyphasor))
 
 
 def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[Cascade, ...]:

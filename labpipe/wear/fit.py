@@ -118,13 +118,17 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         curve=_curve(measured, solved),
         region=_region(solved, parameters),
     )
-    return with_sources(fit, _sources(solved, measured, wear.objective, len(parameters)))
+    return with_sources(fit, _sources(solved, measured, wear, len(parameters)))
 
 
-def _sources(solved: _Solved, measured: WornReceptance, objective: str, n_parameter: int) -> list[Source]:
-    """Change (n_parameter,) [parameter units] by each source of systematic error: one step of the fit from its minimum, C J^T r."""
-    misfit, best = solved.misfit, solved.best.parameters
-    if not measured.errors:
+def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_parameter: int) -> list[Source]:
+    """Change (n_parameter,) [parameter units] by each source of systematic error: one step of the fit from its minimum, C J^T r.
+
+    Sources are the sensors, and numbers of the rotor's bearings that are not estimated.
+    """
+    misfit, best, objective = solved.misfit, solved.best.parameters, wear.objective
+    doubts = misfit.model.rig.sources
+    if not measured.errors and not doubts:
         return []
     response, slopes = misfit.model.response(best)
     modelled, of_parameters = measured.terms(response), measured.terms(slopes)
@@ -136,7 +140,15 @@ def _sources(solved: _Solved, measured: WornReceptance, objective: str, n_parame
         residual = MISFITS[objective](misfit.model, moved).compared(modelled, of_parameters)[0] / misfit.size
         return np.concatenate([-misfit.model.scale * (step @ residual), beside])
 
-    return changes_by(measured.errors, values)
+    def by_bearings(source: str) -> FloatArray:
+        ends = []
+        for rig in misfit.model.rig.ends(source):
+            model = worn_model(replace(wear, rig=rig), measured.frequency).refined(best, with_slopes=False)
+            moved = measured.terms(model.response(best)[0])
+            ends.append(MISFITS[objective](misfit.model, measured).compared(moved, of_parameters)[0] / misfit.size)
+        return np.concatenate([-misfit.model.scale * (step @ (ends[0] - ends[1])) / 2, beside])
+
+    return [*changes_by(measured.errors, values), *((doubt, by_bearings(doubt.source)) for doubt in doubts)]
 
 
 def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:

@@ -87,7 +87,8 @@ def cases_of(pipeline: Pipeline, most: int) -> list[Case]:
         places = np.unique(np.linspace(0, len(chosen) - 1, min(most, len(chosen))).round().astype(int))
         for place in places:
             label, single, test, term = chosen[place]
-            single = single.kind.begin(with_usual_mass(single), fits)
+            single = replace(with_usual_mass(single), monte_carlo=0, bootstrap=0)
+            single = single.kind.begin(single, fits)
             if not identify(test, single, judging=False):
                 continue
             worlds, fit = _worlds(test, single)

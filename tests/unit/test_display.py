@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from labpipe.display import NOT_DETERMINED, amount_text, number, shown_unit, two_digits, with_error, written
+from labpipe.display import NOT_DETERMINED, amount_text, number, plain_text, shown_unit, significant, two_digits, with_error, written
 from labpipe.quantities import parse_unit
 
 SIZES = st.floats(min_value=1e-12, max_value=1e15)
@@ -121,3 +121,15 @@ def test_one_text() -> None:
     assert with_error(293.15 - 273.15, 0.51, "degC") == "20.00 ± 0.51 degC"
     assert two_digits(4.8e2) == "480" and two_digits(0.1) == "0.10" and two_digits(3.2e-9) == "3.2e-9"
     assert two_digits(3.2e-5) == "3.2e-5" and two_digits(3.2e-5, 0.0057) == "0.000032" and two_digits(0.0, 3.0) == "0"
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [(1.38e-5, "m", "13.8 um"), (8.7617e5, "Pa", "876.17 kPa"), (16.0, "1", "16"), (2.147e8, "N/m", "214.7 MN/m"), (0.0, "N", "0 N")],
+)
+def test_amounts_without_a_doubt_have_the_unit_that_suits_them(value: float, unit: str, text: str) -> None:
+    assert plain_text(value, unit) == text
+
+
+def test_digits_of_a_table_are_counted_with_their_zeros() -> None:
+    assert [significant(value, 4) for value in (459000.0, 22.8, 1486.0, 0.0, -4893.2)] == ["4.590e+05", "22.80", "1486", "0", "-4893"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -159,3 +160,31 @@ def test_what_a_rotor_needs(small: Path, key: str) -> None:
     small.write_text(f"speed: 50 Hz\n{key}: none\n")
     with pytest.raises(ConfigError, match=f"{key}: a list is needed"):
         load_rotor(small)
+
+
+def test_numbers_of_bearings_may_carry_their_doubt(small: Path) -> None:
+    """One oil in both bearings is one source; the ends differ in that number alone."""
+    text = SMALL.replace("viscosity: 50 mPa.s", 'viscosity: "50 mPa.s +- 3 % (source=oil)"')
+    small.write_text(text.replace("length: 10 mm, clearance: 50 um", "length: 10 mm, clearance: 50 um +- 2 um", 1), encoding="utf-8")
+    rig = load_rotor(small)
+    assert {source.source: (source.std_error, source.unit) for source in rig.sources} == {
+        "1: clearance": (pytest.approx(2e-6), "m"),
+        "oil": (pytest.approx(1.5e-3), "Pa.s"),
+    }
+    for source, name, changed, step in (("oil", "viscosity", (0, 1), 1.5e-3), ("1: clearance", "clearance", (0,), 2e-6)):
+        above, below = rig.ends(source)
+        for number, (place, up, down) in enumerate(zip(rig.bearings, above.bearings, below.bearings, strict=True)):
+            value = getattr(place.bearing, name)
+            by = step if number in changed else 0.0
+            assert getattr(up.bearing, name) == pytest.approx(value + by)
+            assert getattr(down.bearing, name) == pytest.approx(value - by)
+            assert replace(up.bearing, **{name: value}) == place.bearing
+    # What is changed by hand has no doubt any more.
+    assert [source.source for source in rig.with_bearings(viscosity=0.04).sources] == ["1: clearance"]
+
+
+def test_a_doubt_that_cannot_be_read_is_named_at_its_place(small: Path) -> None:
+    small.write_text(SMALL.replace("clearance: 50 um", "clearance: 50 um +- 2 kg", 1), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"clearance") as caught:
+        load_rotor(small)
+    assert ":12:" in str(caught.value)

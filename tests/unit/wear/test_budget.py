@@ -11,8 +11,9 @@ from labpipe.identify.fitting import identify
 from labpipe.identify.matrix_errors import matrix_errors
 from labpipe.records.doubt import ChannelDoubt, Doubt
 from labpipe.records.response import FrequencyResponse, Port
+from labpipe.rigs.rotor_rig import DoubtfulBearing
 from labpipe.wear.measured import worn_receptance
-from tests.unit.wear.worn_cases import fit_settings, measured, wear_settings, worn_rig
+from tests.unit.wear.worn_cases import RIG, fit_settings, measured, wear_settings, worn_rig
 
 GAIN = Doubt("y.sensitivity", 0.02, "1")
 
@@ -51,3 +52,23 @@ def test_a_direction_turns_the_frame() -> None:
     turn = 0.01 * np.array([[0, -1], [1, 0]])
     total = sum(error.change for error in found.errors)
     np.testing.assert_allclose(total, turn @ found.measured.matrix, rtol=1e-6, atol=1e-9)
+
+
+def test_the_change_by_a_bearing_s_number_is_that_of_refits() -> None:
+    """The clearance of the bearing that is not worn, 4 % of it, against refits on rotors with that clearance.
+
+    The one step is 11 % short in depth and 5 % in angle, at 8 % as at 4 %: it knows the films at the minimum only.
+    """
+    healthy = RIG.bearings[0]
+    above, below = (replace(healthy.bearing, clearance=healthy.bearing.clearance * factor) for factor in (1.04, 0.96))
+    doubt = Doubt("bearing 1: clearance", 0.04 * healthy.bearing.clearance, "m")
+    doubtful = replace(RIG, bearings=(replace(healthy, doubts=(DoubtfulBearing(doubt, above, below),)), *RIG.bearings[1:]))
+    response = measured(worn_rig(22.27, 11.0), 2e-3)
+    (fit,) = identify(response, fit_settings(rig=doubtful))
+    budget = fit.budget
+    assert budget is not None and [source.source for source in budget.sources] == ["bearing 1: clearance"]
+    ends = [identify(response, fit_settings(rig=rig))[0] for rig in doubtful.ends("bearing 1: clearance")]
+    for name in ("wear_depth", "wear_angle"):
+        expected = (ends[0].parameter(name).value - ends[1].parameter(name).value) / 2
+        assert budget.change_by("bearing 1: clearance", name) == pytest.approx(expected, rel=0.15)
+    assert fit.parameter("wear_depth").full_error > 2 * fit.parameter("wear_depth").std_error
