@@ -24,6 +24,8 @@ def to_frame(record: Fit | Identification | FrequencyResponse | Recording) -> pd
     """
     if isinstance(record, Fit):
         return pd.DataFrame([_row(listed) for listed in of_fit(record)])
+    if isinstance(record, Identification) and record.dataset is not None:
+        raise ConfigError("the numbers of so many tests stand in a dataset", hint="pandas.read_parquet('OUT/dataset') reads it")
     if isinstance(record, Identification):
         return pd.DataFrame([_row(listed) for listed in listed_parameters(record)])
     if isinstance(record, FrequencyResponse):

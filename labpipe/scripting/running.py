@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from labpipe.artefacts.writing import output_folder
@@ -21,8 +22,11 @@ def run(pipeline: str | Path, output: str | Path | None = None, overrides: Itera
 
     *overrides*: as --set takes them, "identify.support.band=60-70 Hz". *jobs*: processes for several tests; a script that asks for more
     than one needs the usual ``if __name__ == "__main__"``. LabpipeError as on the command line; rules that fail are in the result.
+    Without a folder the result is whole, however many tests it has; in a folder that of very many is a dataset, read with pandas.
     """
     settings = load_pipeline(Path(pipeline), overrides)
+    if output is None:
+        settings = replace(settings, results="whole")
     manner = Manner(execute=serially if jobs == 1 else in_processes(jobs), processes=jobs)
     if output is None:
         with tempfile.TemporaryDirectory(prefix="labpipe-") as scratch, output_folder(Path(scratch)) as folder:

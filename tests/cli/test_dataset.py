@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import duckdb
@@ -119,3 +120,16 @@ def test_the_query_of_the_docs_gives_the_same_numbers(lab: Path, labpipe, monkey
 def test_verify_checks_the_parts(lab: Path, labpipe) -> None:
     ended = labpipe("verify", lab / "out/dataset")
     assert ended.code == 0 and "0 do not hold" in ended.out
+
+
+def test_the_script_of_the_docs_runs(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The script that the page prints, on twelve tests and in one process."""
+    page = (ROOT / "docs/pages/how-to/many.md").read_text()
+    script = next(block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "labpipe.run" in block)
+    for path in lab.glob("*.*"):
+        shutil.copy(path, tmp_path / path.name.replace("dataset.yaml", "fleet.yaml"))
+    monkeypatch.chdir(tmp_path)
+    exec(script.replace("jobs=2", "jobs=1"), {"__name__": "__main__"})
+    assert capsys.readouterr().out.startswith("12 tests, 0 not accepted")
