@@ -7,6 +7,7 @@ import json
 import math
 import re
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ from labpipe.artefacts.digest import AGAIN, DamagedError, mismatch
 from labpipe.errors import cut
 
 DIGEST = "digest"
-_SHA256 = re.compile(r"[0-9a-f]{64}\Z")
+# Of files without a digest the second entry is a version or a list.
+LONGEST_SECOND = 30
 _DIGEST_LINE = re.compile(rb'^"digest": "([0-9a-f]{64})",?\n', re.MULTILINE)
 
 
@@ -40,8 +42,9 @@ def read_digested(path: Path, what: str) -> dict[str, Any]:
     content = read_bytes(path)
     entries = parsed(content, path, what)
     stated = entries.get(DIGEST)
-    # A digest in its place under another name is one whose name was damaged.
-    if stated is None and not _SHA256.match(str([*entries.values(), "", ""][1])):
+    # A long text in its place under another name is a digest whose name was damaged.
+    second = next(islice(entries.values(), 1, None), "")
+    if stated is None and not (isinstance(second, str) and len(second) > LONGEST_SECOND):
         return entries
     if not isinstance(stated, str) or stated not in _digests(content, entries):
         raise mismatch(path)
@@ -90,7 +93,7 @@ def _line(entry: Any) -> str:
     try:
         return json.dumps(entry, allow_nan=False, ensure_ascii=False, default=plain)
     except ValueError:
-        return json.dumps(_without_nan(entry), allow_nan=False, ensure_ascii=False, default=plain)
+        return json.dumps(without_nan(entry), allow_nan=False, ensure_ascii=False, default=plain)
 
 
 def plain(entry: Any) -> Any:
@@ -101,9 +104,10 @@ def plain(entry: Any) -> Any:
     raise TypeError(f"a {type(entry).__name__} has no place in JSON")
 
 
-def _without_nan(entry: Any) -> Any:
+def without_nan(entry: Any) -> Any:
+    """The entry with None for what is not a number or infinite, which JSON does not know."""
     if isinstance(entry, dict):
-        return {key: _without_nan(item) for key, item in entry.items()}
+        return {key: without_nan(item) for key, item in entry.items()}
     if isinstance(entry, (list, tuple)):
-        return [_without_nan(item) for item in entry]
+        return [without_nan(item) for item in entry]
     return None if isinstance(entry, float) and not math.isfinite(entry) else entry

@@ -166,7 +166,8 @@ def sensitivity(plant: Levitated, omega: FloatArray) -> ComplexArray:
     rotor: ComplexArray = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
     controlled = loop_stiffness(plant.loop) * controller(plant.loop, omega)
     # An integrator at rest: S = 0.
-    with np.errstate(invalid="ignore"):
+    # At a pole on the axis it is infinite, and says so.
+    with np.errstate(divide="ignore", invalid="ignore"):
         ratio: ComplexArray = rotor / (rotor + controlled)
     return np.where(np.isfinite(controlled), ratio, 0.0)
 

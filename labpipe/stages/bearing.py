@@ -11,6 +11,7 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.arrays import FloatArray
+from labpipe.artefacts.json_file import without_nan
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.bearings.coefficients import BearingCoefficients
 from labpipe.bearings.doubts import BearingDoubts, bearing_doubts
@@ -116,7 +117,8 @@ def _doubt_entry(doubts: BearingDoubts, coefficients: BearingCoefficients) -> di
 
 
 def bearing_json(entry: dict[str, Any]) -> str:
-    return json.dumps(entry, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    """The entry as text; null where an amount has no end, as the sensitivity of a loop without stiffness at rest."""
+    return json.dumps(without_nan(entry), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: OutputFolder) -> list[str]:

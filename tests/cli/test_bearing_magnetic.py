@@ -46,3 +46,10 @@ def test_unstable_setting_is_a_warning_with_its_poles(labpipe: Callable[..., Any
 def test_wrong_entries_are_refused_at_their_place(labpipe: Callable[..., Any], file: Path) -> None:
     ended = labpipe("bearing", file, "--set", "loop.delay=-1 us")
     assert ended.code != 0 and "delay: must not be negative" in ended.err and "Traceback" not in ended.err
+
+
+def test_a_loop_without_stiffness_at_rest_has_no_largest_sensitivity(labpipe: Callable[..., Any], file: Path, tmp_path: Path) -> None:
+    """S = -m w^2 / (k - m w^2) with k = 0 at w = 0: a pole on the axis."""
+    ended = labpipe("bearing", file, "-q", "--json", tmp_path / "b.json", "--set", "static_stiffness=0 N/m")
+    assert (ended.code, ended.err) == (0, "")
+    assert json.loads((tmp_path / "b.json").read_text("utf-8"))["model"]["sensitivity_peak"] is None

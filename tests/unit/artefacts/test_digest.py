@@ -143,10 +143,11 @@ def test_another_digest_is_refused(artefacts: Path, tmp_path: Path, stated: obje
         read_identification(path)
 
 
-def test_a_digest_whose_name_is_damaged_is_no_file_without_one(artefacts: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ['"digect": "', '"`igest": "-1'])
+def test_a_digest_whose_name_is_damaged_is_no_file_without_one(artefacts: Path, tmp_path: Path, name: str) -> None:
     """Another damage beside it once gave other numbers."""
     content = (artefacts / "identification.json").read_text("utf-8")
-    (tmp_path / "identification.json").write_text(content.replace('"digest"', '"digect"').replace("0.79", "0.78"), "utf-8")
+    (tmp_path / "identification.json").write_text(content.replace('"digest": "', name).replace("0.79", "0.78"), "utf-8")
     with pytest.raises(DamagedError, match="content does not match its digest"):
         read_identification(tmp_path / "identification.json")
 
