@@ -133,18 +133,31 @@ def equal_weights(measured: Measured) -> ComplexArray:
 
 def whitener(measured: Measured) -> ComplexArray:
     """L^-1 of C = L L^H per line, (n_line, n, n) [N/m]; FitError for a zero variance or a singular C."""
+    std, scaled = _scaled(measured)
+    singular = _singular(scaled)
+    if np.any(singular):
+        hint = "average more periods or blocks, or name fewer responses with `output`"
+        raise FitError(f"the covariance of the {scaled.shape[1]} FRFs is singular at {_first(measured, singular[:, None])}", hint=hint)
+    weights: ComplexArray = np.linalg.inv(np.linalg.cholesky(scaled)) / std[:, None, :]
+    return weights
+
+
+def singular_lines(measured: Measured) -> BoolArray:
+    """Whether the covariance of a line (n, n) [m^2/N^2] has no inverse, for every line; FitError for a zero variance."""
+    return _singular(_scaled(measured)[1])
+
+
+def _scaled(measured: Measured) -> tuple[FloatArray, ComplexArray]:
+    """Standard deviations (n_line, n) [m/N] and correlations (n_line, n, n) [1] of the FRFs; FitError for a zero variance."""
     assert measured.covariance is not None
     std = np.sqrt(np.einsum("lii->li", measured.covariance).real)
     if np.any(std == 0):
         raise FitError(f"the variance of the FRF is zero at {_first(measured, std == 0)}", hint="leave this line out with `exclude`")
-    scaled = measured.covariance / (std[:, :, None] * std[:, None, :])
-    n = scaled.shape[1]
-    singular = np.linalg.eigvalsh(scaled)[:, 0] < SINGULAR_ROUNDINGS * n * np.finfo(float).eps
-    if np.any(singular):
-        hint = "average more periods or blocks, or name fewer responses with `output`"
-        raise FitError(f"the covariance of the {n} FRFs is singular at {_first(measured, singular[:, None])}", hint=hint)
-    weights: ComplexArray = np.linalg.inv(np.linalg.cholesky(scaled)) / std[:, None, :]
-    return weights
+    return std, measured.covariance / (std[:, :, None] * std[:, None, :])
+
+
+def _singular(scaled: ComplexArray) -> BoolArray:
+    return np.asarray(np.linalg.eigvalsh(scaled)[:, 0] < SINGULAR_ROUNDINGS * scaled.shape[1] * np.finfo(float).eps)
 
 
 def whitened(whitener: ComplexArray, values: ComplexArray) -> FloatArray:

@@ -12,13 +12,15 @@ from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
 from labpipe.identify.output_error import OutputError
 from labpipe.identify.regression import solve_scaled
-from labpipe.identify.weights import has_noise, weight_doubt, whitener
+from labpipe.identify.weights import has_noise, singular_lines, weight_doubt, whitener
 from labpipe.modal.likelihood import Refined
 from labpipe.modal.residual_terms import ResidualTerms
 from labpipe.optimise.levenberg import Minimum, minimise
 
 # Largest number of entries of the Jacobian.
 MOST_ENTRIES = 40_000_000
+# Lines whose covariance has no inverse, as a share of all, that may have their variances instead.
+FEW_SINGULAR = 0.05
 
 
 @dataclass(frozen=True)
@@ -170,7 +172,7 @@ def whole_covariance_fit(measured: Measured, terms: ResidualTerms, refined: Refi
     if not has_noise(measured) or model.n_parameter * measured.n_equation > MOST_ENTRIES:
         return ModalEstimate(refined, model.receptance(start, measured.omega), dof)
     try:
-        weights, doubt = whitener(measured), weight_doubt(measured, dof)
+        weights, doubt = whitener(regular(measured)), weight_doubt(measured, dof)
     except FitError as error:
         return ModalEstimate(refined, model.receptance(start, measured.omega), dof, unused=error.what)
     problem = OutputError(measured, model, weights)
@@ -179,6 +181,21 @@ def whole_covariance_fit(measured: Measured, terms: ResidualTerms, refined: Refi
     reduced = problem.chi2(minimum.values) / dof / doubt.excess
     again = _refined(model, minimum, doubt.inflation * inverse, refined)
     return ModalEstimate(again, model.receptance(minimum.values, measured.omega), dof, reduced, doubt.p_value(reduced, dof))
+
+
+def regular(measured: Measured) -> Measured:
+    """The measured FRF with the variances alone on the lines whose covariance (n, n) [m^2/N^2] has no inverse, where these are few.
+
+    Noise of neighbouring lines can make the covariance of a line singular by chance; left as it is, one such line would take the measured
+    covariance from all others. As it was where more than a share FEW_SINGULAR of the lines are so, or a variance is zero.
+    """
+    assert measured.covariance is not None
+    alone = singular_lines(measured)
+    if not np.any(alone) or np.mean(alone) > FEW_SINGULAR:
+        return measured
+    variance = np.einsum("lii->li", measured.covariance).real
+    diagonal = variance[:, :, None] * np.eye(variance.shape[1])
+    return replace(measured, covariance=np.where(alone[:, None, None], diagonal, measured.covariance))
 
 
 def _refined(model: ModalReceptance, minimum: Minimum, covariance: FloatArray, before: Refined) -> Refined:
