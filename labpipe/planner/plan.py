@@ -29,7 +29,7 @@ MOST_LINES, MOST_SAMPLES = 20_000, 1 << 24
 # True errors of labpipe's own fits over those with known noise, by the number of periods that tell the noise: of 2000 simulated tests each
 # (tests/unit/planner/test_weights.py). Fits of FRFs have the noise of neighbouring lines and lose nothing; fits of the spectra of all
 # channels know it from the periods alone.
-OF_SPECTRA = {3: 1.11, 4: 1.08, 5: 1.04, 10: 1.0}
+OF_SPECTRA = {3: 1.07, 4: 1.05, 5: 1.02, 10: 1.0}
 MAINS_WIDTH = 0.5
 # One direction of force whose errors are more than this times those of x and then y gets a note.
 MUCH_WORSE = 2.0

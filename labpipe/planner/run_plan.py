@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,6 @@ from labpipe.identify.combinations import combination_text
 from labpipe.planner.criteria import A, D
 from labpipe.planner.runs import RunChoices, RunDesign, best_runs, errors_after, lasting_errors, time_for_goals, undetermined
 from labpipe.records.run_plan import PlannedNumber, PlannedRun, RunPlan
-from labpipe.registry import nearest
 
 
 @dataclass(frozen=True)
@@ -124,14 +123,6 @@ def plan_runs(question: RunQuestion, title: str, model: str, notes: Sequence[str
         notes=tuple(notes),
     )
     return Answered(plan, np.linalg.inv(design.information) * np.outer(question.units, question.units))
-
-
-def goals_of(goals: Mapping[str, float], names: Sequence[str]) -> Mapping[str, float]:
-    """The goals as they are; ConfigError for one of no known number."""
-    for name in goals:
-        if name not in names:
-            raise ConfigError(f"the runs tell no {name}", hint=nearest(name, tuple(names)), field="goal")
-    return goals
 
 
 def _rows(quantities: Sequence[Quantity], units: FloatArray) -> FloatArray:

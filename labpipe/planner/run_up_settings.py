@@ -69,7 +69,9 @@ class RunUpPlanSettings(Settings):
     step: float = setting("value", "from one speed of a run to the next", unit="Hz")
     dwell: float = setting("value", "time at one speed", unit="s")
     duration: float = setting("value", "of all runs together", unit="s")
-    trials: tuple[tuple[str, TrialSettings], ...] = setting("sections", "ways to excite the rotor, by name", section=TrialSettings)
+    trials: tuple[tuple[str, TrialSettings], ...] = setting(
+        "sections", "ways to excite the rotor, by name", section=TrialSettings, default=(), needed=True
+    )
     stretches: int = setting("integer", "parts of the speeds that can be run by themselves", default=3)
     changeover: float = setting("value", "time between runs", unit="s", default=0.0)
     to_threshold: bool = setting("flag", "the highest stretch may be run on until the rotor gets unstable", default=False)

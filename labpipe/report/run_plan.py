@@ -91,8 +91,8 @@ def _verdict(plan: RunPlan) -> Iterator[Block]:
         yield Paragraph(text, kind) if kind else Paragraph(text)
     sure = floor(1e4 * plan.efficiency) / 100
     yield Paragraph(
-        f"Certificate: whole runs included, the variances are at least {sure:.2f} % as small as those of any division of the same time "
-        f"among the {plan.candidates} conditions, by the equivalence theorem."
+        f"Certificate: the plan has, whole runs included, an efficiency (by variances) of at least {sure:.2f} % among all divisions of the "
+        f"same time among the {plan.candidates} conditions, by the equivalence theorem."
     )
 
 

@@ -10,7 +10,7 @@ import pytest
 from labpipe.errors import ConfigError, FitError
 from labpipe.planner.criteria import CRITERIA
 from labpipe.planner.designs import optimum
-from labpipe.planner.run_plan import Change, Condition, Quantity, RunQuestion, goals_of, plan_runs
+from labpipe.planner.run_plan import Change, Condition, Quantity, RunQuestion, plan_runs
 from labpipe.planner.runs import RunChoices, best_runs, errors_after, lasting_errors, time_for_goals, undetermined
 
 # Quadratic regression y = a + b x + c x^2 at x = -1, -.5, 0, .5, 1.
@@ -99,5 +99,3 @@ def test_a_goal_out_of_reach_is_refused_with_the_change_that_helps() -> None:
     with pytest.raises(ConfigError, match=r"do not determine a to the goal: no run tells a \+1.00, b -1.00") as refusal:
         plan_runs(question, "", "run-ups")
     assert refusal.value.hint == "the difference or a known b would determine all"
-    with pytest.raises(ConfigError, match="the runs tell no c"):
-        goals_of({"c": 1.0}, ("a", "b"))
