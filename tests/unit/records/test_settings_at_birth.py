@@ -73,7 +73,8 @@ def unchecked(owner: type, **fields: Any) -> Any:
     for field in dataclasses.fields(owner):
         given = fields.get(field.name, field.default)
         if given is dataclasses.MISSING and "setting" in field.metadata:
-            given = example(field.metadata["setting"])
+            declared = field.metadata["setting"]
+            given = {} if declared.kind == "entries" else example(declared)
         object.__setattr__(instance, field.name, given)
     return instance
 
