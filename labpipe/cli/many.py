@@ -9,7 +9,8 @@ from labpipe.cli import options
 from labpipe.cli.output import echo, message_line
 from labpipe.cli.progress import Progress, silent
 from labpipe.errors import ConfigError
-from labpipe.pipeline.executors import Execute, in_processes, on_cluster, serially
+from labpipe.pipeline.cluster import on_cluster
+from labpipe.pipeline.executors import Execute, in_processes, serially
 from labpipe.pipeline.run import Manner
 from labpipe.records.identification import Failed
 

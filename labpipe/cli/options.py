@@ -28,7 +28,9 @@ pipeline_file = click.option("-c", "--config", "pipeline_path", type=PATH, requi
 
 jobs = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Processes for several tests; 0: one per processor.")
 cluster = click.option(
-    "--cluster", metavar="ADDRESS", help="Run the tests on the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786, or tls://..."
+    "--cluster",
+    metavar="ADDRESS|local|FILE",
+    help="Run the tests on the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786, or tls://...; of this machine; of a cluster in YAML.",
 )
 
 _FILTERS = (

@@ -19,7 +19,8 @@ from labpipe.cli.progress import duration
 from labpipe.config.pipeline import load_pipeline
 from labpipe.config.tests import conditions_in
 from labpipe.errors import DataError
-from labpipe.pipeline.executors import Work, in_processes, on_cluster, serially
+from labpipe.pipeline.cluster import batch_size, on_cluster
+from labpipe.pipeline.executors import Work, in_processes, serially
 from labpipe.pipeline.one_test import Done, Job
 from labpipe.pipeline.run import Manner, run
 
@@ -298,6 +299,45 @@ def test_a_killed_worker_loses_nothing(project: Path, scheduler: str) -> None:
         found = run(load_pipeline(pipeline.path), folder, Manner(execute=deadly))
     assert (project / "killed-once").exists()
     assert not found.failed and {fit.test for fit in found.fits} == {"100N-up", "200N-up", "400N-up"}
+
+
+CLUSTER = """class: distributed.LocalCluster
+arguments: {n_workers: 1, threads_per_worker: 1, host: 127.0.0.1, dashboard_address: "127.0.0.1:0"}
+adapt: {minimum: 1, maximum: 2}
+"""
+
+
+def test_a_described_cluster_is_started_and_takes_batches(project: Path, labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Batches of two and one at a time in the scheduler; a test of a batch that fails costs the other nothing."""
+    monkeypatch.setattr("labpipe.pipeline.cluster.batch_size", lambda *_: 2)
+    monkeypatch.setattr("labpipe.pipeline.cluster.MOST_BATCHES", 1)
+    (project / "cluster.yaml").write_text(CLUSTER)
+    (project / "runs/300N-up.csv").write_text("t [s],force [N],y [um]\n0,1,x\n")
+    ended = labpipe("run", project / "pipeline.yaml", "-o", project / "two", "--cluster", project / "cluster.yaml")
+    assert ended.code == 2 and "300N-up" in ended.err
+    assert labpipe("run", project / "pipeline.yaml", "-o", project / "one").code == 2
+    assert contents(project / "one") == contents(project / "two")
+
+
+@pytest.mark.parametrize(("jobs", "workers", "size"), [(3, 2, 1), (80, 2, 10), (100_000, 10, 50), (5, 0, 1)])
+def test_batches_grow_with_the_number_of_tests(jobs: int, workers: int, size: int) -> None:
+    """Each worker has at least four batches, none is of more than fifty."""
+    assert batch_size(jobs, workers) == size
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("arguments: {}", "is not the description of a cluster"),
+        ("class: dask_jobqueue.NoCluster", "dask_jobqueue.NoCluster is not installed"),
+        ("class: distributed.LocalCluster\nworkers: 2", "unknown entry 'workers'"),
+        ("class: pathlib.PurePath\narguments: {cores: 2}", "does not take this"),
+    ],
+)
+def test_descriptions_that_no_cluster_is_made_of_are_refused(project: Path, labpipe, text: str, what: str) -> None:
+    (project / "cluster.yaml").write_text(f"{text}\n")
+    ended = labpipe("run", project / "pipeline.yaml", "-o", project / "out", "--cluster", project / "cluster.yaml")
+    assert ended.code == 2 and what in ended.err and not (project / "out").exists()
 
 
 def test_a_cluster_that_is_not_there_is_named(project: Path, labpipe) -> None:

@@ -14,7 +14,8 @@ from labpipe.config.pipeline import load_pipeline
 from labpipe.config.ready_frf import ReadyFrf
 from labpipe.config.tests import Test as Measured
 from labpipe.errors import ConfigError, DataError
-from labpipe.pipeline.executors import Work, in_processes, on_cluster, serially
+from labpipe.pipeline.cluster import on_cluster
+from labpipe.pipeline.executors import Work, in_processes, serially
 from labpipe.pipeline.one_test import Done, Job, silent, work
 from labpipe.pipeline.run import Manner, independent_fits, measure_tests
 from labpipe.records.identification import Failed
@@ -266,12 +267,12 @@ def test_a_cluster_by_tls_takes_the_certificates_of_its_own_configuration(tmp_pa
     """Without them nothing is sent to anyone; a plain address has none."""
     import dask
 
-    from labpipe.pipeline import executors
+    from labpipe.pipeline import cluster
 
-    assert executors._security("tcp://127.0.0.1:8786") is None
+    assert cluster._security("tcp://127.0.0.1:8786") is None
     with pytest.raises(ConfigError, match="no certificates are configured"):
-        executors._security("tls://127.0.0.1:8786")
+        cluster._security("tls://127.0.0.1:8786")
     names = {"ca-file": "ca.pem", "client.cert": "cert.pem", "client.key": "key.pem"}
     with dask.config.set({f"distributed.comm.tls.{name}": str(tmp_path / file) for name, file in names.items()}):
-        security = executors._security("tls://127.0.0.1:8786")
+        security = cluster._security("tls://127.0.0.1:8786")
     assert security.tls_ca_file == str(tmp_path / "ca.pem") and security.tls_client_key == str(tmp_path / "key.pem")
