@@ -52,6 +52,9 @@ def png_bytes(canvas: Canvas) -> bytes:
 
 
 def _save(canvas: Canvas, stream: IO[Any], **options: Any) -> None:
-    """Save, and keep the layout as it is now: laid out once more, everything would move by a hair."""
+    """Lay out once, and save: by itself matplotlib would go through all artists once more, only to have them laid out."""
+    engine = canvas.get_layout_engine()
+    if engine is not None:
+        engine.execute(canvas)
+        canvas.set_layout_engine("none")
     canvas.savefig(stream, **options)
-    canvas.set_layout_engine("none")

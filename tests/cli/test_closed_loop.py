@@ -23,6 +23,7 @@ def test_the_reference_opens_the_loop(root: Path, tmp_path: Path, labpipe) -> No
     assert "H1, biased" in page
 
 
+@pytest.mark.long
 def test_without_it_nothing_is_accepted(root: Path, tmp_path: Path, labpipe) -> None:
     """The pipeline expects the warning, so it passes; where no rule expects it, it fails, with other rules and without any."""
     pipeline = root / "pipelines/levitated-open.yaml"

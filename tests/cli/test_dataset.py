@@ -30,7 +30,8 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     text = MANY[: MANY.index("tests:")] + f"tests:\n{tests}\n" + MANY[MANY.index("frf:") :]
     (folder / "pipeline.yaml").write_text(text)
     for way in ("dataset", "whole"):
-        (folder / f"{way}.yaml").write_text(f"results: {way}\n{text}")
+        formats = "[html, md]" if way == "dataset" else "[]"
+        (folder / f"{way}.yaml").write_text(f"results: {way}\n{text.replace('[html, md]', formats)}")
         assert run_command(["run", str(folder / f"{way}.yaml"), "-o", str(folder / "out" / way), "-q"]) == 0
     return folder
 

@@ -19,12 +19,6 @@ def labpipe(labpipe_without_report):
     return labpipe_without_report
 
 
-@pytest.mark.parametrize("name", ["magnetic-loop", "magnetic-gains", "magnetic-sensitivity", "levitated-magnet", "levitated-certificate"])
-def test_shipped_pipelines_meet_their_rules(name: str, root: Path, labpipe) -> None:
-    ended = labpipe("check", root / f"pipelines/{name}.yaml")
-    assert ended.code == 0, ended
-
-
 def project(root: Path, tmp_path: Path, name: str, compare: dict[str, object], rules: dict[str, object] | None = None) -> Path:
     """The shipped pipeline with other comparisons, and few bands."""
     plan = yaml.safe_load((root / f"pipelines/{name}.yaml").read_text(encoding="utf-8"))

@@ -82,7 +82,7 @@ def _carry_out(plan: Plan, folder: Path, seed: int) -> None:
     [
         pytest.param(PEDESTAL, "one by one", marks=pytest.mark.long),
         pytest.param(ROTOR, "one by one", marks=pytest.mark.long),
-        (ROTOR, "interleaved"),
+        pytest.param(ROTOR, "interleaved", marks=pytest.mark.long),
         pytest.param(ROTOR, "together", marks=pytest.mark.long),
     ],
 )

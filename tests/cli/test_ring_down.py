@@ -42,6 +42,7 @@ def lab(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.long
 def test_the_shipped_pipeline_meets_its_truth(root: Path, tmp_path: Path, labpipe) -> None:
     ended = labpipe("run", root / "pipelines/ring-down.yaml", "-o", tmp_path / "out")
     assert ended.code == 0 and "FAILED" not in ended.out

@@ -15,8 +15,8 @@ from tests.fuzz.scenarios import SCENARIOS, write_scenario
 from tests.fuzz.seeds import ARTEFACTS, READS, TABLES, write_seeds
 from tests.fuzz.trials import Tally, trial_of_file, trial_of_yaml
 
-TRIALS, FEWER = 60, 12
-YAML_TRIALS = {"pipeline.yaml": 40, "rig.yaml": 40}
+TRIALS, FEWER = 40, 6
+YAML_TRIALS = {"pipeline.yaml": 25, "rig.yaml": 25}
 SLOW = ("a.h5", "a.xlsx", "a.mf4", INDEX, "identification.json")
 
 
@@ -67,6 +67,6 @@ def test_no_mutated_yaml_breaks_a_command(tmp_path: Path, monkeypatch: pytest.Mo
     write_scenario(name, tmp_path)
     assert run_command(list(SCENARIOS[name].command)) == 0
     tally = Tally(name)
-    for seed in range(YAML_TRIALS.get(name, 3)):
+    for seed in range(YAML_TRIALS.get(name, 2)):
         trial_of_yaml(name, tmp_path, seed, tally)
     assert not tally.faults

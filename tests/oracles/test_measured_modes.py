@@ -28,6 +28,7 @@ def test_the_mode_that_the_package_prints() -> None:
     assert found[0] == pytest.approx(212.0925, abs=0.03)
 
 
+@pytest.mark.long
 def test_two_coupled_modes_half_a_per_cent_apart(tmp_path: Path) -> None:
     """The cross-coupled support of the radial rig: eigenvalues of its K, C and m in state space; damping of 12 and 20 %."""
     stiffness, damping = np.array([[180e3, 25e3], [-18e3, 210e3]]), np.array([[120.0, 15.0], [-10.0, 150.0]])

@@ -79,6 +79,7 @@ def test_noise_free_recovery(wear: tuple[float, float]) -> None:
     np.testing.assert_allclose(best.parameters, wear, atol=0.01)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("wears", [WEAR[2:3], pytest.param(WEAR, marks=pytest.mark.long)], ids=["one", "all"])
 def test_joint_method_under_noise_and_model_error(wears: list[tuple[float, float]]) -> None:
     """Root mean square at most .4 um and .5 deg over the wears, one draw of viscosity and clearance, lines every .4 Hz.

@@ -293,7 +293,7 @@ def test_a_missing_file_is_stale(tmp_path: Path) -> None:
         (b"[1, 2]", "is not a readable identification.json"),
         (b"null", "is not a readable identification.json"),
         (b"{}", "is not of schema labpipe/identification/2"),
-        (b'{"schema": "labpipe/identification/3"}', "is not of schema labpipe/identification/2"),
+        (b'{"schema": "labpipe/identification/4"}', "is not of schema labpipe/identification/2"),
         (b'{"schema": "labpipe/identification/1"}', "was written by labpipe ?, or edited"),
         (b'{"schema": "labpipe/identification/1", "labpipe": "9.9", "fits": [{}]}', "was written by labpipe 9.9, or edited"),
     ],

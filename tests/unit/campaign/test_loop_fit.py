@@ -62,6 +62,7 @@ def test_a_stated_pull_takes_the_place_of_the_inferred_one() -> None:
         unknown(file, "gap")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("averages", [0, pytest.param(5, marks=pytest.mark.long)])
 def test_intervals_hold_the_true_values_in_95_of_100_cases(averages: int, rng: np.random.Generator) -> None:
     """Gap and delay over 200 noises, the support drawn within its uncertainty; from 5 periods the noise itself is estimated.

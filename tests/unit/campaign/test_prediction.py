@@ -88,6 +88,7 @@ def test_an_unstable_setting_is_said(rng: np.random.Generator) -> None:
     assert found.amount("share_k").value >= 0.9
 
 
+@pytest.mark.long
 def test_tests_under_several_gains_are_predicted_each_by_its_own(rng: np.random.Generator) -> None:
     asked: list[float | None] = []
 

@@ -187,6 +187,7 @@ def test_monte_carlo_scatters_as_first_order_says(rng) -> None:
     assert not [finding for finding in fit.findings if finding.code == "first-order"]
 
 
+@pytest.mark.long
 def test_a_large_doubt_is_beyond_first_order(rng) -> None:
     """c takes 1 / (1 - d) from the force sensor: with d of 30 % (one sigma) the scatter is far from linear, and it is said."""
     large = ChannelDoubt("gain", Doubt("f.sensitivity", 0.3, "1"))

@@ -68,6 +68,7 @@ def test_a_single_coefficient_is_named(coupled_response) -> None:
     assert amount == pytest.approx(2.0, abs=4 * error + 0.02 * 2.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runs", [60, pytest.param(300, marks=pytest.mark.long)])
 @pytest.mark.parametrize("stated", [1.0, 4.0, 0.25])
 def test_noise_alone_is_no_drift_however_wrong_its_stated_size(coupled_response, stated: float, runs: int) -> None:

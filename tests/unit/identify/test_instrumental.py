@@ -33,6 +33,7 @@ def test_ls_and_iv_equal_their_literal_twins(three_dof_response, seed: int) -> N
     np.testing.assert_allclose(coefficients(response, replace(KNOWN, estimator="iv")), [*k[upper], *c[upper]], atol=5e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("known", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_sandwich_errors_are_the_scatter(three_dof_response, known: bool) -> None:
     fits = []
