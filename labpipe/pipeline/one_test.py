@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
@@ -29,6 +30,8 @@ from labpipe.stages.recorded_conditions import recorded_conditions
 from labpipe.stages.result_of_test import result_of_test
 
 Tell = Callable[[str], None]
+# Errors of the machine, not of a recording: no room left, or a disk that takes nothing.
+HALTING = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
 def silent(_message: str) -> None:
@@ -76,13 +79,17 @@ class Job:
 
 @dataclass(frozen=True)
 class Done:
-    """How a test ended: the raw files behind it, or why it failed; what was found damaged and made again; its *result* for a dataset."""
+    """How a test ended: the raw files behind it, or why it failed; what was found damaged and made again; its *result* for a dataset.
+
+    halts: it failed by a fault of the machine that other tests will meet as well, such as a full disk.
+    """
 
     test: str
     sources: tuple[SourceRef, ...] = ()
     failed: Failed | None = None
     remarks: tuple[str, ...] = ()
     result: TestResult | None = None
+    halts: bool = False
 
 
 def work(job: Job) -> Done:
@@ -100,7 +107,8 @@ def work(job: Job) -> Done:
     except OSError as error:
         if error.errno is None:
             raise
-        return Done(job.test.name, failed=Failed(job.test.name, f"{error.filename or 'output'}: {os.strerror(error.errno).lower()}"))
+        failed = Failed(job.test.name, f"{error.filename or 'output'}: {os.strerror(error.errno).lower()}")
+        return Done(job.test.name, failed=failed, halts=error.errno in HALTING)
     return Done(job.test.name, sources, remarks=tuple(remarks), result=result)
 
 

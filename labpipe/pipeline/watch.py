@@ -20,7 +20,7 @@ from labpipe.artefacts.writing import output_file, output_folder
 from labpipe.config.pipeline import Pipeline
 from labpipe.config.recordings import SourceFile
 from labpipe.config.tests import EachFile, Test
-from labpipe.errors import ConfigError, LabpipeError
+from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.formats.packed import plain_suffix
 from labpipe.formats.table import READERS
 from labpipe.pipeline.executors import Execute, serially
@@ -91,6 +91,8 @@ class Watch:
         self._done: set[str] = set()
         self._seen: dict[Path, Arrived] = {}
         self._paths: dict[str, Path] = {}
+        # Tests by the file name of their results.
+        self._files: dict[str, str] = {}
         self._waiting: list[TestResult] = []
         self._since = self.clock()
         self._summary = DatasetSummary()
@@ -128,6 +130,7 @@ class Watch:
             self._paths[self.name_of(arrived.path)] = arrived.path
         self._done.update(row["test"] for row in rows)
         for row in rows:
+            self._files.setdefault(Path(fits_file_name(row["test"])).stem, row["test"])
             if row["failed"] is not None:
                 self._quarantine(row["test"], row["failed"])
         if found:
@@ -165,8 +168,8 @@ class Watch:
         return iter(sorted(found, key=lambda arrived: (arrived.changed, arrived.path)))
 
     def name_of(self, path: Path) -> str:
-        """The name of the test of a recording: its path below the folder, with its ending, so that it is of one file only."""
-        return "-".join(path.relative_to(self.folder).parts)
+        """The name of the test of a recording: its path below the folder."""
+        return path.relative_to(self.folder).as_posix()
 
     def _worked(self, complete: Sequence[Arrived]) -> Iterator[tuple[Done, Job]]:
         """The outcomes of recordings as they end; those that are not finished when the watch is stopped are left for the next one."""
@@ -188,10 +191,14 @@ class Watch:
                     return
 
     def _job(self, path: Path, scratch: Path) -> Job:
+        """The work on a recording; LabpipeError for one that is no test, or whose results would take the place of another one's."""
         assert self.pipeline.rig is not None
         test = self.each.test(SourceFile(path, self.pipeline.rig), self.name_of(path))
         frf = test.frf or self.pipeline.frf
         name = Path(fits_file_name(test.name)).stem
+        other = self._files.setdefault(name, test.name)
+        if other != test.name:
+            raise DataError(f"its results would have the file name of those of '{other}'", where=test.name, hint="rename the recording")
         rules = self.pipeline.rules
         where = {"pipeline_path": self.pipeline.path, "target": self.results, "scratch": scratch}
         return Job(test, (name,), frf=frf, fits=self.pipeline.fits, rules=rules, **where)
@@ -204,15 +211,15 @@ class Watch:
         self._keep(outcome_of(Done(test.name, failed=Failed(test.name, message)), test))
 
     def _take(self, done: Done, job: Job) -> None:
+        if done.halts and done.failed is not None:
+            raise DataError(done.failed.message, where=str(self.results), hint="what was worked on is kept; start the watch again")
         self._keep(outcome_of(done, job.test))
         for remark in done.remarks:
             self._log("damaged", done.test, remark=remark)
 
     def _keep(self, result: TestResult) -> None:
         """Hold a result until it is appended; a part is written as soon as there is enough for one."""
-        row = result.rows[0] if result.rows else None
-        if row is None:
-            return
+        row = result.rows[0]
         if not self._waiting:
             self._since = self.clock()
         self._waiting.append(result)

@@ -41,7 +41,7 @@ def summary_of(result: TestResult) -> DatasetSummary:
     if row is not None and row.failed is not None:
         return DatasetSummary(index=DatasetIndex(failed=1, rows=1), failed=(Failed(row.test, row.failed),))
     fits: dict[str, int] = {}
-    for name, _, _ in dict.fromkeys((row.fit or "", row.term, row.low_hz) for row in result.rows):
+    for name, _, _ in dict.fromkeys((row.fit, row.term, row.low_hz) for row in result.rows if row.fit is not None):
         fits[name] = fits.get(name, 0) + 1
     findings = {(finding.level, finding.code): CountedFinding(finding, origin, 1) for origin, finding in reversed(result.findings)}
     index = DatasetIndex(

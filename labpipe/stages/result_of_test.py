@@ -40,7 +40,8 @@ def result_of_test(
         "digest": digest,
     }
     return TestResult(
-        rows=tuple(row for fit in fits for row in rows_of_fit(fit, common)),
+        # A test without fits has a row as well: the dataset knows that it was worked on.
+        rows=tuple(row for fit in fits for row in rows_of_fit(fit, common)) or (DatasetRow(**common),),  # type: ignore[arg-type]
         findings=(*((test.name, finding) for finding in findings), *((fit_title(fit), found) for fit in fits for found in fit.findings)),
         partial=partial,
         forbidden=outcomes,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -77,7 +78,7 @@ def test_each_recording_is_worked_on_once(bench: Path, labpipe) -> None:
     (bench / "runs/later").mkdir()
     (bench / "runs/later/300N-3.csv").write_text(recording(21e3, seed=3))
     assert "4 tests in the dataset, 0 failed; 1 worked on now" in labpipe(*arguments(bench, *ONCE[:-1])).out
-    assert done_in(bench)[-1] == "later-300N-3.csv" and len(parts(bench / "out")) == 2
+    assert done_in(bench)[-1] == "later/300N-3.csv" and len(parts(bench / "out")) == 2
 
 
 def test_bad_recordings_are_put_aside_with_their_reason(bench: Path, labpipe) -> None:
@@ -105,6 +106,36 @@ def test_a_move_that_a_kill_cut_short_is_finished(bench: Path, labpipe, monkeypa
     assert (bench / "runs/test.csv").exists()
     assert labpipe(*arguments(bench, *ONCE)).code == 0
     assert not (bench / "runs/test.csv").exists() and done_in(bench).count("test.csv") == 1
+
+
+def test_names_that_would_share_their_files_are_refused(bench: Path, labpipe) -> None:
+    (bench / "runs/later").mkdir()
+    for name in ("later/300N-3.csv", "later-300N-3.csv"):
+        (bench / "runs" / name).write_text(recording(21e3, seed=3))
+    assert labpipe(*arguments(bench, "--names", "*300N-3.csv", *ONCE)).code == 0
+    (reason,) = (bench / "out/quarantine").rglob("*.reason.txt")
+    assert "would have the file name of those of" in reason.read_text() and len(done_in(bench)) == 2
+
+
+def test_a_full_disk_is_no_fault_of_a_recording(bench: Path, labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The watch ends with exit code 2 and moves nothing; the next one does all."""
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(bench / "out"))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("labpipe.pipeline.one_test.write_fits", full)
+        ended = labpipe(*arguments(bench, *ONCE))
+    assert ended.code == 2 and "no space left on device" in ended.err
+    assert len(list((bench / "runs").iterdir())) == 3 and not parts(bench / "out")
+    assert labpipe(*arguments(bench, *ONCE)).code == 0 and len(done_in(bench)) == 3
+
+
+def test_what_has_no_fits_is_done_all_the_same(bench: Path, labpipe) -> None:
+    (bench / "bench.yaml").write_text(re.sub(r"identify:.*?accept:.*?\n", "", BENCH, flags=re.DOTALL))
+    for _ in range(2):
+        assert labpipe(*arguments(bench, *ONCE)).code == 0
+    assert len(log_of(bench)) == 3 and len(read_rows(bench / "out")) == 3
 
 
 class Bench:
