@@ -29,6 +29,7 @@ COMMANDS = {
     "identify": "Frequency responses -> stiffness and damping with their uncertainty.",
     "report": "Identification -> a report that opens offline.",
     "run": "All stages of a pipeline; what is up to date is not computed again.",
+    "tests": "The names of a pipeline's tests, for schedulers of jobs.",
     "watch": "Recordings worked on as they arrive in a folder, each exactly once.",
     "check": "Run pipelines and test their expect: and accept: rules.",
     "list": "The results below a folder, or their values, by rig, condition, date, fit.",

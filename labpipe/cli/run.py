@@ -12,6 +12,7 @@ from labpipe.cli.output import echo
 from labpipe.cli.terminal import echo_identification
 from labpipe.config.pipeline import load_pipeline
 from labpipe.pipeline.run import run as run_pipeline
+from labpipe.pipeline.run import run_only
 from labpipe.stages.report import outdate_reports, write_reports
 
 
@@ -20,10 +21,13 @@ from labpipe.stages.report import outdate_reports, write_reports
 @options.out_folder
 @options.jobs
 @options.cluster
+@click.option("--only", default="", metavar="TEST", help="Work on this test alone, up to its fits; a run without --only then finishes.")
 @options.overrides
 @options.quiet
 @options.verbose
-def run(pipeline_path: Path, output: Path, jobs: int, cluster: str | None, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
+def run(
+    pipeline_path: Path, output: Path, jobs: int, cluster: str | None, only: str, overrides: tuple[str, ...], quiet: bool, verbose: bool
+) -> int:
     """Run all stages of PIPELINE: recordings -> FRFs -> identification.json -> report.
 
     identification.json is written before the report is drawn. Results and reports that are up to date are not made again. When a test
@@ -32,6 +36,10 @@ def run(pipeline_path: Path, output: Path, jobs: int, cluster: str | None, overr
     """
     how = manner(quiet, verbose, jobs, cluster)
     pipeline = load_pipeline(pipeline_path, overrides)
+    if only:
+        done = run_only(pipeline, output, only)
+        echo_failed([done.failed] if done.failed else [])
+        return 2 if done.failed else 0
     with options.results_folder(output) as folder:
         identification = run_pipeline(pipeline, folder, how)
         outdate_reports(folder, pipeline.report.formats)

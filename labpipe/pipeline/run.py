@@ -18,11 +18,15 @@ from labpipe.pipeline.executors import Execute, serially
 from labpipe.pipeline.many_tests import Gathered, identified, keeps_dataset
 from labpipe.pipeline.one_test import Done, Job, Tell, finished_fits, measure, measured_of, measured_refs, silent, work
 from labpipe.records.identification import Failed, Fit, Identification
+from labpipe.registry import nearest
 from labpipe.stages.fits import check_tested
 from labpipe.stages.frf import frf_file_name
 from labpipe.stages.identify import identify_stage
 from labpipe.stages.ingest import unique_names
 from labpipe.stages.measured import MeasuredTest
+
+# Tests from which each has its own file of fits.
+MANY = 2
 
 # Called when a test is done: tests done, tests in all, name of the test.
 Progress = Callable[[int, int, str], None]
@@ -72,6 +76,18 @@ def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identificat
     )
 
 
+def run_only(pipeline: Pipeline, target: Path, test: str) -> Done:
+    """One test of several up to its fits, into the folder that a run of all of them goes on from; ConfigError for a test that there is not.
+
+    Several tests may be worked on at once, each by its own process, as schedulers of jobs do.
+    """
+    names = [one.name for one in pipeline.tests]
+    if test not in names or len(names) < MANY:
+        raise ConfigError(f"no test '{test}' among several", where=str(pipeline.path), hint=nearest(test, names))
+    with staging_folder(existing_home(target)) as scratch:
+        return work(_jobs(pipeline, target, scratch, independent_fits(pipeline))[names.index(test)])
+
+
 def _run_many(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str]) -> Identification:
     """All stages of so many tests that their results are kept as a dataset."""
     with staging_folder(existing_home(output.target)) as scratch:
@@ -86,7 +102,7 @@ def _run_many(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Se
 def measure_tests(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str] = ()) -> Measured:
     """ingest and frf of every test, and of several tests the fits named in *fits*; ready responses are read as they are."""
     with staging_folder(existing_home(output.target)) as scratch:
-        jobs = _jobs(pipeline, output.target, scratch, fits if len(pipeline.tests) > 1 else ())
+        jobs = _jobs(pipeline, output.target, scratch, fits if len(pipeline.tests) >= MANY else ())
         if len(jobs) > 1:
             done = {outcome.test: outcome for outcome in _outcomes(jobs, manner)}
         else:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import duckdb
@@ -123,14 +126,52 @@ def test_verify_checks_the_parts(lab: Path, labpipe) -> None:
     assert ended.code == 0 and "0 do not hold" in ended.out
 
 
-def test_the_script_of_the_docs_runs(
-    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.usefixtures("jobs")
+def test_the_script_of_the_docs_runs(capsys: pytest.CaptureFixture[str]) -> None:
     """The script that the page prints, on twelve tests and in one process."""
     page = (ROOT / "docs/pages/how-to/many.md").read_text()
     script = next(block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "labpipe.run" in block)
+    exec(script.replace("jobs=2", "jobs=1"), {"__name__": "__main__"})
+    assert capsys.readouterr().out.startswith("12 tests, 0 not accepted")
+
+
+@pytest.fixture
+def jobs(lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The laboratory without results, its pipeline named as on the page."""
     for path in lab.glob("*.*"):
         shutil.copy(path, tmp_path / path.name.replace("dataset.yaml", "fleet.yaml"))
     monkeypatch.chdir(tmp_path)
-    exec(script.replace("jobs=2", "jobs=1"), {"__name__": "__main__"})
-    assert capsys.readouterr().out.startswith("12 tests, 0 not accepted")
+    return tmp_path
+
+
+def test_tests_are_run_one_by_one_and_collected(lab: Path, jobs: Path, labpipe) -> None:
+    """The collecting run finds the fits of two tests and makes the others: the same bytes as of one run."""
+    names = labpipe("tests", "fleet.yaml").out.split()
+    assert names == [f"t{number:02d}" for number in range(TESTS)]
+    for name in names[3:5]:
+        assert labpipe("run", "fleet.yaml", "-o", "out", "--only", name, "-q").code == 0
+    assert sorted(path.name for path in (jobs / "out/fits").iterdir()) == ["t03.json", "t04.json"] and not (jobs / "out/dataset").exists()
+    before = (jobs / "out/fits/t03.json").stat().st_mtime_ns
+    assert labpipe("run", "fleet.yaml", "-o", "out", "-q").code == 0
+    assert (jobs / "out/fits/t03.json").stat().st_mtime_ns == before
+    here, there = (next((folder / "dataset").rglob("*.parquet")).read_bytes() for folder in (jobs / "out", lab / "out/dataset"))
+    assert here == there
+
+
+def test_a_test_that_fails_or_is_not_there_ends_with_2(jobs: Path, labpipe) -> None:
+    (jobs / "3.csv").write_text("t [s],force [N],y [um]\n0,1,x\n")
+    ended = labpipe("run", "fleet.yaml", "-o", "out", "--only", "t03")
+    assert ended.code == 2 and "3.csv" in ended.err
+    ended = labpipe("run", "fleet.yaml", "-o", "out", "--only", "t3")
+    assert ended.code == 2 and "no test 't3' among several; did you mean" in ended.err
+
+
+def test_the_snakefile_of_the_docs_runs(jobs: Path) -> None:
+    """As Snakemake runs it, on three jobs at a time."""
+    pytest.importorskip("snakemake")
+    page = (ROOT / "docs/pages/how-to/many.md").read_text()
+    text = next(block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "Snakefile" in block)
+    (jobs / "Snakefile").write_text(text)
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    subprocess.run([sys.executable, "-m", "snakemake", "-c", "3", "-q"], check=True, env=environment, cwd=jobs)
+    assert (jobs / "out/identification.json").exists() and len(list((jobs / "done").iterdir())) == TESTS

@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,11 +79,13 @@ def killed(folder: Path, name: str, way: Way, seconds: float) -> list[str]:
 def worker_killed(folder: Path, name: str, way: Way, seconds: float, rng: random.Random) -> list[str]:
     """Kill a worker of a run *seconds* after the first one is there, and name what is not as it should be at the run's end."""
     run = _begun(folder, name, way.options)
-    while not (workers := way.workers(folder / name)) and run.poll() is None:
+    while not way.workers(folder / name) and run.poll() is None:
         time.sleep(0.005)
     time.sleep(seconds)
-    for worker in rng.sample(way.workers(folder / name), 1) if workers and run.poll() is None else ():
-        os.kill(worker, signal.SIGKILL)
+    # A run may end while it is looked at: nothing is killed then.
+    if (workers := way.workers(folder / name)) and run.poll() is None:
+        with suppress(ProcessLookupError):
+            os.kill(rng.choice(workers), signal.SIGKILL)
     try:
         code = run.wait(RUN_SECONDS)
     except subprocess.TimeoutExpired:

@@ -203,6 +203,6 @@ def test_reads_that_return_less_than_was_asked_for_change_nothing(tmp_path: Path
         )
         for environment in (dict(os.environ), {**os.environ, "LD_PRELOAD": str(library)})
     ]
-    (at_once, *whole), (less_at_once, *short) = (process.stdout.decode().splitlines() for process in said)
+    (at_once, *whole), (less_at_once, *short) = (process.stdout.splitlines() for process in said)
     assert at_once == f"at once {(tmp_path / 'a.recording.parquet').stat().st_size}" and less_at_once == "at once 4099"
     assert short == whole and len(whole) == len(READS)
