@@ -197,6 +197,7 @@ def work_or_die(job: Job) -> Done:
     return work(job)
 
 
+@pytest.mark.long
 def test_a_killed_process_loses_no_test_but_its_own(project: Path) -> None:
     pipeline = load_pipeline(project / "pipeline.yaml")
 
@@ -347,6 +348,7 @@ def test_a_cluster_that_is_not_there_is_named(project: Path, labpipe) -> None:
     assert ended.code == 2 and "exclude each other" in ended.err
 
 
+@pytest.mark.long
 def test_several_pipelines_are_checked_at_the_same_time(project: Path, labpipe) -> None:
     strict = project / "strict.yaml"
     strict.write_text(PIPELINE.replace('">= 0.9"', '">= 0.99999999"'))

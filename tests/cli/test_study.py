@@ -46,6 +46,7 @@ def test_a_study_leaves_table_report_and_result(labpipe, pipeline: Path, tmp_pat
     assert "Study: Three-dof benchmark" in report and "Cramer-Rao" in report
 
 
+@pytest.mark.long
 def test_more_processes_give_the_same_figures(labpipe, pipeline: Path, tmp_path: Path) -> None:
     """As many repeats as are worth sharing; the quickest estimator alone."""
     fits = "{ls: {model: mdof, mass: [1 kg, 2 kg, 3 kg], symmetric: true, estimator: ls}}"
@@ -56,6 +57,7 @@ def test_more_processes_give_the_same_figures(labpipe, pipeline: Path, tmp_path:
     assert first == second
 
 
+@pytest.mark.long
 def test_run_and_check_hold_the_study_against_its_rules(labpipe, pipeline: Path, tmp_path: Path) -> None:
     assert labpipe("run", pipeline, "-o", tmp_path).code == 0
     before = (tmp_path / "identification.json").stat().st_mtime_ns

@@ -74,6 +74,7 @@ def _compared(settings: CompareSettings, evidence: Evidence, theories) -> Compar
     return compare(settings, evidence, theories[settings.name])
 
 
+@pytest.mark.long
 def test_six_repeats_do_not_contradict_the_stated_errors(few) -> None:
     """Squared deviations in standard errors are chi-square; the mean of six within four of its own. Each fails by chance once in 10000."""
     for item, truth in (("ratio", TRUTH), ("beta", BETA)):

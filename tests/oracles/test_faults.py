@@ -55,6 +55,7 @@ def test_the_changing_rig_without_a_change_is_the_exact_one() -> None:
     assert np.sqrt(np.mean(difference**2)) < 1e-3 * np.sqrt(np.mean(motion**2))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runs", [4, pytest.param(60, marks=pytest.mark.long)])
 def test_sound_runs_are_left_alone(runs: int) -> None:
     """At most 5 %, and its chance: of 60 runs at most 6 with 95 %; drift, mass and model-mismatch are tests of 1 % each."""

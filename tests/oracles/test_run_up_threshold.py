@@ -72,6 +72,7 @@ def threshold(load: float, about: float, mesh: tuple[int, int], n_wave: int = 24
     return float(brentq(excess, speeds[0], speeds[-1], xtol=1e-4)) / RPM
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("load", "about"), [(3.660886, 2814.0), pytest.param(10.302081, 3308.0, marks=pytest.mark.long)])
 def test_the_threshold_is_that_of_an_independent_calculation(load: float, about: float) -> None:
     """Within .01 %, met .005; a curve of 288 x 40 cells alone lies .03 and .06 % above."""

@@ -159,7 +159,7 @@ def test_an_error_of_the_operating_system_is_the_outcome_of_its_test(lab: Path, 
 
     monkeypatch.setattr("labpipe.pipeline.one_test.measure", full)
     job = Job(Measured("soft"), (), frf=None, fits=(), pipeline_path=lab / "pipeline.yaml", target=lab / "out", scratch=lab)
-    assert work(job) == Done("soft", failed=Failed("soft", "disk: no space left on device"))
+    assert work(job) == Done("soft", failed=Failed("soft", "disk: no space left on device"), halts=True)
 
 
 def test_a_fault_of_ours_is_no_outcome(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:

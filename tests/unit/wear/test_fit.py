@@ -168,6 +168,7 @@ def test_tuning_finds_the_healthy_rig_s_oil_clearance_and_damping() -> None:
     assert known.covariance[0][1] == pytest.approx(tuning.correlation[0, 1] * known.std[0] * known.std[1])
 
 
+@pytest.mark.long
 def test_what_a_tuning_found_sharpens_the_wear() -> None:
     """The posterior of the tuning takes the prior's place; standard errors shrink."""
     rng = np.random.default_rng(13)
