@@ -120,11 +120,6 @@ def parts(folder: Path) -> list[Part]:
     return [Part(path, unquote(path.parts[-3].removeprefix("rig=")), path.parts[-2].removeprefix("date=")) for path in found]
 
 
-def is_dataset(folder: Path) -> bool:
-    """Whether a folder of results holds a dataset."""
-    return next((folder / FOLDER).glob(f"rig=*/date=*/*{SUFFIX}"), None) is not None
-
-
 def read_part(part: Part, columns: Collection[str] = COLUMNS) -> pa.Table:
     """The rows of a part, columns rig and date before the others; of its own *columns* only those, of conditions all.
 

@@ -62,13 +62,12 @@ class Arrived:
 
 @dataclass
 class Counts:
-    """What the metrics say, since the watch began and in all."""
+    """Recordings since the watch began: worked on, failed, waiting to be appended, not yet complete."""
 
     evaluated: int = 0
     failed: int = 0
     waiting: int = 0
     arriving: int = 0
-    seconds: float = 0.0
 
 
 @dataclass

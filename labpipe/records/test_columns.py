@@ -14,7 +14,7 @@ class TestColumns:
 
     values, errors, low, high (n,) [unit]: with the standard error (combined where doubts were declared) and the ends of the 95 % interval,
     NaN where there is none. amounts: of every condition that is an amount its unit and (n,) values [that unit, SI], NaN where a test has
-    none. accepted (n,): 1 and 0 by the rules, NaN without.
+    none.
     """
 
     __test__ = False
@@ -43,7 +43,7 @@ class TestColumns:
 class ManyTests:
     """All that a dataset of results holds, for a report: parameters as columns; tests that failed and that were not accepted, and why.
 
-    failed, not_accepted: (test, conditions as text, why or warnings), the first *most* of them.
+    failed, not_accepted: (test, conditions as text, why or warnings), the first of them.
     """
 
     parameters: tuple[TestColumns, ...]
