@@ -1,36 +1,43 @@
 """Tails and quantiles of the distributions by which results are judged.
 
 Thin names over scipy.special: scipy.stats gives the same numbers, but takes longer to import than all the rest of labpipe together.
+scipy.special itself takes as long as numpy: it is imported when a tail is first asked for, which commands that only look never do.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
-from scipy import special
 
 Value = float | np.floating
 
 
+def _special() -> Any:
+    from scipy import special
+
+    return special
+
+
 def normal_tail(z: Value) -> float:
     """P(Z > z) of the standard normal distribution."""
-    return float(special.ndtr(-z))
+    return float(_special().ndtr(-z))
 
 
 def normal_quantile(p: Value) -> float:
     """z with P(Z <= z) = p."""
-    return float(special.ndtri(p))
+    return float(_special().ndtri(p))
 
 
 def student_tail(t: Value, dof: Value) -> float:
     """P(T > t) of Student's distribution with *dof* degrees of freedom."""
-    return float(special.stdtr(dof, -t))
+    return float(_special().stdtr(dof, -t))
 
 
 def student_quantile(p: Value, dof: Value) -> float:
     """t with P(T <= t) = p."""
-    return float(special.stdtrit(dof, p))
+    return float(_special().stdtrit(dof, p))
 
 
 def coverage_factor(coverage: float, dof: float) -> float:
@@ -41,24 +48,24 @@ def coverage_factor(coverage: float, dof: float) -> float:
 
 def chi2_tail(x: Value, dof: Value) -> float:
     """P(X > x) of chi-square with *dof* degrees of freedom, which need not be whole."""
-    return float(special.chdtrc(dof, x))
+    return float(_special().chdtrc(dof, x))
 
 
 def chi2_quantile(p: Value, dof: Value) -> float:
     """x with P(X <= x) = p."""
-    return 2.0 * float(special.gammaincinv(dof / 2, p))
+    return 2.0 * float(_special().gammaincinv(dof / 2, p))
 
 
 def f_tail(x: Value, numerator: Value, denominator: Value) -> float:
     """P(F > x) of Fisher's distribution with *numerator* and *denominator* degrees of freedom."""
-    return float(special.fdtrc(numerator, denominator, x))
+    return float(_special().fdtrc(numerator, denominator, x))
 
 
 def f_quantile(p: Value, numerator: Value, denominator: Value) -> float:
     """x with P(F <= x) = p."""
-    return float(special.fdtri(numerator, denominator, p))
+    return float(_special().fdtri(numerator, denominator, p))
 
 
 def gamma_tail(x: Value, shape: Value) -> float:
     """P(X > x) of the gamma distribution of scale one."""
-    return float(special.gammaincc(shape, x))
+    return float(_special().gammaincc(shape, x))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 
 # Small matrices all the way: threads of the linear algebra would only compete with each other, and blur the ratios of the benchmarks.
@@ -68,6 +69,17 @@ def labpipe_without_report(command_line: Command) -> Command:
         return command_line(*arguments[:1], *silent, *arguments[1:])
 
     return run
+
+
+def pytest_collection_finish() -> None:
+    """Thousands of collected tests are nothing that a later search for garbage need look at again: that took a tenth of the suite."""
+    gc.collect()
+    gc.freeze()
+
+
+def pytest_sessionfinish() -> None:
+    """Libraries look at their objects once more when the interpreter ends."""
+    gc.unfreeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from labpipe.arrays import FloatArray
+from labpipe.arrow_arrays import numpy_array
 from labpipe.artefacts.dataset_file import AMOUNT, CONDITION, amount_of, read_rows
 from labpipe.records.test_columns import ManyTests, TestColumns
 
@@ -55,7 +56,7 @@ def _columns(table: pa.Table) -> Iterator[TestColumns]:
 
 
 def _numbers(table: pa.Table, name: str) -> FloatArray:
-    return np.asarray(table[name].to_numpy(zero_copy_only=False), np.float64)
+    return np.asarray(numpy_array(table[name]), np.float64)
 
 
 def _amounts(table: pa.Table) -> Iterator[tuple[str, tuple[str, FloatArray]]]:

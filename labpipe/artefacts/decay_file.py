@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from labpipe.arrow_arrays import numpy_array
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.parquet import as_written, read_header, read_table, write_columns
 from labpipe.records.free_decay import FreeDecay, FreeDecays
@@ -45,8 +46,8 @@ def _decay_of(header: Header, path: Path) -> FreeDecays:
     contents = header.contents
     table = read_table(path)
     outputs = tuple(Port(**entry) for entry in contents["outputs"])
-    samples = np.column_stack([table.column(f"output:{port.label}").to_numpy() for port in outputs])
-    numbers = table.column("decay").to_numpy()
+    samples = np.column_stack([numpy_array(table.column(f"output:{port.label}")) for port in outputs])
+    numbers = numpy_array(table.column("decay"))
     named = zip(contents["recordings"], contents["starts"], strict=True)
     decays = tuple(FreeDecay(recording, start, samples[numbers == number]) for number, (recording, start) in enumerate(named))
     return FreeDecays(

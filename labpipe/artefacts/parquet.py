@@ -10,6 +10,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from labpipe.arrow_arrays import arrow_array
 from labpipe.artefacts.digest import BLANK, DIGEST_KEY, DamagedError, parquet_digest, stamp_parquet
 from labpipe.artefacts.header import Header, header_from_json
 from labpipe.artefacts.typed_json import RECORD_FAULTS
@@ -81,7 +82,7 @@ def metadata_of(header: Header) -> dict[bytes, bytes]:
 
 def write_columns(path: Path, columns: Mapping[str, Any], header: Header) -> None:
     """Write columns of equal length with the header and the digest."""
-    table = pa.table({name: pa.array(values) for name, values in columns.items()}).replace_schema_metadata(metadata_of(header))
+    table = pa.table({name: arrow_array(values) for name, values in columns.items()}).replace_schema_metadata(metadata_of(header))
     pq.write_table(table, path, compression="zstd", write_page_checksum=True)
     stamp_parquet(path)
 

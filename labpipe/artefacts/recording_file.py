@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
+from labpipe.arrow_arrays import arrow_array, numpy_array
 from labpipe.artefacts.digest import stamp_parquet
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.parquet import batches, metadata_of, open_parquet, read_header
@@ -42,7 +43,7 @@ class RecordingWriter:
 
     def write(self, block: FloatArray) -> None:
         """Append a block (n, n_channel) [SI]."""
-        arrays = [pa.array(column) for column in np.ascontiguousarray(block.T)]
+        arrays = [arrow_array(column) for column in np.ascontiguousarray(block.T)]
         self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
 
     def finish(self, header: Header) -> None:
@@ -85,7 +86,7 @@ class StoredRecording:
     def _blocks_in_turn(self, n_sample: int) -> Iterator[FloatArray]:
         names = [channel.name for channel in self.channels]
         for batch in batches(self.path, names, n_sample):
-            yield np.column_stack([batch.column(name).to_numpy(zero_copy_only=False) for name in names])
+            yield np.column_stack([numpy_array(batch.column(name)) for name in names])
 
     def in_memory(self) -> Recording:
         """The whole recording as an array record."""

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrow_arrays import numpy_array
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.parquet import as_written, read_header, read_table, write_columns
 from labpipe.records.doubt import Doubt, MatrixError
@@ -101,7 +102,7 @@ def read_response(path: Path) -> FrequencyResponse:
 def _response_of(header: Header, path: Path) -> FrequencyResponse:
     contents = header.contents
     table = read_table(path)
-    columns = {name: table.column(name).to_numpy() for name in table.column_names}
+    columns = {name: numpy_array(table.column(name)) for name in table.column_names}
     outputs = tuple(Port(**entry) for entry in contents["outputs"])
     inputs = tuple(Port(**entry) for entry in contents["inputs"])
     pairs = [[f"{o.label}/{i.label}" for i in inputs] for o in outputs]

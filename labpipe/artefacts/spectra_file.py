@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrow_arrays import numpy_array
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.parquet import as_written, read_header, read_table, write_columns
 from labpipe.artefacts.typed_json import entry_of, record_of
@@ -65,7 +66,7 @@ def _spectra_of(header: Header, path: Path) -> ChannelSpectra:
     table = read_table(path)
     channels = tuple(Channel(**{key: value for key, value in entry.items() if key != "unit"}) for entry in contents["channels"])
     runs = tuple(contents["runs"])
-    frequency = table.column("frequency_hz").to_numpy()
+    frequency = numpy_array(table.column("frequency_hz"))
     n = len(channels)
     vectors = np.empty((frequency.size, len(runs), n), np.complex128)
     covariance = np.empty((frequency.size, len(runs), n, n), np.complex128)
@@ -96,5 +97,5 @@ def _spectra_of(header: Header, path: Path) -> ChannelSpectra:
 def _values(table: pa.Table, name: str) -> ComplexArray:
     values = np.empty(table.num_rows, np.complex128)
     # A sum re + 1j im would lose the sign of a zero.
-    values.real, values.imag = table.column(f"{name}:re").to_numpy(), table.column(f"{name}:im").to_numpy()
+    values.real, values.imag = numpy_array(table.column(f"{name}:re")), numpy_array(table.column(f"{name}:im"))
     return values

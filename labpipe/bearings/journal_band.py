@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack
 
 from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.bearings.journal_film import FilmEquations
@@ -30,6 +29,9 @@ class FactoredFilm:
 
     def solve(self, sides: FloatArray) -> FloatArray:
         """(A + diagonal)^-1 times right-hand sides (n_side, n_theta, n_half) [-], same shape; only the diagonal in cavitated columns."""
+        # Imported here: settings of a rotor know bearings, and are read where nothing is solved.
+        from scipy.linalg import lapack
+
         solved, _ = lapack.dpbtrs(self.factors, sides[:, self.columns].reshape(sides.shape[0], -1).T, lower=1)
         full = sides / self.diagonal
         full[:, self.columns] = solved.T.reshape(sides.shape[0], self.columns.size, -1)
@@ -44,6 +46,8 @@ def factored(equations: FilmEquations, curvature: FloatArray) -> FactoredFilm:
     diagonal = _diagonal(equations, curvature)
     band[:, :, 0] = diagonal[columns]
     band[:, :-1, 1] = equations.across[columns, None] * np.diagonal(curvature, 1)
+    from scipy.linalg import lapack
+
     factors, info = lapack.dpbtrf(band.reshape(-1, band.shape[2]).T, lower=1, overwrite_ab=1)
     if info != 0:
         raise FitError("the equations of the oil film are singular", hint="check load, speed, viscosity and clearance")

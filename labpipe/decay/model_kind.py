@@ -1,8 +1,7 @@
-"""The model decay as an entry of the table of models."""
+"""The model decay as an entry of the table of models. What fits is imported by the first fit."""
 
 from __future__ import annotations
 
-from labpipe.decay.fit import decay_fit
 from labpipe.decay.settings import DecaySettings
 from labpipe.identify.model_kinds import DECAYS, ModelKind
 from labpipe.identify.settings import FitSettings
@@ -11,6 +10,8 @@ from labpipe.records.identification import Fit
 
 
 def _fit(decays: FreeDecays, settings: FitSettings) -> tuple[Fit, ...]:
+    from labpipe.decay.fit import decay_fit
+
     return (decay_fit(decays, settings),)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import fft, signal
+from scipy import fft
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.decay.likelihood import Decayed, maximum_likelihood
@@ -101,6 +101,9 @@ def _decimated(series: Sequence[FloatArray], rate: float, band: tuple[float, flo
     factor = max(1, int(rate / (SAMPLES_PER_PERIOD * _highest(centred[0], rate, band, n_mode))))
     if factor == 1:
         return [samples[:MOST_SAMPLES] for samples in centred], rate
+    # Imported here, since scipy.signal brings scipy.stats along: half a second.
+    from scipy import signal
+
     slow = [signal.resample_poly(samples, 1, factor) for samples in centred]
     inside = [samples[FILTER:-FILTER][:MOST_SAMPLES] if samples.size > 4 * FILTER else samples for samples in slow]
     return inside, rate / factor

@@ -1,12 +1,20 @@
-"""The model dynamic-stiffness as an entry of the table of models."""
+"""The model dynamic-stiffness as an entry of the table of models. What fits is imported by the first fit."""
 
 from __future__ import annotations
 
-from labpipe.dynamic_stiffness.baseline import with_baseline
-from labpipe.dynamic_stiffness.fit import dynamic_stiffness_fits
+from collections.abc import Sequence
+
 from labpipe.dynamic_stiffness.settings import DynamicStiffnessSettings
 from labpipe.identify.model_kinds import SPECTRA, ModelKind
 from labpipe.identify.settings import FitSettings
+from labpipe.records.channel_spectra import ChannelSpectra
+from labpipe.records.identification import Fit
+
+
+def _fit(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
+    from labpipe.dynamic_stiffness.fit import dynamic_stiffness_fits
+
+    return dynamic_stiffness_fits(spectra, settings)
 
 
 def _earlier(settings: FitSettings) -> str:
@@ -14,13 +22,21 @@ def _earlier(settings: FitSettings) -> str:
     return own.baseline
 
 
+def _begin(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
+    if not _earlier(settings):
+        return settings
+    from labpipe.dynamic_stiffness.baseline import with_baseline
+
+    return with_baseline(settings, fits)
+
+
 DYNAMIC_STIFFNESS = ModelKind(
-    dynamic_stiffness_fits,
+    _fit,
     "dynamic_stiffness",
     DynamicStiffnessSettings,
     "dynamic_stiffness: {form: kcm}",
     optional=True,
     earlier=_earlier,
-    begin=with_baseline,
+    begin=_begin,
     of=SPECTRA,
 )

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.csv as pc
 
 from labpipe.arrays import FloatArray
+from labpipe.arrow_arrays import numpy_array
 from labpipe.errors import DataError, cut
 from labpipe.formats.csv_layout import BLANKS, MISSING, fields_of, find_layout, is_number_or_missing
 from labpipe.formats.packed import PACKED, damaged, open_unpacked
@@ -73,7 +74,7 @@ class CsvTable:
     @staticmethod
     def _numbers(column: pa.Array, clock: StampClock | None) -> FloatArray:
         """The numbers of a column, or the seconds of its times of day."""
-        values: FloatArray = column.to_numpy(zero_copy_only=False) if clock is None else clock.seconds(column.to_pylist())
+        values: FloatArray = numpy_array(column) if clock is None else clock.seconds(column.to_pylist())
         return values
 
     @contextmanager

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from labpipe.arrays import FloatArray
+from labpipe.arrow_arrays import numpy_array
 from labpipe.artefacts.parquet import batches, open_parquet
 from labpipe.errors import DataError
 from labpipe.formats.csv_layout import bracketed_unit
@@ -35,5 +36,5 @@ class ParquetTable:
             if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
                 raise DataError(f"column '{name}' holds {kind}, numbers are required", where=str(self.path))
         for batch in batches(self.path, list(dict.fromkeys(columns)), CHUNK_ROWS):
-            table = [batch.column(name).cast(pa.float64()).to_numpy(zero_copy_only=False) for name in columns]
+            table = [numpy_array(batch.column(name).cast(pa.float64())) for name in columns]
             yield np.column_stack(table)

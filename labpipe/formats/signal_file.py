@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 from scipy.io import wavfile
 
 from labpipe.arrays import FloatArray
+from labpipe.arrow_arrays import arrow_array
 from labpipe.artefacts.writing import output_file
 from labpipe.errors import ConfigError
 
@@ -28,7 +29,7 @@ def write_signal(path: Path, samples: FloatArray, sample_rate: float, column: st
         if suffix == ".wav":
             _write_wav(target, samples, sample_rate)
             return
-        table = pa.table({"t [s]": np.arange(samples.size) / sample_rate, column: samples})
+        table = pa.table({"t [s]": arrow_array(np.arange(samples.size) / sample_rate), column: arrow_array(samples)})
         if suffix == ".parquet":
             pq.write_table(table, target)
         else:

@@ -1,4 +1,7 @@
-"""A kind of model of a response: how it is fitted, and the settings that it has beyond those of every fit."""
+"""A kind of model of a response: how it is fitted, and the settings that it has beyond those of every fit.
+
+Every kind is looked at when a pipeline is read, so the modules of the kinds import no code that fits: their functions do, when called.
+"""
 
 from __future__ import annotations
 

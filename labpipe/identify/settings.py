@@ -7,7 +7,9 @@ from typing import Any
 
 from labpipe.errors import ConfigError
 from labpipe.identify.model_kinds import DECAYS, RESPONSES, SPECTRA, ModelKind
+from labpipe.records.identification import Fit
 from labpipe.records.repeat_source import RepeatSource
+from labpipe.records.response import FrequencyResponse
 from labpipe.records.setting_values import COEFFICIENT_UNITS as COEFFICIENT_UNITS
 from labpipe.records.setting_values import ESTIMATE as ESTIMATE
 from labpipe.records.settings import Doubts, Settings, Uncertain, setting
@@ -175,6 +177,10 @@ def model_kind(name: str) -> ModelKind:
     entry = MODELS.load(name)
     if isinstance(entry, ModelKind):
         return entry
+    return ModelKind(_fit_linear)
+
+
+def _fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
     from labpipe.identify.fitting import fit_linear
 
-    return ModelKind(fit_linear)
+    return fit_linear(response, settings)

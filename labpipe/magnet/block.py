@@ -16,28 +16,19 @@ from labpipe.identify.reported import without_intervals
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.statistics import Estimate, condition_number, correlation, determination, estimated, inflation_factors, widened
 from labpipe.identify.weights import has_noise, weight_doubt
+from labpipe.magnet.settings import AUTO, ORDERS, BlockSettings
 from labpipe.optimise.levenberg import Minimum, minimise
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness, Parameter
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, setting
 from labpipe.spectra.bands import lines_in
 
-AUTO = "auto"
-ORDERS = (AUTO, "0", "1", "2", "3")
 # Corner frequencies of starts over the highest line, and the damping ratio of theirs.
 CORNERS, DAMPING = (0.5, 3.0), 0.7
 # Logarithm beyond which a parameter has run off.
 FARTHEST = 40.0
 STEP = 1e-6
 LEAST_LINES = 4
-
-
-@dataclass(frozen=True)
-class BlockSettings(Settings):
-    """The order of the low-pass: of one real pole (1), a pair (2), both (3)."""
-
-    order: str = setting("choice", "order of the low-pass; auto: the one of the least BIC", choices=ORDERS, default=AUTO)
 
 
 @dataclass(frozen=True)

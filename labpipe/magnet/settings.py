@@ -1,4 +1,4 @@
-"""Settings of a magnet's fit: the section `magnet:` of a fit with model magnet."""
+"""Settings of the fits of a magnet and of a block: their sections `magnet:` and `block:`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, Uncertain, setting
 
 DIRECT, BEARING, FULL = "direct", "bearing", "full"
+AUTO = "auto"
+ORDERS = (AUTO, "0", "1", "2", "3")
 
 
 @dataclass(frozen=True)
@@ -48,3 +50,10 @@ class MagnetSettings(Settings):
             raise ConfigError("'amplifier_bandwidth' goes with hold", hint="hold: 20 kHz", field="amplifier_bandwidth")
         if self.inertia is not None and not self.inertia.value > 0:
             raise ConfigError("'inertia' must be above zero", field="inertia")
+
+
+@dataclass(frozen=True)
+class BlockSettings(Settings):
+    """The order of the low-pass: of one real pole (1), a pair (2), both (3)."""
+
+    order: str = setting("choice", "order of the low-pass; auto: the one of the least BIC", choices=ORDERS, default=AUTO)

@@ -30,8 +30,8 @@ from labpipe.records.rig import AXIS_ANGLES, Rig
 from labpipe.records.run_up import RunUp
 from labpipe.signals.screening import TimeAxisScreen
 from labpipe.stages.first_guess import GuessedChannel, first_rows, guess_channels, time_columns
-from labpipe.stages.frf import is_response, load_response
 from labpipe.stages.ingest import ingest, is_recording
+from labpipe.stages.ready_response import is_response, load_response
 
 SETTINGS_SUFFIXES = (".yaml", ".yml")
 _RUN_UP = re.compile(r"^# *load *:", re.MULTILINE)

@@ -17,11 +17,10 @@ from labpipe.errors import ConfigError, LabpipeError
 from labpipe.marked_yaml import set_entry
 from labpipe.records.comparison import Comparison, Comparisons
 from labpipe.records.identification import Failed
-from labpipe.stages.work import Work
+from labpipe.stages.work import COMPARE_PREFIX, Work
 
 # The condition is raised by this share for the slope of the theory.
 STEP = 1e-3
-COMPARE_PREFIX = "compare."
 
 
 def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparisons:

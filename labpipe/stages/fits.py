@@ -7,9 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from labpipe.errors import ConfigError, LabpipeError
-from labpipe.identify.fitting import identify
-from labpipe.identify.levels import with_level_findings
-from labpipe.identify.repeat_sources import with_repeat_sources
 from labpipe.identify.settings import FitSettings
 from labpipe.records.identification import Fit
 from labpipe.registry import nearest
@@ -28,6 +25,8 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
             # A test that failed is named among the failures.
             check_tested(fit, [*(test.name for test in work.tests), *(failure.name for failure in work.failed)])
             made = fits_of(work.tests, _begun(fit, fits, work.pipeline.path), work.pipeline.path)
+        from labpipe.identify.levels import with_level_findings
+
         fits.extend(with_level_findings(made, conditions))
     return fits
 
@@ -43,6 +42,10 @@ def _begun(settings: FitSettings, fits: Sequence[Fit], pipeline_path: Path) -> F
 
 def fits_of(tests: Sequence[MeasuredTest], settings: FitSettings, pipeline_path: Path) -> list[Fit]:
     """The fits of the responses or decays whose test the settings name, or of all; LabpipeError names fit and test."""
+    # What fits is not imported by a run that finds all its fits fresh.
+    from labpipe.identify.fitting import identify
+    from labpipe.identify.repeat_sources import with_repeat_sources
+
     fits: list[Fit] = []
     for measured in tests:
         if settings.test and measured.name not in settings.test:

@@ -21,10 +21,9 @@ from labpipe.config.tests import Test
 from labpipe.errors import DataError
 from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.sections import section
-from labpipe.stages.compare import COMPARE_PREFIX
 from labpipe.stages.judging import judge
 from labpipe.stages.measured import MeasuredTest
-from labpipe.stages.work import Work
+from labpipe.stages.work import COMPARE_PREFIX, Work
 
 # What a result is fresh by.
 BASIS = ("sources", "inputs", "settings", "rig", "version", "code")

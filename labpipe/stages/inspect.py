@@ -24,8 +24,8 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import Rig
 from labpipe.signals.overview import EnvelopeTrack, SpectrumTrack
 from labpipe.signals.screening import ChannelScreen, TimeAxisScreen
-from labpipe.stages.frf import is_response, load_response
 from labpipe.stages.ingest import contradictions, is_recording
+from labpipe.stages.ready_response import is_response, load_response
 from labpipe.stages.report import format_of
 
 BLOCK = 1 << 16

@@ -13,6 +13,7 @@ from labpipe.artefacts.freshness import fresh_path
 from labpipe.artefacts.header import Header, source_ref
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.response_file import SUFFIX as RESPONSE_SUFFIX
+from labpipe.artefacts.response_file import read_response
 from labpipe.artefacts.spectra_file import SUFFIX as SPECTRA_SUFFIX
 from labpipe.artefacts.spectra_file import read_spectra, write_spectra
 from labpipe.artefacts.writing import OutputFolder
@@ -21,10 +22,8 @@ from labpipe.errors import LabpipeError
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.free_decay import FreeDecays
 from labpipe.records.response import FrequencyResponse
-from labpipe.spectra.all_channels import channel_spectra
-from labpipe.spectra.free_decays import free_decays
 from labpipe.spectra.settings import FrfSettings
-from labpipe.stages.frf import frf, frf_file_name, load_ready, load_response, where_recorded
+from labpipe.stages.frf import frf, frf_file_name, where_recorded
 
 MeasuredTest = FrequencyResponse | FreeDecays | ChannelSpectra
 
@@ -40,8 +39,21 @@ class _Kind:
     read: Callable[[Path], Any]
 
 
-DECAY = _Kind("decay", SUFFIX, free_decays, write_decays, read_decays)
-SPECTRA = _Kind("spectra", SPECTRA_SUFFIX, channel_spectra, write_spectra, read_spectra)
+def _free_decays(recordings: Sequence[StoredRecording], settings: FrfSettings, **of_test: Any) -> FreeDecays:
+    from labpipe.spectra.free_decays import free_decays
+
+    return free_decays(recordings, settings, **of_test)
+
+
+def _channel_spectra(recordings: Sequence[StoredRecording], settings: FrfSettings, **of_test: Any) -> ChannelSpectra:
+    from labpipe.spectra.all_channels import channel_spectra
+
+    return channel_spectra(recordings, settings, **of_test)
+
+
+# What measures is imported when something is measured: a run that finds all fresh needs none of it.
+DECAY = _Kind("decay", SUFFIX, _free_decays, write_decays, read_decays)
+SPECTRA = _Kind("spectra", SPECTRA_SUFFIX, _channel_spectra, write_spectra, read_spectra)
 
 
 def _kind(settings: FrfSettings | None) -> _Kind | None:
@@ -96,14 +108,26 @@ def measure_test(
 def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> MeasuredTest:
     """Ready decays or spectra of labpipe's own, or a ready response; name and conditions of its test take the place of its own."""
     kind = _kind_of_file(path)
-    if kind is None:
-        return load_response(path, name, conditions)
-    measured = kind.read(path)
+    if kind is not None:
+        measured = kind.read(path)
+    elif path.name.endswith(RESPONSE_SUFFIX) and path.is_file():
+        measured = read_response(path)
+    else:
+        return _load_response(path, name, conditions)
     return dataclasses.replace(measured, name=name or measured.name, conditions=conditions or measured.conditions)
+
+
+def _load_response(path: Path, name: str, conditions: dict[str, str] | None) -> FrequencyResponse:
+    # The readers of other programs' files are not imported by a run that reads its own responses.
+    from labpipe.stages.ready_response import load_response
+
+    return load_response(path, name, conditions)
 
 
 def load_ready_measured(ready: ReadyFrf, test: str = "", conditions: dict[str, str] | None = None) -> MeasuredTest:
     """What stands under frfs: of a test: labpipe's own free decays or spectra, or a response of any layout."""
     if ready.layout is None and _kind_of_file(ready.paths[0]) is not None:
         return load_measured(ready.paths[0], test or ready.name, conditions)
+    from labpipe.stages.ready_response import load_ready
+
     return load_ready(ready, test, conditions)

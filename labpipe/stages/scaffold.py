@@ -21,8 +21,8 @@ from labpipe.signals.first_look import Excitation, look
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 from labpipe.stages.first_guess import GuessedChannel, copies, first_rows, guess_channels, step_of, time_columns
-from labpipe.stages.frf import is_response, load_response
 from labpipe.stages.frf_guess import GuessedFrf, guessed_frf
+from labpipe.stages.ready_response import is_response, load_response
 
 MARK = "# <- decide:"
 # A fit looks at this share of the peak's frequency to either side, and at this many lines at least.

@@ -13,6 +13,8 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.stages.measured import MeasuredTest
 
 Tell = Callable[[str], None]
+# What names a failed comparison among failed tests.
+COMPARE_PREFIX = "compare."
 
 
 @dataclass(frozen=True)

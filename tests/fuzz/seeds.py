@@ -35,7 +35,7 @@ from labpipe.records.free_decay import FreeDecay, FreeDecays
 from labpipe.records.response import Port
 from labpipe.signals.screening import ChannelScreen
 from labpipe.stages.calibrate import calibrate
-from labpipe.stages.frf import load_response
+from labpipe.stages.ready_response import load_response
 from tests.unit.pipeline.laboratory import PIPELINE, RIG, done, laboratory
 
 N_ROW = 60

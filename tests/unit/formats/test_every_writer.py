@@ -34,7 +34,7 @@ from labpipe.records.plan import Plan
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.robust import RobustPlant
 from labpipe.spreadsheet_cells import text_of
-from labpipe.stages.frf import load_response
+from labpipe.stages.ready_response import load_response
 from tests.unit.artefacts.any_record import any_of, fits, same
 from tests.unit.formats.any_artefact import decays, fit, measured, recording, response, result, spectra, spread
 

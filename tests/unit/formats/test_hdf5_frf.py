@@ -11,7 +11,7 @@ import pytest
 from labpipe.errors import DataError
 from labpipe.formats.hdf5_variables import has_hdf5_variables, load_hdf5_variables
 from labpipe.formats.mat_frf import holds_response, read_frf_mat
-from labpipe.stages.frf import is_response, load_response
+from labpipe.stages.ready_response import is_response, load_response
 
 FREQUENCY = np.arange(1.0, 21.0)
 COMPLEX = np.dtype([("real", "<f8"), ("imag", "<f8")])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import struct
 import warnings
 from pathlib import Path
@@ -51,7 +50,6 @@ def written(path: Path, *sets: dict) -> Path:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)
         pyuff.UFF(str(path)).write_sets(list(sets), "add")
-        gc.collect()
     return path
 
 

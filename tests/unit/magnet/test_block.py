@@ -12,7 +12,7 @@ from scipy import stats
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
-from labpipe.magnet.block import BlockSettings
+from labpipe.magnet.settings import BlockSettings
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port
 

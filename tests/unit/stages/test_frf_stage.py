@@ -21,7 +21,8 @@ from labpipe.formats.frf_csv import write_frf_csv
 from labpipe.records.recording import Channel
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.settings import FrfSettings
-from labpipe.stages.frf import frf, frf_file_name, is_response, load_response
+from labpipe.stages.frf import frf, frf_file_name
+from labpipe.stages.ready_response import is_response, load_response
 
 CHANNELS = (Channel("f", "force", "input", "x", 0.0), Channel("x", "displacement", "output", "x", 0.0))
 SETTINGS = FrfSettings("periodic", period=1.0, band=(1.0, 20.0))
