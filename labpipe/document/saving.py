@@ -56,5 +56,6 @@ def _save(canvas: Canvas, stream: IO[Any], **options: Any) -> None:
     engine = canvas.get_layout_engine()
     if engine is not None:
         engine.execute(canvas)
-        canvas.set_layout_engine("none")
+        # Not "none": a canvas with any engine, that one too, is drawn twice.
+        canvas.set_layout_engine(None)
     canvas.savefig(stream, **options)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize
 
 from labpipe.arrays import FloatArray
 from labpipe.display import amount_text
@@ -118,13 +117,21 @@ def _free_fit(measured: Measured, model: DynamicModel, start: FloatArray) -> _Fr
     return _FreeFit(minimum.values, scatter.covariance, float(np.min(scatter.dof)))
 
 
+def _least_square(whiten: FloatArray, off: FloatArray, limits: FloatArray) -> float:
+    """The least |whiten (off - x)|^2 [1] of shifts x (n_mass,) [kg] within +- *limits* [kg]."""
+    if off.size == 1:
+        return float((whiten[0, 0] * max(abs(off[0]) - limits[0], 0.0)) ** 2)
+    from scipy import optimize  # takes a third of a second
+
+    return 2 * float(optimize.lsq_linear(whiten, whiten @ off, (-limits, limits)).cost)
+
+
 def _p_value(fit: _FreeFit, given: FloatArray) -> float:
     """Chance of masses so far from the *given* ones (n_mass,) if these are right within TOLERANCE: Hotelling's T^2 of all together."""
     n = given.size
     whiten = np.linalg.inv(np.linalg.cholesky(fit.covariance[-n:, -n:]))
     limits = TOLERANCE * given
-    nearest = optimize.lsq_linear(whiten, whiten @ (fit.values[-n:] - given), (-limits, limits))
-    square, rest = 2 * float(nearest.cost), fit.dof - n + 1
+    square, rest = _least_square(whiten, fit.values[-n:] - given, limits), fit.dof - n + 1
     return f_tail(square * rest / (fit.dof * n), n, rest) if rest > 0 and square > 0 else 1.0
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, FloatArray
+from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.quantities import LARGEST, SMALLEST
 from labpipe.records.finding import Finding
@@ -62,29 +62,45 @@ class ChannelScreen:
         """Add the next block (n, n_channel) [unit of the channel]."""
         if not block.shape[0]:
             return
-        check_amounts(self._names, block, self.n_sample)
-        missing = ~np.isfinite(block)
-        self._add_levels(block, missing)
-        self._note_missing(missing)
-        self.minimum = np.minimum(self.minimum, np.min(np.where(missing, np.inf, block), axis=0))
-        self.maximum = np.maximum(self.maximum, np.max(np.where(missing, -np.inf, block), axis=0))
-        for ends, column in zip(self._ends, block.T, strict=True):
+        # Along a channel numbers lie side by side: reductions across rows of a few channels take eight times as long.
+        columns = np.ascontiguousarray(block.T)
+        low, high = columns.min(axis=1), columns.max(axis=1)
+        # A missing number makes both ends one, an infinity one of them: most blocks have neither, and are not searched.
+        if np.isfinite(low).all() and np.isfinite(high).all() and max(-low.min(), high.max()) <= LARGEST:
+            self._add_levels(columns)
+        else:
+            low, high = self._add_with_gaps(block, columns)
+        self.minimum, self.maximum = np.minimum(self.minimum, low), np.maximum(self.maximum, high)
+        for ends, column in zip(self._ends, columns, strict=True):
             for end in ends:
                 end.add(column, self.n_sample)
         self.n_sample += block.shape[0]
 
-    def _add_levels(self, block: FloatArray, missing: BoolArray) -> None:
+    def _add_with_gaps(self, block: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Add a block that may hold NaN, *columns* its transpose; the least and the largest number of each channel (n_channel,)."""
+        check_amounts(self._names, block, self.n_sample)
+        missing = ~np.isfinite(columns)
+        self._add_levels(columns, missing)
+        self._note_missing(missing)
+        return np.min(columns, axis=1, initial=np.inf, where=~missing), np.max(columns, axis=1, initial=-np.inf, where=~missing)
+
+    def _add_levels(self, columns: FloatArray, missing: BoolArray | None = None) -> None:
         """Sums about each channel's first number, so that a small signal on a large offset keeps its variance."""
-        fresh = np.isnan(self._origin) & ~missing.all(axis=0)
-        self._origin[fresh] = block[np.argmin(missing, axis=0)[fresh], fresh]
-        beside = np.where(missing, 0.0, block - self._origin)
-        self._sum += beside.sum(axis=0)
-        self._squares += (beside**2).sum(axis=0)
+        fresh = np.isnan(self._origin)
+        if missing is None:
+            self._origin[fresh] = columns[fresh, 0]
+            beside = columns - self._origin[:, None]
+        else:
+            fresh &= ~missing.all(axis=1)
+            self._origin[fresh] = columns[fresh, np.argmin(missing, axis=1)[fresh]]
+            beside = np.where(missing, 0.0, columns - self._origin[:, None])
+        self._sum += beside.sum(axis=1)
+        self._squares += np.einsum("cn,cn->c", beside, beside)
 
     def _note_missing(self, missing: BoolArray) -> None:
-        self._n_missing += missing.sum(axis=0)
-        fresh = (self._first_missing < 0) & missing.any(axis=0)
-        self._first_missing[fresh] = self.n_sample + np.argmax(missing[:, fresh], axis=0)
+        self._n_missing += missing.sum(axis=1)
+        fresh = (self._first_missing < 0) & missing.any(axis=1)
+        self._first_missing[fresh] = self.n_sample + np.argmax(missing[fresh], axis=1)
 
     @property
     def mean(self) -> FloatArray:
@@ -158,27 +174,41 @@ class _EndValues:
         self._values, self._counts = np.empty(0), np.empty(0, np.int64)
 
     def add(self, column: FloatArray, start: int) -> None:
-        values = self._sign * column
-        self._count_outermost(values)
-        peak = np.max(values, initial=-np.inf, where=np.isfinite(values))
+        places, values = self._outermost(column)
+        if not values.size:
+            self._open = 0
+            return
+        self._count(values)
+        peak = float(values.max())
         if peak > self._extreme:
-            self._extreme, self._in_runs, self._first, self._first_in_runs, self._open = float(peak), 0, -1, -1, 0
-        at_end = values == self._extreme
-        if not at_end.any():
+            self._extreme, self._in_runs, self._first, self._first_in_runs, self._open = peak, 0, -1, -1, 0
+        at_end = places[values == self._extreme]
+        if not at_end.size:
             self._open = 0
             return
         if self._first < 0:
-            self._first = start + int(np.argmax(at_end))
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], at_end, [False]]).astype(np.int8)))
-        for begin, end in zip(edges[::2], edges[1::2], strict=True):
-            carried = self._open if begin == 0 else 0
-            self._count_run(int(begin), int(end), carried, start)
-        self._open = int(edges[-1] - edges[-2]) + (self._open if edges[-2] == 0 else 0) if edges[-1] == values.size else 0
+            self._first = start + int(at_end[0])
+        breaks = np.flatnonzero(np.diff(at_end) > 1)
+        begins, ends = at_end[np.concatenate([[0], breaks + 1])], at_end[np.concatenate([breaks, [at_end.size - 1]])] + 1
+        for begin, end in zip(begins, ends, strict=True):
+            self._count_run(int(begin), int(end), self._open if begin == 0 else 0, start)
+        last = int(ends[-1] - begins[-1]) + (self._open if begins[-1] == 0 else 0)
+        self._open = last if ends[-1] == column.size else 0
 
-    def _count_outermost(self, values: FloatArray) -> None:
+    def _outermost(self, column: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Where the column (n,) reaches the outermost values so far, and its values there times the sign: few, after the first block."""
+        if self._values.size <= NEXT_VALUES:
+            places = np.flatnonzero(np.isfinite(column))
+            return places, self._sign * column[places]
+        lowest = self._values[0]
+        reached = lowest - AT_LIMIT * abs(lowest)
+        places = np.flatnonzero(column >= reached if self._sign > 0 else column <= -reached)
+        values = self._sign * column[places]
+        finite = np.isfinite(values)
+        return (places, values) if finite.all() else (places[finite], values[finite])
+
+    def _count(self, outer: FloatArray) -> None:
         """Counts values that agree in single precision as one: computed numbers differ by rounding, no logger is finer."""
-        lowest = self._values[0] if self._values.size > NEXT_VALUES else -np.inf
-        outer = values[np.isfinite(values) & (values >= lowest - AT_LIMIT * abs(lowest))]
         fresh, counts = np.unique(outer.astype(np.float32).astype(float), return_counts=True)
         joined, place = np.unique(np.concatenate([self._values, fresh]), return_inverse=True)
         total = np.bincount(place, np.concatenate([self._counts, counts]), joined.size).astype(np.int64)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import DataError
@@ -64,6 +63,8 @@ _HINT = "stepped-sine: one frequency after another, each kept; is it another exc
 
 def rising_crossings(force: FloatArray) -> FloatArray:
     """Times [samples] at which a *force* (n_sample,) [N] of mean zero rises through zero, between samples by a straight line."""
+    from scipy import ndimage
+
     peak = ndimage.maximum_filter1d(np.abs(force), _longest_period(force))
     low, high = force < -HYSTERESIS * peak, force > HYSTERESIS * peak
     marks = np.flatnonzero(low | high)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import fft, ndimage
+from scipy import fft
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
@@ -126,6 +126,8 @@ def _rest(samples: FloatArray, length: int) -> FloatArray:
     """The mean (n_sample, n_output) over *length* samples about every sample; near the ends that of the first or last so many."""
     if samples.shape[0] <= length:
         return np.mean(samples, axis=0, keepdims=True)
+    from scipy import ndimage
+
     half = length // 2
     inner = ndimage.uniform_filter1d(samples, length, axis=0)[half : samples.shape[0] - half]
     return np.pad(inner, ((half, half), (0, 0)), mode="edge")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import nnls
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.spectra.matrices import hermitian, inverse, without_rounding
@@ -63,6 +62,8 @@ def pooled_residual(residual: ComplexArray, response: ComplexArray, half_width: 
 
 def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArray:
     """a + b |H|^2 (n_frequency,) of a residual's *variance* where b is SIGNIFICANT times its standard error, else 1; |H|^2 = *power*."""
+    from scipy.optimize import nnls  # takes a third of a second, and is for impacts only
+
     shape = np.ones_like(variance)
     columns = np.column_stack([shape, power / np.max(power)])
     variance = np.maximum(variance, np.finfo(float).eps * np.max(variance))

@@ -1,0 +1,30 @@
+"""What a command does not need it does not import: libraries take longer to load than most commands take to work."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent.parent
+# Loading these takes .2 to .5 s of CPU each.
+HEAVY = {"pandas", "scipy", "matplotlib", "h5py", "nptdms"}
+
+
+def imported(*arguments: object) -> set[str]:
+    """Heavy libraries that a command has loaded when it ends."""
+    script = "import sys; from labpipe.cli.main import run_command; run_command(sys.argv[1:]); print('|'.join(sys.modules))"
+    ended = subprocess.run(
+        [sys.executable, "-c", script, *map(str, arguments)], capture_output=True, text=True, check=True, cwd=ROOT, timeout=120
+    )
+    return HEAVY & set(ended.stdout.splitlines()[-1].split("|"))
+
+
+def test_help_loads_nothing() -> None:
+    assert imported("--help") == set()
+
+
+def test_a_run_that_changes_nothing_loads_nothing_that_measures_fits_or_draws(tmp_path: Path) -> None:
+    run = ("run", "pipelines/pedestal.yaml", "-o", tmp_path / "out")
+    assert "matplotlib" in imported(*run)
+    assert imported(*run) == set()
