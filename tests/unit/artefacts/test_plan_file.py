@@ -19,7 +19,7 @@ def test_a_plan_comes_back(tmp_path: Path) -> None:
 
 
 def test_planned_runs_are_no_planned_excitation(tmp_path: Path) -> None:
-    runs = RunPlan("Planned", "run-ups", "d", 60.0, 1.0, 1.0, 3, (), ())
+    runs = RunPlan("Planned", "run-ups", "D", 60.0, 1.0, 1.0, 3, (), ())
     write_plan(tmp_path / "plan.json", runs)
     assert read_any_plan(tmp_path / "plan.json") == runs
     with pytest.raises(DataError, match="plans runs, not an excitation"):
