@@ -193,3 +193,11 @@ def test_what_follows_from_the_rotor_is_not_given(entries: dict[str, object], wh
     assert BALL.mount(free).at(OperatingPoint((-24.0, 0.0), 10.0, 10.0)).stiffness.shape == (2, 2)
     with pytest.raises(ConfigError, match=f"^{what}: follows from the rotor"):
         BALL.mount(replace(free, **entries))
+
+
+def test_elements_without_load_are_not_counted() -> None:
+    """Nine elements every 40 deg, pushed in -y with clearance: those at 200 to 320 deg may carry, the one at 0 deg stands across."""
+    pushed = replace(GIVEN, clearance=5e-6, loads=Loads(y=-2000.0), displacements=Displacements(z=0.0, bx=0.0, by=0.0))
+    (found,) = rolling_coefficients([pushed])
+    carrying = np.flatnonzero(found.element_state["element_load"])
+    assert carrying.tolist() == [5, 6, 7, 8] and amount(found, "loaded_elements") == 4

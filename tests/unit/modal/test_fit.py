@@ -219,6 +219,16 @@ def test_complex_modes_contradict_real_ones() -> None:
         assert ("model-mismatch" in {finding.code for finding in fit.findings}) is seen
 
 
+def test_a_slow_structure_is_as_any_other_and_the_line_at_rest_is_left_out() -> None:
+    """The chain two hundred times as slow, all of its lines below 1 Hz, the first at 0 Hz, where nothing swings."""
+    noisy = with_known_noise(chain_response(np.linspace(0.0, 120.0, 401)), 2e-8, 3)
+    fit = modal(replace(noisy, frequency=noisy.frequency / 200))
+    f, zeta, _ = chain_truth()
+    for number in (1, 2):
+        assert within(fit, f"f_n_{number}", f[number - 1] / 200) and within(fit, f"zeta_{number}", zeta[number - 1])
+    assert fit.lines == 400
+
+
 def test_a_wrong_sign_of_the_force_is_a_negative_mass() -> None:
     """Both modes of the chain then have one, and the message names them."""
     exact = chain_response(np.arange(45.0, 110.0, 0.125))
