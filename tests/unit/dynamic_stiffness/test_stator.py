@@ -15,5 +15,5 @@ def test_three_lines_are_the_fewest() -> None:
     third, second = (float(spectra.frequency[n]) for n in (2, 1))
     found = stator_of(spectra, (0.0, third), (), ())
     np.testing.assert_allclose(found.omega, 2 * np.pi * spectra.frequency[:3])
-    with pytest.raises(FitError, match="^2 lines in the band"):
+    with pytest.raises(FitError, match=r"^2 lines in the band"):
         stator_of(spectra, (0.0, second), (), ())

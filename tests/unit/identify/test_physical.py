@@ -10,10 +10,11 @@ from labpipe.identify.setup import Setup
 from labpipe.records.identification import Parameter
 from labpipe.records.response import Port
 
+DRIVEN = Port("y", "y", "1")
 UNITS = {"m": "kg", "k": "N/m", "zeta": "1", "f_n": "Hz"}
 
 
-def said(values: dict[str, float], output: Port = Port("y", "y", "1"), closed_loop: bool = False, mass: float | str = ESTIMATE) -> str:
+def said(values: dict[str, float], output: Port = DRIVEN, closed_loop: bool = False, mass: float | str = ESTIMATE) -> str:
     """The message on a mode with these values in the band 10-20 Hz, driven at the point 1; empty for none."""
     setup = Setup((output,), (Port("f", "f", "1"),), FitSettings("sdof", mass=mass), closed_loop)
     parameters = [Parameter(name, value, UNITS[name]) for name, value in values.items()]
