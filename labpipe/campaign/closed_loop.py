@@ -106,7 +106,7 @@ def unstable_of(plant: Levitated, rate: float | None) -> int:
 
 def modes_of(poles: ComplexArray, highest: float) -> ComplexArray:
     """The poles (n_mode,) [rad/s] of modes that swing, by their natural frequency up to *highest* [Hz]."""
-    chosen = poles[(poles.imag > 1e-9 * np.abs(poles)) & (np.abs(poles) < 2 * np.pi * highest)]
+    chosen = poles[(poles.imag > 1e-9 * np.abs(poles)) & (np.abs(poles) <= 2 * np.pi * highest)]
     return chosen[np.argsort(np.abs(chosen))]
 
 

@@ -29,8 +29,8 @@ def half_power(frequency: FloatArray, response: ComplexArray, band: tuple[float,
     """The highest peak of |H| in *band* [Hz] and its half-power points, |H| = 1/sqrt(2) of the peak.
 
     frequency (n_frequency,) [Hz], response (n_frequency,) [any unit]. Between lines 1/|H|^2 is interpolated by a parabola in w^2, exact
-    for one degree of freedom: |1/H|^2 = (k - m w^2)^2 + c^2 w^2 of a receptance. DataError when the band has no peak inside, or |H|
-    does not fall to half power within the lines.
+    for one degree of freedom: |1/H|^2 = (k - m w^2)^2 + c^2 w^2 of a receptance. DataError when the band has no peak inside, |H| does
+    not fall to half power within the lines, or the parabola through the peak's lines falls below zero.
     """
     inside = np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]))
     size = np.abs(response)
@@ -43,6 +43,8 @@ def half_power(frequency: FloatArray, response: ComplexArray, band: tuple[float,
     a, b, c = _parabola(square[peak - 1 : peak + 2], inverse[peak - 1 : peak + 2], square[peak])
     top = -b / (2 * a)
     least = c + b * top / 2
+    if not least > 0:
+        raise DataError(f"the lines are too far apart for the peak at {frequency[peak]:g} Hz", hint="give lines nearer to each other")
     low = _crossing(square, inverse, peak, -1, 2 * least)
     high = _crossing(square, inverse, peak, 1, 2 * least)
     return HalfPower(float(np.sqrt(square[peak] + top)), float(size[peak] / np.sqrt(least)), float(np.sqrt(low)), float(np.sqrt(high)))
@@ -66,6 +68,6 @@ def _crossing(square: FloatArray, inverse: FloatArray, peak: int, side: int, lev
     if three[0] < 0 or three[-1] >= square.size:
         three = np.sort([first, first - side, first + side])
     a, b, c = _parabola(square[three], inverse[three] - level, square[first])
-    roots = np.roots([a, b, c]).real if a else np.array([-c / b])
+    roots = np.roots([a, b, c]).real
     span = square[first - side] - square[first]
     return float(square[first] + roots[np.argmin(np.abs(roots - span / 2))])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 
@@ -48,4 +49,4 @@ def _studied(rule: Rule, case: StudyCase, item: str) -> float | None:
 
 
 def _is_noise(text: str | None, noise: float) -> bool:
-    return text is None or abs(parse_value(text, "1") - noise) < 1e-6 * noise
+    return text is None or math.isclose(parse_value(text, "1"), noise)

@@ -33,7 +33,7 @@ NO_DOUBTS = ProbeDoubts()
 def read_run(settings: RunSettings, rig: RunUpRotor, output: OutputFolder, folder: Path, probes: ProbeDoubts = NO_DOUBTS) -> ReadRun:
     """The run of a pipeline's entry, its residual run subtracted where named; LabpipeError names the entry. *probes*: those of tables."""
     try:
-        read = _recorded(settings, rig, output, folder) if settings.recording else _tabled(settings, probes)
+        read = _recorded(settings, output, folder) if settings.recording else _tabled(settings, probes)
         rig.excited(read.run)
         return read
     except LabpipeError as error:
@@ -60,14 +60,15 @@ def _stated(settings: RunSettings, run: RunUp) -> RunUp:
     )
 
 
-def _recorded(settings: RunSettings, rig: RunUpRotor, output: OutputFolder, folder: Path) -> ReadRun:
+def _recorded(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRun:
     """The 1x of a recording, stretch by stretch, and its cascade."""
     lines = ShaftLines(tacho=settings.tacho, pulses=settings.pulses, harmonics=settings.harmonics)
     recording = _opened(settings.path, settings, output, folder)
     run = _tracked(recording, lines, settings, dict(settings.unbalance))
     if settings.subtracted is not None:
         residual = _opened(settings.subtracted, settings, output, folder)
-        still = dict.fromkeys(rig.plane_names[:1], 0j)
+        # Nothing was added before the residual run, where the run has its weights.
+        still = dict.fromkeys(dict(settings.unbalance), 0j)
         run = _without_residual(run, _tracked(residual, lines, settings, still))
     return ReadRun(settings, _stated(settings, run), _cascades(recording, lines))
 

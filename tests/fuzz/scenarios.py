@@ -13,16 +13,21 @@ from tests.unit.pipeline.test_every_key import FLOATING, LEVITATED, RING_DOWN, S
 ROOT = Path(__file__).parents[2]
 RUN = ("run", "pipeline.yaml", "-o", "out", "-q", "--set", "report.formats=[]")
 BEARING = ("bearing", "bearing.yaml", "-q", "--json", "out.json")
+PLANS = ("plan", "plan.yaml", "-o", "out", "-q")
 SIMULATE = ("simulate", "virtual.yaml", "-q", "-o", "out")
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """The *files* of a folder by name, which of them is *mutated*, and the *command* that is given in the folder."""
+    """The *files* of a folder by name, which of them is *mutated*, and the *command* that is given in the folder.
+
+    *moves*: the command puts files of the folder aside, so that they and its results are made anew for every trial.
+    """
 
     mutated: str
     command: tuple[str, ...]
     files: Mapping[str, str]
+    moves: bool = False
 
 
 def shown(name: str) -> str:
@@ -82,6 +87,54 @@ FRFS = {
     "columns: {frequency: 'f [Hz]', re: 're [um/N]', im: 'im [um/N]'}}\n"
     "identify: {a: {model: sdof, mass: 0.79 kg}}\nreport: {formats: []}\n",
 }
+PLANNED = {
+    "run-ups": """title: Film, planned runs
+plan:
+  model: run-ups
+  rotor: rotor.yaml
+  loads: [5.88 N, 10.3 N]
+  speeds: 600-3000 rpm
+  step: 600 rpm
+  stretches: 2
+  dwell: 10 s
+  duration: 3 min
+  trials:
+    both: {unbalance: {disc 1: 50 g.mm, disc 2: 30 g.mm at 60 deg}}
+    one: {unbalance: {disc 2: 50 g.mm}}
+  noise: {amplitude: 1 %, displacement: 0.5 um, phase: 1 deg, threshold: 0.2 %}
+  to_threshold: true
+  known: [clearance]
+  at_load: 8 N
+  at_speed: 1800 rpm
+  goal: {k_xy: 30 %, threshold: 5 %}
+""",
+    "wear": """title: Wear, planned tests
+plan:
+  model: worn-bearing
+  rotor: rotor.yaml
+  bearing: bearing 2
+  expected: {depth: 20 um, angle: 8 deg}
+  viscosity: 0.1044 Pa.s +- 3 %
+  clearance: 90 um +- 2 %
+  speeds: [50 Hz]
+  loads: [-40 N, -80 N]
+  bands: [15-40 Hz, 60-100 Hz]
+  force: 5 N
+  sample_rate: 256 Hz
+  noise: {displacement: 1 um, force: 50 mN}
+  run: 32 s
+  duration: 192 s
+  goal: {depth: 0.3 um, angle: 0.5 deg}
+""",
+}
+WATCHED = {
+    "rig.yaml": RIG,
+    "runs/100N-1.csv": recording(STIFFNESS["soft"]),
+    "pipeline.yaml": ALONE.replace(
+        "recordings: soft.csv\n", "tests:\n  - {each: 'runs/*.csv', pattern: '{preload}-{serial}', conditions: {speed: 0 rpm}}\n"
+    ),
+}
+WATCH = ("watch", "runs", "-c", "pipeline.yaml", "-o", "out", "--once", "--settle", "0 s", "-j", "1", "-q")
 BEARINGS = ("skf-6205", "mendes-journal", "hmb-magnetic", "nu209", "rpf-7208", "levitated", "hmb-geometry", "floating-journal")
 VIRTUAL_RIGS = ("base", "decay", "hmb", "sweep", "white-noise", "floating", "ball-bearing")
 # Of a virtual rig with many runs one is enough.
@@ -105,7 +158,11 @@ SCENARIOS: dict[str, Scenario] = {
     "levitated": Scenario("pipeline.yaml", RUN, LEVITATED),
     "run-up rotor": Scenario("rotor.yaml", SIMULATE, RUN_UP_ROTOR),
     "run-ups, virtual rig": Scenario("virtual.yaml", SIMULATE, RUN_UP_ROTOR),
-    "plan": Scenario("plan.yaml", ("plan", "plan.yaml", "-o", "out", "-q"), {"plan.yaml": PLAN}),
+    "plan": Scenario("plan.yaml", PLANS, {"plan.yaml": PLAN}),
+    "plan, run-ups": Scenario("plan.yaml", PLANS, {"plan.yaml": PLANNED["run-ups"], "rotor.yaml": shown("rotors/falah.yaml")}),
+    "plan, wear": Scenario("plan.yaml", PLANS, {"plan.yaml": PLANNED["wear"], "rotor.yaml": shown("rotors/mendes.yaml")}),
+    "watch": Scenario("pipeline.yaml", WATCH, WATCHED, moves=True),
+    "watched recording": Scenario("runs/100N-1.csv", WATCH, WATCHED, moves=True),
     "virtual journal": Scenario(
         "virtual.yaml", SIMULATE, {"virtual.yaml": shown("virtual-journal.yaml"), "rotors/mendes.yaml": shown("rotors/mendes.yaml")}
     ),

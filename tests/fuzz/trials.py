@@ -6,6 +6,7 @@ import contextlib
 import io
 import random
 import re
+import shutil
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +17,7 @@ from labpipe.cli.main import run_command
 from labpipe.cli.output import KEPT, LONGEST, message_line, printable
 from labpipe.errors import LabpipeError
 from tests.fuzz.mutations import mutated_bytes, mutated_yaml
-from tests.fuzz.scenarios import SCENARIOS
+from tests.fuzz.scenarios import SCENARIOS, write_scenario
 from tests.fuzz.seeds import READS
 
 # The lines of a message, one for each fault of a YAML file; a file with more faults is summed up.
@@ -63,11 +64,11 @@ def trial_of_file(kind: str, folder: Path, scratch: Path, seed: int, tally: Tall
 
 
 def trial_of_yaml(name: str, folder: Path, seed: int, tally: Tally) -> None:
-    """Give the command of a scenario in its *folder*, one of whose YAML files is mutated."""
+    """Give the command of a scenario in its *folder*, one of whose files is mutated."""
     scenario = SCENARIOS[name]
     path = folder / scenario.mutated
-    text = scenario.files[scenario.mutated]
-    path.write_text(mutated_yaml(text, random.Random(f"{name} {seed}")), "utf-8")
+    text, rng = scenario.files[scenario.mutated], random.Random(f"{name} {seed}")
+    path.write_bytes(mutated_yaml(text, rng).encode() if path.suffix == ".yaml" else mutated_bytes(text.encode(), rng))
     out, err = io.StringIO(), io.StringIO()
     try:
         with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -79,6 +80,9 @@ def trial_of_yaml(name: str, folder: Path, seed: int, tally: Tally) -> None:
         tally.add("refused" if code == 2 else "run", f"{name} seed {seed}: {fault}" if fault else "")
     finally:
         path.write_text(text, "utf-8")
+        if scenario.moves:
+            shutil.rmtree(folder / "out", ignore_errors=True)
+            write_scenario(name, folder)
 
 
 def _said_amiss(code: int, said: str) -> str:

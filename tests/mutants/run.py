@@ -44,7 +44,7 @@ PACKAGES = (
 )
 # For the tests of a mutant, and for one of them alone: longer, it hangs.
 SECONDS, ONE_TEST_SECONDS = 300.0, 60.0
-SURVIVES, HANGS = "survives", "hangs"
+SURVIVES, HANGS, LATE = "survives", "hangs", "not within its time"
 # What the tests import; a mutant's process has it from its parent. Nothing of labpipe.
 HEAVY = (
     "numpy", "scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.stats", "scipy.fft", "scipy.special", "scipy.interpolate", "pandas",
@@ -132,7 +132,7 @@ def tests_of(module: str) -> Iterator[list[str]]:
 
 
 def noticed(copy: Path, tests: Sequence[str], seconds: float = SECONDS) -> str:
-    """What a process of its own says of the tests on the copy: the first that failed, "hangs", or nothing where all passed in time."""
+    """What a process of its own says of the tests on the copy: the first that failed, HANGS, LATE, or nothing where all passed."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
@@ -152,7 +152,7 @@ def noticed(copy: Path, tests: Sequence[str], seconds: float = SECONDS) -> str:
                 break
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
-    return HANGS if time.monotonic() - began > ONE_TEST_SECONDS else ""
+    return HANGS if time.monotonic() - began > ONE_TEST_SECONDS else LATE
 
 
 class _Said:
@@ -192,11 +192,10 @@ def _tested(copy: Path, tests: Sequence[str], pipe: int) -> int:
 
 
 def outcome_of(copy: Path, module: str, seconds: float, whole: bool) -> str:
-    """The first test that notices the change of a module of the copy, HANGS, or SURVIVES: not noticed within *seconds*."""
+    """The first test that notices the change of a module of the copy, HANGS, LATE where *seconds* end before the tests, or SURVIVES."""
     end = time.monotonic() + seconds
     for tests in (*tests_of(module), *([["tests"]] if whole else [])):
-        left = end - time.monotonic()
-        if left > 0 and (said := noticed(copy, tests, left)):
+        if said := noticed(copy, tests, end - time.monotonic()):
             return said
     return SURVIVES
 
@@ -218,7 +217,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--skip", type=int, default=0, help="mutants of the seed that were made before")
     parser.add_argument("--modules", nargs="*", default=[])
-    parser.add_argument("--seconds", type=float, default=SECONDS, help="for each mutant: what is not noticed by then survives")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="for each mutant: tests that take longer are told apart")
     parser.add_argument("--whole", action="store_true")
     arguments = parser.parse_args()
     modules = arguments.modules or [
@@ -239,11 +238,13 @@ def main() -> int:
             os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
             outcomes[outcome] += 1
             print(f"{number} {module}:{place}\n    {outcome} ({time.monotonic() - began:.0f} s)", flush=True)
-        doubtful = noticed(copy, sorted(outcomes.keys() - {SURVIVES, HANGS}), 20 * SECONDS)
-    print(f"{outcomes.total() - outcomes[SURVIVES]} of {outcomes.total()} mutants are noticed, {outcomes[HANGS]} since they hang")
+        doubtful = noticed(copy, sorted(outcomes.keys() - {SURVIVES, HANGS, LATE}), 20 * SECONDS)
+    missed = outcomes[SURVIVES] + outcomes[LATE]
+    print(f"{outcomes.total() - missed} of {outcomes.total()} mutants are noticed, {outcomes[HANGS]} since they hang")
+    print(f"{outcomes[SURVIVES]} survive; {outcomes[LATE]} were not noticed within their time")
     if doubtful:
         print(f"{doubtful} fails on the code as it is: what it noticed does not count")
-    return 1 if outcomes[SURVIVES] or doubtful else 0
+    return 1 if missed or doubtful else 0
 
 
 def mutants(modules: Sequence[str], rng: random.Random, number: int) -> Iterator[tuple[str, str, str]]:

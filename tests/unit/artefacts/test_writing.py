@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from labpipe.artefacts.writing import existing_home, output_file, output_folder
+from labpipe.artefacts.writing import existing_home, only_one, output_file, output_folder
 from labpipe.errors import DataError
 
 
@@ -158,3 +158,14 @@ def test_the_null_device_stays_a_device() -> None:
     with output_file(Path("/dev/null")) as path:
         path.write_text("gone")
     assert Path("/dev/null").is_char_device()
+
+
+def test_one_at_a_time_holds_a_lock(tmp_path: Path) -> None:
+    """A second one is refused as long as the first works, within one process as between two."""
+    with only_one(tmp_path / "lock"):
+        with pytest.raises(DataError, match="another process works on this folder"), only_one(tmp_path / "lock"):
+            pass
+        with only_one(tmp_path / "another"):
+            pass
+    with only_one(tmp_path / "lock"):
+        pass

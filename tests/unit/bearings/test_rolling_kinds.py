@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.bearings.coefficients import BearingCoefficients
+from labpipe.bearings.kinds import OperatingPoint
 from labpipe.bearings.rolling_equilibrium import equilibrium, load_vector
 from labpipe.bearings.rolling_kinds import BALL, ROLLER, rolling_coefficients, rolling_response
 from labpipe.bearings.rolling_settings import (
@@ -175,3 +176,28 @@ def test_coefficients_are_checked_and_read_only() -> None:
 def test_the_kinds_name_their_settings() -> None:
     assert BALL.settings is BallBearingSettings and ROLLER.settings is RollerBearingSettings
     assert BALL.bare_units == {"stiffness_constant": "N/m^1.5"}
+
+
+@pytest.mark.parametrize(
+    ("entries", "what"),
+    [
+        ({"loads": Loads(x=1.0)}, "loads.x"),
+        ({"loads": Loads(y=0.0)}, "loads.y"),
+        ({"displacements": Displacements(y=0.0)}, "displacements.y"),
+        ({"shaft": ShaftSettings(mass=1.0, inertia_x=1.0)}, "shaft"),
+    ],
+)
+def test_what_follows_from_the_rotor_is_not_given(entries: dict[str, object], what: str) -> None:
+    assert BALL.mount is not None
+    free = replace(GIVEN, loads=Loads(z=427.0))
+    assert BALL.mount(free).at(OperatingPoint((-24.0, 0.0), 10.0, 10.0)).stiffness.shape == (2, 2)
+    with pytest.raises(ConfigError, match=f"^{what}: follows from the rotor"):
+        BALL.mount(replace(free, **entries))
+
+
+def test_elements_without_load_are_not_counted() -> None:
+    """Nine elements every 40 deg, pushed in -y with clearance: those at 200 to 320 deg may carry, the one at 0 deg stands across."""
+    pushed = replace(GIVEN, clearance=5e-6, loads=Loads(y=-2000.0), displacements=Displacements(z=0.0, bx=0.0, by=0.0))
+    (found,) = rolling_coefficients([pushed])
+    carrying = np.flatnonzero(found.element_state["element_load"])
+    assert carrying.tolist() == [5, 6, 7, 8] and amount(found, "loaded_elements") == 4

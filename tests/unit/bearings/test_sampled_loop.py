@@ -9,7 +9,7 @@ import pytest
 
 from labpipe.bearings.magnetic_loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness
 from labpipe.bearings.magnetic_stability import Levitated, sensitivity
-from labpipe.bearings.sampled_loop import Suspended, sampled_loop, straight
+from labpipe.bearings.sampled_loop import Suspended, sampled_loop, sampled_matrix, straight
 from labpipe.errors import ConfigError
 
 LOOP = ControlLoop()
@@ -59,6 +59,16 @@ def test_matrices_do_what_the_block_diagram_does(rng: np.random.Generator) -> No
             v += fine * (pushed - 5.8 * current + PULL * x) / 0.065
             x += fine * v
     np.testing.assert_allclose(ours, plain, atol=0.01 * np.max(np.abs(plain)))
+
+
+@pytest.mark.parametrize("delay", [25e-6, 75e-6, 230e-6])
+def test_two_directions_without_a_cross_term_have_the_poles_of_one_twice(delay: float) -> None:
+    """Of the loop of one direction, whose matrices are held against the block diagram; up to four samples wait for their turn."""
+    rotor = replace(ROTOR, loop=replace(LOOP, delay=delay))
+    one, both = (np.linalg.eigvals(a) for a in (sampled_loop(rotor).a, sampled_matrix(rotor, 20e3)))
+    assert both.size == 2 * one.size
+    # What waits makes poles at z = 0 of higher order, which rounding spreads: the polynomials are compared.
+    np.testing.assert_allclose(np.poly(both), np.polymul(np.poly(one), np.poly(one)), atol=1e-9)
 
 
 def test_stability_is_that_of_the_poles() -> None:

@@ -11,7 +11,7 @@ from labpipe.bearings.bending import without_shaft
 from labpipe.bearings.bending_curve import bent_transfer_matrix
 from labpipe.bearings.rolling import DOFS
 from labpipe.bearings.rolling_shaft import RigidShaft, sdof_stiffness
-from labpipe.campaign.theory import Rig, TheoryAt, log_covariance, match, overlay
+from labpipe.campaign.theory import Rig, TheoryAt, _solved, log_covariance, match, overlay
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
@@ -139,3 +139,13 @@ def test_what_cannot_be_compared_is_said() -> None:
     soft = replace(fits["x"], parameters=tuple(replace(p, value=1e9) if p.name == "k" else p for p in fits["x"].parameters))
     with pytest.raises(FitError, match="no multiple of the theory"):
         match(soft, response, PEAKS, THEORY, BENT)
+
+
+def test_a_root_further_away_than_twenty_steps_of_one_is_none() -> None:
+    """In logarithms: ratios up to e^20. A straight line is solved in steps of one, and a last one."""
+    slopes = np.array([[1.0, 0.5], [0.0, 2.0]])
+    root, found = _solved(lambda u: slopes @ u, slopes @ np.array([-17.5, 3.0]), np.zeros(2))
+    np.testing.assert_allclose(root, [-17.5, 3.0], atol=1e-9)
+    np.testing.assert_allclose(found, slopes, atol=1e-9)
+    with pytest.raises(FitError, match="no multiple of the theory's stiffness"):
+        _solved(lambda u: slopes @ u, slopes @ np.array([-25.0, 3.0]), np.zeros(2))

@@ -9,9 +9,10 @@ import pytest
 
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
-from labpipe.identify.transfer_mode import TransferMode, is_transfer
+from labpipe.identify.transfer_mode import TransferMode, is_transfer, transfer_start
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from tests.unit.identify.noisy import measured
 
 F0, ZETA, CONSTANT = 40.0, 0.01, 0.8
 FREQUENCY = np.arange(36.0, 44.0, 0.08)
@@ -25,6 +26,16 @@ def transfer(factor: complex | np.ndarray = 1.0, seed: int = 0, noise: float = 0
     std = noise * np.sqrt(np.mean(np.abs(h) ** 2) / 2)
     h = h + std * (rng.normal(size=w.size) + 1j * rng.normal(size=w.size))
     return FrequencyResponse(FREQUENCY, h[:, None, None], (Port("y", "y", dof),), (Port("f", "f", "1"),))
+
+
+@pytest.mark.parametrize("natural", [0.1, 40.0])
+def test_the_start_is_the_mode_itself_without_noise(natural: float) -> None:
+    """Of a slow oscillation too, whose square of the frequency is below one in (rad/s)^2."""
+    w, w0 = 2 * np.pi * np.linspace(0.83, 1.2, 41) * natural, 2 * np.pi * natural
+    h = (CONSTANT - 0.1j) / (w0**2 - w**2 + 0.06j * w0 * w) + (0.3 + 0.2j) / w0**2
+    response = FrequencyResponse(w / (2 * np.pi), h[:, None, None], (Port("y", "y", "2"),), (Port("f", "f", "1"),))
+    start = transfer_start(measured(response))
+    np.testing.assert_allclose(start, [natural, 0.03, CONSTANT, -0.1, 0.3 / w0**2, 0.2 / w0**2], rtol=1e-6)
 
 
 def codes(fit: Fit) -> list[str]:

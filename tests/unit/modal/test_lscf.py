@@ -81,6 +81,15 @@ def test_a_narrow_band_far_from_zero_keeps_its_poles() -> None:
     np.testing.assert_allclose(np.abs(diagram.modes.values) / (2 * np.pi), [46.0, 46.46, 61.0], rtol=2e-4)
 
 
+def test_the_origin_lies_a_tenth_of_the_band_below_its_first_line() -> None:
+    """The band then takes ten elevenths of 0.95 of the half circle; one that begins near 0 Hz keeps that as its origin."""
+    omega = np.array([100.0, 130.0, 160.0, 200.0])
+    matrix = np.ones((4, 1, 1)) + 0j
+    high, low = normal_equations(omega, matrix, 1), normal_equations(omega - 90, matrix, 1)
+    assert (high.origin, low.origin) == (pytest.approx(90.0), 0.0)
+    assert (high.period, low.period) == (pytest.approx(0.95 * np.pi / 110), pytest.approx(0.95 * np.pi / 110))
+
+
 @pytest.mark.parametrize("level", [0.01, 0.05])
 def test_all_modes_of_a_structure_and_none_of_noise(level: float) -> None:
     structure = nine_modes()

@@ -10,7 +10,7 @@ from scipy import signal
 
 from labpipe.errors import DataError
 from labpipe.records.recording import Channel, Recording
-from labpipe.spectra.aliasing import AliasingMonitor
+from labpipe.spectra.aliasing import AliasingMonitor, aliasing_findings
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 
@@ -48,6 +48,16 @@ def test_powers_are_those_of_white_noise(rng: np.random.Generator) -> None:
     # White noise of variance 1 has the same power on every line; 20 segments of 25 and 180 lines.
     np.testing.assert_allclose(watched.powers((20.0, 200.0)), 1.0, rtol=0.2)
     assert np.all(AliasingMonitor(recording(rng, None)).powers(None) == 0)
+
+
+def test_the_share_is_that_of_the_mean_powers_per_line() -> None:
+    time = np.arange(N) / RATE
+    # Lines of 1 Hz: 181 from 20 to 200 Hz, 25 from 487 to 511 Hz. The second sine has half the power per line of the first.
+    x = np.sin(2 * np.pi * 100 * time) + np.sqrt(0.5 * 25 / 181) * np.sin(2 * np.pi * 500 * time)
+    watched = AliasingMonitor(Recording((FORCE, X), np.column_stack([np.zeros(N), x]), RATE, "run"))
+    list(watched.blocks(4096))
+    (finding,) = aliasing_findings([watched], (20.0, 200.0), {"x"})
+    assert "is 50 % of that in the band" in finding.message
 
 
 def test_a_sensor_s_frequency_response_is_taken_out(rng: np.random.Generator) -> None:

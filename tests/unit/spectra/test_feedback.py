@@ -16,7 +16,7 @@ from labpipe.records.recording import Channel, Recording
 from labpipe.signals.excitation import design_multisine
 from labpipe.simulate.levitated_rig import levitated_runs
 from labpipe.simulate.levitated_settings import LevitatedRig
-from labpipe.spectra.feedback import LEVEL, chance_of_order, chance_of_phase
+from labpipe.spectra.feedback import COHERENT, LEVEL, _edges_of, chance_of_order, chance_of_phase
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 
@@ -186,3 +186,13 @@ def test_short_and_narrow_records_tell_nothing() -> None:
     assert chance_of_order(narrow.samples[:, :1], narrow.samples[:, 1:]) == 1.0
     still = np.zeros((4000, 1))
     assert chance_of_order(run.samples[:4000, :1], still) == 1.0
+
+
+@pytest.mark.parametrize(("beyond", "edges"), [(0.2, (10, 30)), (COHERENT, (0, 40))])
+def test_a_band_ends_at_a_cliff_unless_the_force_is_coherent_beyond(beyond: float, edges: tuple[int, int]) -> None:
+    """Power of one from band 10 to 30, of 0.01 outside: noise where nothing of the response goes with it, a weak force where 0.9 does."""
+    inside = (np.arange(40) >= 10) & (np.arange(40) < 30)
+    coarse = np.where(inside, 1.0, 0.01)[:, None]
+    assert _edges_of(coarse, np.where(inside, 1.0, beyond)) == edges
+    # A slope that falls by less than to a tenth within a quarter of the frequency is no cliff.
+    assert _edges_of((np.maximum(np.arange(40), 1) / 40.0)[:, None] ** 2, np.full(40, 0.2)) == (0, 40)

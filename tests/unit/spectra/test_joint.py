@@ -123,6 +123,14 @@ def test_h1_is_biased_by_what_the_loop_says_and_the_reference_is_not() -> None:
     assert coverage(response, exact) == pytest.approx(0.95, abs=0.025)
 
 
+@pytest.mark.parametrize(("seconds", "told"), [(3.5, False), (12.0, True)])
+def test_halves_too_short_for_the_noise_of_an_frf_are_not_held_against_each_other(seconds: float, told: bool) -> None:
+    """Blocks of 1 s that overlap by half: 1.9 effective averages in half of 3.5 s, about ten in half of 12 s; one reference needs 3."""
+    (recording,) = runs(("random",))
+    short = replace(recording, samples=recording.samples[: round(seconds * recording.sample_rate)])
+    assert (measure([short], RANDOM).change is not None) is told
+
+
 def test_a_rotor_left_alone_shows_minus_the_inverse_of_its_controller() -> None:
     """Without injection H1 = -1 / (A C), here to 3 % over 10-300 Hz; labpipe's own H1 of the run without excitation."""
     (rest,) = runs(("rest",))

@@ -136,7 +136,7 @@ def test_settings_that_contradict_each_other_are_refused(change: dict[str, objec
 
 def test_records_that_hold_too_little_are_refused() -> None:
     settings = FrfSettings("random", block="2 s", local="polynomial")
-    with pytest.raises(DataError, match="too short for one block of 2 s"):
+    with pytest.raises(DataError, match=r"is 1.5 s long, too short for one block of 2 s"):
         measure([recording(150)], settings)
     with pytest.raises(DataError, match="fewer lines than the window of 15"):
         measure([recording(24)], FrfSettings("random", block="0.2 s", local="polynomial", half_width=7))

@@ -48,6 +48,20 @@ def test_what_is_no_resonance_is_refused() -> None:
         half_power(near, receptance(near), (45.0, 52.0))
 
 
+def test_lines_too_far_apart_for_a_sharp_peak_are_refused() -> None:
+    """1/|H|^2 = 20, 1, 1 at equal steps of f^2 is a parabola whose least value, 1 - 19 / 8, is below zero."""
+    inverse = np.array([90.0, 60.0, 20.0, 1.0, 1.0, 20.0, 60.0])
+    with pytest.raises(DataError, match="too far apart for the peak at 20 Hz"):
+        half_power(np.sqrt(400.0 + np.arange(-3.0, 4.0)), 1 / np.sqrt(inverse), (19.9, 20.1))
+
+
+def test_points_on_a_straight_line_have_their_crossing_on_it() -> None:
+    """1/|H|^2 = 1 + 3/4 |x| with x = f^2 - 400 beyond the parabola 1 + 3/4 x^2 of the peak: 2 at x = -+4/3."""
+    x = np.arange(-4.0, 5.0)
+    found = half_power(np.sqrt(400 + x), 1 / np.sqrt(1 + 0.75 * np.abs(x)), (19.9, 20.1))
+    assert (found.low**2, found.high**2) == (pytest.approx(400 - 4 / 3), pytest.approx(400 + 4 / 3))
+
+
 def test_both_edges_of_the_band_belong_to_it() -> None:
     """The highest line is that at 51.5 Hz."""
     wide = half_power(FREQUENCY, receptance(FREQUENCY), (40.0, 60.0))

@@ -56,6 +56,29 @@ def test_labels_stay_unique() -> None:
     assert [port.label for port in layout.inputs] == ["f@x", "y", "g"]
 
 
+def base(quantity: str) -> Channel:
+    return Channel(f"base {quantity}", quantity, "input", "b")
+
+
+@pytest.mark.parametrize(
+    ("causes", "form"),
+    [
+        (("displacement",), "transmissibility"),
+        (("acceleration",), "transmissibility"),
+        (("displacement", "acceleration"), "other"),
+        (("force",), "receptance"),
+        (("force", "displacement"), "other"),
+        (("voltage",), "other"),
+    ],
+)
+def test_motion_over_the_motion_of_a_base_is_a_transmissibility(causes: tuple[str, ...], form: str) -> None:
+    """As long as all inputs are one motion: a probe and an accelerometer on the base are no inputs of one matrix."""
+    layout = find_layout([run("a", *(base(quantity) for quantity in causes), X)])
+    assert layout.form == form
+    # Displacement over acceleration is motion over motion after two integrations of the base's.
+    assert layout.derivatives == (-2 if causes == ("acceleration",) else 0)
+
+
 @pytest.mark.parametrize(
     ("quantity", "form"), [("displacement", "receptance"), ("velocity", "mobility"), ("acceleration", "accelerance"), ("voltage", "other")]
 )

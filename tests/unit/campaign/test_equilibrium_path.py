@@ -1,0 +1,35 @@
+"""What a shaker says of the displacement under a static load."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labpipe.campaign.equilibrium_path import STIFFNESS, _shaken
+from labpipe.campaign.matrix_settings import EquilibriumSettings
+from tests.unit.campaign.conftest import a_fit
+
+K = np.array([[4.0, 1.0], [-2.0, 3.0]])
+
+
+def test_the_mean_of_repeats_has_their_covariance_over_their_number() -> None:
+    """K^-1 u by numbers, its covariance by central differences of each coefficient; three repeats that say the same."""
+    settings = EquilibriumSettings(load="load", x="x", y="y", direction=0.3, support=0.5)
+    load = np.array([np.cos(0.3), np.sin(0.3)])
+
+    def displacement(change: np.ndarray) -> np.ndarray:
+        return np.asarray(np.linalg.solve(K + 0.5 * np.eye(2) + change, load))
+
+    step = 1e-6
+    units = np.eye(4).reshape(4, 2, 2)
+    slopes = np.column_stack([(displacement(step * unit) - displacement(-step * unit)) / (2 * step) for unit in units])
+    values = {name: (float(value), 0.01) for name, value in zip(STIFFNESS, K.ravel(), strict=True)}
+    for repeats in (1, 3):
+        found = _shaken(settings, [a_fit(f"test {n}", values) for n in range(repeats)])
+        assert found is not None
+        np.testing.assert_allclose(found[0], displacement(np.zeros((2, 2))), rtol=1e-12)
+        np.testing.assert_allclose(found[1], 0.01**2 * slopes @ slopes.T / repeats, rtol=1e-7)
+
+
+def test_no_coefficients_no_displacement() -> None:
+    settings = EquilibriumSettings(load="load", x="x", y="y")
+    assert _shaken(settings, [a_fit("test", {"k_xx": (4.0, 0.01)})]) is None
