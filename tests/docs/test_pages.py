@@ -24,6 +24,7 @@ SHELL = {
     "python -m tests.machine.kills --count 100 --processes 2": "tests/machine, with one kill",
     "python -m tests.machine.kills --count 100 --cluster --worker": "tests/machine, with one kill",
     "python -m tests.mutants.run --count 200": "takes hours",
+    "moto_server -H 127.0.0.1 -p 5055": "tests/cli/test_object_storage.py, on a free port",
     "dask scheduler": "tests/cli/test_many_tests.py, on loopback",
     "dask worker tcp://10.0.0.1:8786 --nthreads 1": "tests/cli/test_many_tests.py, on loopback",
     "pip install ./docs/plugin": "the plug-in's entry points are written here as pip writes them",

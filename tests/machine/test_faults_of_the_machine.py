@@ -76,6 +76,26 @@ with output_folder(Path(sys.argv[1])) as folder:
     assert [path.name for path in tmp_path.iterdir()] == ["b"]
 
 
+def test_the_staging_folder_of_a_run_that_was_killed_before_it_was_locked_goes_as_well(tmp_path: Path) -> None:
+    """One in fifty kills of a watch met this moment."""
+    code = """
+import os, sys
+from pathlib import Path
+from labpipe.artefacts import writing
+writing._locked = lambda lock: (os.remove(lock.name), os.kill(os.getpid(), 9))
+with writing.staging_folder(Path(sys.argv[1])):
+    pass
+"""
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
+    (left,) = tmp_path.iterdir()
+    assert left.name.startswith(STAGING) and not list(left.iterdir())
+    # Of a process that runs, such as this one, it may be locked in a moment.
+    fresh = tmp_path / left.name.replace(left.name.split("-")[-2], str(os.getpid()))
+    fresh.mkdir()
+    with staging_folder(tmp_path):
+        assert not left.exists() and fresh.exists()
+
+
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of 200 kB."""
