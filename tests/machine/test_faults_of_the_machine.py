@@ -17,7 +17,7 @@ from labpipe.artefacts import writing
 from labpipe.artefacts.writing import STAGING, output_folder, staging_folder
 from tests.conftest import ROOT, Command
 from tests.fuzz.seeds import READS, write_seeds
-from tests.machine.kills import alone, cluster, kills, prepared
+from tests.machine.kills import alone, cluster, kills, prepared, scheduler_kills
 from tests.unit.pipeline.laboratory import ALONE, contents, done, laboratory, recording
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found by /proc")
@@ -55,6 +55,15 @@ def test_a_run_on_a_cluster_that_is_killed_is_finished_to_the_same_bytes(tmp_pat
     prepared(tmp_path)
     with cluster(tmp_path) as way:
         assert kills(1, way, tmp_path, worker=worker) == []
+
+
+@pytest.mark.long
+@needs_proc
+def test_a_run_whose_scheduler_is_killed_says_so_and_is_finished_by_another(tmp_path: Path) -> None:
+    """`python -m tests.machine.kills --scheduler --dataset` does more of them."""
+    pytest.importorskip("distributed")
+    prepared(tmp_path, "dataset")
+    assert scheduler_kills(1, tmp_path) == []
 
 
 def test_the_staging_folder_of_a_killed_run_goes_with_the_next_one(tmp_path: Path) -> None:
