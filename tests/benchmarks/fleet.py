@@ -214,6 +214,9 @@ def results(folder: Path, count: int) -> Iterator[tuple[str, str]]:
             f'`labpipe list -p k {what[0]} "{what[1]}"`',
             f"{best['cpu']:.2f} s CPU, {min(one['wall'] for one in asked):.2f} s by the clock",
         )
+    report = counted("report", out, "-o", home / "report.html", "-q")
+    size = (home / "report.html").stat().st_size
+    yield f"summary report of {count} results", f"{report['cpu']:.1f} s CPU, {size / 1e6:.2f} MB, peak memory {report['peak']:.0f} MB"
     yield "`labpipe --version`", f"{min(version_seconds() for _ in range(3)):.2f} s by the clock"
     yield from same_by_duckdb(out)
 

@@ -170,7 +170,7 @@ def test_a_test_that_fails_or_is_not_there_ends_with_2(jobs: Path, labpipe) -> N
 def test_the_snakefile_of_the_docs_runs(jobs: Path, labpipe) -> None:
     """As Snakemake runs it, two jobs at a time, of three tests: the bytes of one run.
 
-    Snakemake is not installed with the tests, since it brings some forty packages; the recipe ran with version 9.27.
+    Snakemake is not installed with the tests, since it brings more than fifty packages; the recipe ran with version 9.27.
     """
     pytest.importorskip("snakemake")
     text = (jobs / "fleet.yaml").read_text()

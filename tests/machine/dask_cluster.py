@@ -43,7 +43,16 @@ def dask_cluster(folder: Path, count: int, mark: dict[str, str] | None = None) -
     with (folder / "dask.log").open("ab") as log:
 
         def start(module: str, *arguments: str) -> subprocess.Popen[bytes]:
-            command = [sys.executable, "-m", f"distributed.cli.{module}", "--host", "127.0.0.1", "--no-dashboard", *arguments]
+            command = [
+                sys.executable,
+                "-m",
+                f"distributed.cli.{module}",
+                "--host",
+                "127.0.0.1",
+                "--dashboard-address",
+                "127.0.0.1:0",
+                *arguments,
+            ]
             environment = {**os.environ, **(mark or {})}
             return subprocess.Popen([*command, "--scheduler-file", str(file)], stdout=log, stderr=log, env=environment, cwd=folder)
 

@@ -168,7 +168,7 @@ def cluster(folder: Path) -> Iterator[Way]:
     mark = folder / "cluster"
     os.environ[MARK] = str(mark)
     try:
-        with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as scheduler:
+        with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0") as scheduler:
             yield Way(("--cluster", scheduler.scheduler_address), lambda _: _processes(mark, b"spawn_main"))
     finally:
         del os.environ[MARK]
