@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import re
 import socket
-import subprocess
-import sys
 import time
 import urllib.request
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,57 +15,31 @@ import pytest
 from labpipe.artefacts import mirrored
 from labpipe.artefacts.parquet import header_of
 from labpipe.places import storage
-from tests.conftest import ROOT
+from tests.machine.s3_server import SECRET, s3_client, s3_server
 from tests.unit.pipeline.laboratory import PIPELINE, RIG, contents, recording
 
 TESTS = 3
-SECRET = "not-to-be-printed"
 BENCH = """title: Bench
 rig: rig.yaml
 results: dataset
 tests:
   - {each: "s3://rigs/runs/*.csv", pattern: "{preload}-{serial}"}
 """ + PIPELINE[PIPELINE.index("frf:") :]
-PAGE = ROOT / "docs/pages/how-to/object-storage.md"
 
 
 @pytest.fixture(scope="module")
-def endpoint() -> Iterator[str]:
-    """The server of the documentation, on a free port."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    start = re.search(r"^moto_server .*", PAGE.read_text(), re.MULTILINE)
-    assert start is not None
-    program, *arguments = start[0].replace("5055", str(port)).split()
-    command = [str(Path(sys.executable).with_name(program)), *arguments]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as server:
-        try:
-            url = f"http://127.0.0.1:{port}"
-            for _ in range(300):
-                try:
-                    urllib.request.urlopen(f"{url}/moto-api/", timeout=5).close()
-                    break
-                except OSError:
-                    time.sleep(0.1)
-            yield url
-        finally:
-            server.terminate()
+def server() -> Iterator[dict[str, str]]:
+    with s3_server() as environment:
+        yield environment
 
 
 @pytest.fixture
-def s3(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Any:
+def s3(server: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Any:
     """A client of the server, which the environment names; a bucket with recordings of three tests."""
-    monkeypatch.setenv("AWS_ENDPOINT_URL", endpoint)
-    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "key")
-    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", SECRET)
-    monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        import boto3
-
-        client = boto3.client("s3")
-    urllib.request.urlopen(urllib.request.Request(f"{endpoint}/moto-api/reset", method="POST")).close()
+    for name, value in server.items():
+        monkeypatch.setenv(name, value)
+    client = s3_client()
+    urllib.request.urlopen(urllib.request.Request(f"{server['AWS_ENDPOINT_URL']}/moto-api/reset", method="POST")).close()
     client.create_bucket(Bucket="rigs")
     for number in range(TESTS):
         client.put_object(Bucket="rigs", Key=f"runs/{100 * number}N-{number}.csv", Body=content(number))
