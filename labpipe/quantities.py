@@ -6,6 +6,7 @@ Everything inside labpipe is in SI units, with frequencies in Hz and angles in r
 from __future__ import annotations
 
 import difflib
+import functools
 import math
 import re
 from collections.abc import Iterable
@@ -195,6 +196,8 @@ def _factors(text: str) -> list[tuple[str, float]]:
     return factors
 
 
+# Lists and reports of thousands of values ask for the same few units.
+@functools.lru_cache(maxsize=1024)
 def parse_unit(text: str) -> Unit:
     """The unit written as *text*: products with '.', '*' or a blank, powers with '^', one '/' for the quotient.
 

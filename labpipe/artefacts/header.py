@@ -15,6 +15,8 @@ from labpipe import __version__
 from labpipe.artefacts.code import code_digest
 from labpipe.artefacts.digest import AGAIN, DamagedError
 from labpipe.errors import DataError
+from labpipe.places.address import shown
+from labpipe.places.fetched import origin
 from labpipe.records.finding import Finding
 
 SCHEMA = 1
@@ -80,9 +82,13 @@ def header_from_json(text: str | bytes, path: Path, kind: str, digest: str = "")
 
 
 def source_ref(path: Path, folder: Path) -> SourceRef:
-    """Checksum of a file; its path is kept relative to *folder* so that the same work gives the same bytes anywhere."""
+    """Checksum of a file; its path is kept relative to *folder* so that the same work gives the same bytes anywhere.
+
+    Of a fetched recording it is the URL.
+    """
     digest = hashlib.sha256()
     with path.open("rb") as stream:
         while chunk := stream.read(1 << 20):
             digest.update(chunk)
-    return SourceRef(Path(os.path.relpath(path, folder)).as_posix(), digest.hexdigest())
+    url = origin(path)
+    return SourceRef(Path(os.path.relpath(path, folder)).as_posix() if url is None else shown(url), digest.hexdigest())

@@ -90,7 +90,7 @@ def output_folder(target: Path, scratch: Path | None = None, remarks: list[str] 
 def staging_folder(home: Path) -> Iterator[Path]:
     """A hidden folder in *home* for what is being made, removed at the end in every case; those that killed runs left go as well."""
     _remove_abandoned(home)
-    staging = Path(tempfile.mkdtemp(prefix=f"{STAGING}{socket.gethostname()}-", dir=home))
+    staging = Path(tempfile.mkdtemp(prefix=f"{STAGING}{socket.gethostname()}-{os.getpid()}-", dir=home))
     with (staging / LOCK).open("w") as lock:
         _locked(lock)
         try:
@@ -104,11 +104,27 @@ def _remove_abandoned(home: Path) -> None:
     for staging in home.glob(f"{STAGING}{socket.gethostname()}-*"):
         try:
             with (staging / LOCK).open("r+") as lock:
-                if _locked(lock):
-                    shutil.rmtree(staging, ignore_errors=True)
+                abandoned = _locked(lock)
+        except FileNotFoundError:
+            # Just made, and not yet locked; unless its process ended there.
+            abandoned = fcntl is not None and not _runs(staging.name)
         except OSError:
-            # Just made, and not yet locked; or not ours to remove.
+            # Not ours to remove.
             continue
+        if abandoned:
+            shutil.rmtree(staging, ignore_errors=True)
+
+
+def _runs(name: str) -> bool:
+    """Whether the process whose number stands in the name of a staging folder runs, as far as can be told."""
+    number = name.split("-")[-2]
+    try:
+        os.kill(int(number), 0)
+    except ProcessLookupError:
+        return False
+    except (ValueError, OverflowError, OSError):
+        return True
+    return True
 
 
 @contextmanager

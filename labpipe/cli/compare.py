@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from labpipe.artefacts.identification_file import NAME, read_identification
+from labpipe.artefacts.mirrored import results_read
 from labpipe.catalogue.dataset import dataset_parameters
 from labpipe.catalogue.differences import LEVEL, Difference, differences
 from labpipe.cli import options
@@ -20,8 +21,8 @@ from labpipe.records.listed import ListedParameter, of_fit
 
 
 @click.command()
-@click.argument("first", type=options.PATH)
-@click.argument("second", type=options.PATH)
+@click.argument("first", type=options.PLACE)
+@click.argument("second", type=options.PLACE)
 @click.option("-p", "--parameter", multiple=True, help="Show only this parameter (repeatable); the correction counts all of them.")
 @click.option("--csv", "table", type=options.PATH, help="Write all columns, in SI units, to this file.")
 def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path | None) -> None:
@@ -43,11 +44,12 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
 
 def _parameters(path: Path) -> list[ListedParameter]:
     """The parameters of all fits of a result, or of the dataset that it sums up."""
-    file = path / NAME if path.is_dir() else path
-    identification = read_identification(file)
-    if identification.dataset is not None:
-        return dataset_parameters(file.parent)
-    return [listed for fit in identification.fits for listed in of_fit(fit)]
+    with results_read(path) as here:
+        file = here / NAME if here.is_dir() else here
+        identification = read_identification(file)
+        if identification.dataset is not None:
+            return dataset_parameters(file.parent)
+        return [listed for fit in identification.fits for listed in of_fit(fit)]
 
 
 def _cells(pair: Difference) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from labpipe.artefacts.mirrored import results_read
 from labpipe.catalogue.query import Filter, ResultRow, ValueRow
 from labpipe.catalogue.search import found_results, found_values
 from labpipe.cli import options
@@ -18,7 +19,7 @@ from labpipe.quantities import readable_unit
 
 
 @click.command(name="list")
-@click.argument("folder", type=options.PATH, default=Path("."))
+@click.argument("folder", type=options.PLACE, default=Path("."))
 @click.option("-p", "--parameter", default="", help="Show the values of a parameter; '*' matches any characters.")
 @options.catalogue_filters
 @click.option("--csv", "table", type=options.PATH, help="Write all columns, in SI units, to this file.")
@@ -29,7 +30,9 @@ def list_results(folder: Path, parameter: str, table: Path | None, **filters: ob
     test's condition `date`, or else that of the file.
     """
     criteria = Filter(parameter=parameter, **filters)  # type: ignore[arg-type]
-    rows: Sequence[ValueRow | ResultRow] = found_values(folder, criteria) if _selects_values(criteria) else found_results(folder, criteria)
+    find = found_values if _selects_values(criteria) else found_results
+    with results_read(folder) as here:
+        rows: Sequence[ValueRow | ResultRow] = find(here, criteria)
     if table is not None:
         write_rows(table, [row_entry(row) for row in rows])
     if not rows:

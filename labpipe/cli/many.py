@@ -4,20 +4,29 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from pathlib import Path
 
 from labpipe.cli import options
 from labpipe.cli.output import echo, message_line
 from labpipe.cli.progress import Progress, silent
 from labpipe.errors import ConfigError
-from labpipe.pipeline.cluster import on_cluster
+from labpipe.pipeline.cluster import LOCAL, on_cluster
 from labpipe.pipeline.executors import Execute, in_processes, serially
 from labpipe.pipeline.run import Manner
+from labpipe.places.address import is_remote, shown
 from labpipe.records.identification import Failed
 
 
 def manner(quiet: bool, verbose: bool, jobs: int, cluster: str | None) -> Manner:
     """The manner of running tests according to the options of a command."""
     return Manner(options.teller(quiet, verbose), silent if quiet else Progress(verbose), executor(jobs, cluster))
+
+
+def check_shared(output: Path, cluster: str | None) -> None:
+    """ConfigError for results that go elsewhere from a folder that the workers of a cluster do not share."""
+    if is_remote(output) and cluster not in (None, LOCAL) and "TMPDIR" not in os.environ:
+        what = "the workers do not see the folder of this machine in which the results are made"
+        raise ConfigError(what, where=shown(output), hint="set TMPDIR to a folder that all workers share")
 
 
 def executor(jobs: int, cluster: str | None) -> Execute:

@@ -6,13 +6,30 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import click
 
 from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli.output import echo
+from labpipe.places.address import is_remote, path_of
 
-PATH = click.Path(path_type=Path)
+
+class _Address(click.Path):
+    """A path, or file://...; where results and recordings may lie *elsewhere* also the URL of an object storage, as a path."""
+
+    def __init__(self, *, elsewhere: bool) -> None:
+        super().__init__(path_type=Path)
+        self.elsewhere = elsewhere
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        path = path_of(str(value))
+        if is_remote(path) and not self.elsewhere:
+            self.fail(f"'{value}' is no path of this machine, which is needed here", param, ctx)
+        return path
+
+
+PATH, PLACE = _Address(elsewhere=False), _Address(elsewhere=True)
 
 overrides = click.option(
     "--set",
@@ -24,6 +41,9 @@ overrides = click.option(
 quiet = click.option("-q", "--quiet", is_flag=True, help="Print errors and warnings only.")
 verbose = click.option("-v", "--verbose", is_flag=True, help="Print every step, also when the output is not a terminal.")
 out_folder = click.option("-o", "--output", type=PATH, required=True, metavar="DIR", help="Folder for the results.")
+out_place = click.option(
+    "-o", "--output", type=PLACE, required=True, metavar="DIR", help="Folder for the results, or s3://bucket/prefix, gs://bucket/prefix."
+)
 pipeline_file = click.option("-c", "--config", "pipeline_path", type=PATH, required=True, metavar="PIPELINE", help="Pipeline file (YAML).")
 
 jobs = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Processes for several tests; 0: one per processor.")

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import click
 
 from labpipe.artefacts.identification_file import NAME, read_identification
+from labpipe.artefacts.mirrored import results_read, summary
 from labpipe.artefacts.writing import finished
 from labpipe.cli import options
 from labpipe.cli.output import echo, message_line
 from labpipe.errors import DataError
+from labpipe.stages.measured import files_of_test
 from labpipe.stages.report import write_campaign, write_report, write_test_report
 
 
 @click.command()
-@click.argument("results", metavar="DIR|identification.json...", type=options.PATH, nargs=-1, required=True)
+@click.argument("results", metavar="DIR|identification.json...", type=options.PLACE, nargs=-1, required=True)
 @click.option(
     "-o",
     "--output",
@@ -40,29 +43,32 @@ def report(results: tuple[Path, ...], output: Path, figures: Path | None, test: 
     labpipe report monday/ tuesday/ wednesday/ -o campaign.html
     labpipe report out/ --test 1kN-3000rpm-2 -o one-test.html
     """
-    paths = result_files(results)
-    tell = options.teller(quiet, verbose)
-    identifications = []
-    for path in list(paths):
-        try:
-            identifications.append(read_identification(path))
-        except DataError as error:
-            # One bad file among the many of a folder is named and passed over.
-            if path in results or path.parent in results or len(paths) == 1:
-                raise
-            paths.remove(path)
-            echo(message_line(f"warning: {error}"), err=True)
-    if test and len(paths) > 1:
-        raise click.UsageError("--test is of one result; several are named")
-    if test:
-        tell(f"report    {test}")
-        write_test_report(identifications[0], test, output, figures, paths[0].parent)
-    elif len(paths) == 1:
-        tell(f"report    {identifications[0].title}")
-        write_report(identifications[0], output, figures=figures, results=paths[0].parent)
-    else:
-        tell(f"report    {len(paths)} results together")
-        write_campaign(list(zip(_names(paths), identifications, strict=True)), output, figures)
+    wanted = (lambda name: summary(name) or name in files_of_test(test)) if test else summary
+    with ExitStack() as stack:
+        heres = [stack.enter_context(results_read(place, wanted)) for place in results]
+        paths = result_files(heres)
+        tell = options.teller(quiet, verbose)
+        identifications = []
+        for path in list(paths):
+            try:
+                identifications.append(read_identification(path))
+            except DataError as error:
+                # One bad file among the many of a folder is named and passed over.
+                if path in heres or path.parent in heres or len(paths) == 1:
+                    raise
+                paths.remove(path)
+                echo(message_line(f"warning: {error}"), err=True)
+        if test and len(paths) > 1:
+            raise click.UsageError("--test is of one result; several are named")
+        if test:
+            tell(f"report    {test}")
+            write_test_report(identifications[0], test, output, figures, paths[0].parent)
+        elif len(paths) == 1:
+            tell(f"report    {identifications[0].title}")
+            write_report(identifications[0], output, figures=figures, results=paths[0].parent)
+        else:
+            tell(f"report    {len(paths)} results together")
+            write_campaign(list(zip(_names(paths), identifications, strict=True)), output, figures)
     if not quiet:
         echo(f"written: {output}" + (f", figures in {figures}" if figures is not None else ""), err=True)
 

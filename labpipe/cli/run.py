@@ -6,19 +6,22 @@ from pathlib import Path
 
 import click
 
+from labpipe.artefacts.mirrored import results_made
 from labpipe.cli import options
-from labpipe.cli.many import echo_failed, manner
+from labpipe.cli.many import check_shared, echo_failed, manner
 from labpipe.cli.output import echo
 from labpipe.cli.terminal import echo_identification
 from labpipe.config.pipeline import load_pipeline
 from labpipe.pipeline.run import run as run_pipeline
 from labpipe.pipeline.run import run_only
+from labpipe.places.address import shown
+from labpipe.stages.measured import files_of_test
 from labpipe.stages.report import outdate_reports, write_reports
 
 
 @click.command()
 @click.argument("pipeline_path", metavar="PIPELINE", type=options.PATH)
-@options.out_folder
+@options.out_place
 @options.jobs
 @options.cluster
 @click.option("--only", default="", metavar="TEST", help="Work on this test alone, up to its fits; a run without --only then finishes.")
@@ -35,17 +38,20 @@ def run(
     Exit code 1 when an accept: or expect: rule fails.
     """
     how = manner(quiet, verbose, jobs, cluster)
+    check_shared(output, cluster)
     pipeline = load_pipeline(pipeline_path, overrides)
     if only:
-        done = run_only(pipeline, output, only)
+        with results_made(output, lambda name: name in files_of_test(only)) as here:
+            done = run_only(pipeline, here, only)
         echo_failed([done.failed] if done.failed else [])
         return 2 if done.failed else 0
-    with options.results_folder(output) as folder:
-        identification = run_pipeline(pipeline, folder, how)
-        outdate_reports(folder, pipeline.report.formats)
-    write_reports(identification, output, pipeline.report.formats, how.tell)
+    with results_made(output) as here:
+        with options.results_folder(here) as folder:
+            identification = run_pipeline(pipeline, folder, how)
+            outdate_reports(folder, pipeline.report.formats)
+        write_reports(identification, here, pipeline.report.formats, how.tell)
     echo_identification(identification, quiet)
     if not quiet:
-        echo(f"written: {output}/identification.json" + "".join(f", report.{name}" for name in pipeline.report.formats))
+        echo(f"written: {shown(output)}/identification.json" + "".join(f", report.{name}" for name in pipeline.report.formats))
     echo_failed(identification.failed)
     return 2 if identification.failed else 0 if identification.accepted else 1

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from labpipe.artefacts.identification_file import read_identification
+from labpipe.artefacts.mirrored import results_read
 from labpipe.catalogue.index import DATE
 from labpipe.catalogue.query import Filter
 from labpipe.catalogue.search import found_values
@@ -18,6 +19,7 @@ from labpipe.cli.output import echo
 from labpipe.display import difference_in, number, unit_label, with_error
 from labpipe.errors import DataError, cut
 from labpipe.formats.rows_csv import write_rows
+from labpipe.places.address import shown as shown_path
 from labpipe.quantities import readable_unit, to_display
 from labpipe.stages.report import format_of, write_campaign
 
@@ -25,7 +27,7 @@ LEVEL = 0.05
 
 
 @click.command()
-@click.argument("folder", type=options.PATH, default=Path("."))
+@click.argument("folder", type=options.PLACE, default=Path("."))
 @click.option("-p", "--parameter", required=True, help="The parameter; '*' matches any characters.")
 @click.option("--over", required=True, metavar="CONDITION", help="A condition of the tests such as preload, or `date`.")
 @options.catalogue_filters
@@ -40,20 +42,22 @@ def trend(folder: Path, parameter: str, over: str, table: Path | None, output: P
     """
     if output is not None:
         format_of(output)
-    rows = found_values(folder, Filter(parameter=parameter, **filters))  # type: ignore[arg-type]
+    with results_read(folder) as here:
+        rows = found_values(here, Filter(parameter=parameter, **filters))  # type: ignore[arg-type]
+        results = {} if output is None else {path: read_identification(here / path) for path in sorted({row.path for row in rows})}
     all_series = trends(rows, over)
     for row in undated(rows) if over == DATE else ():
         echo(f"warning: {row.path}: test '{row.test}': '{cut(row.date)}' is not a date; write it as 2026-11-03", err=True)
     selected = [row for series in all_series for row in series.rows]
     if not selected:
-        raise DataError("no result matches these filters", where=str(folder))
+        raise DataError("no result matches these filters", where=shown_path(folder))
     for series in all_series:
         _echo_series(series)
     if table is not None:
         write_rows(table, [row_entry(row) for row in selected])
     if output is not None:
-        paths = sorted({row.path for row in selected})
-        write_campaign([(path.removesuffix("/identification.json"), read_identification(folder / path)) for path in paths], output)
+        chosen = {row.path for row in selected}
+        write_campaign([(path.removesuffix("/identification.json"), result) for path, result in results.items() if path in chosen], output)
         echo(f"written: {output}", err=True)
 
 

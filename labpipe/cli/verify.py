@@ -7,18 +7,20 @@ from pathlib import Path
 
 import click
 
+from labpipe.artefacts.mirrored import everything, results_read
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
 from labpipe.cli.many import manner
 from labpipe.cli.output import echo
-from labpipe.config.pipeline import load_pipeline
+from labpipe.config.pipeline import Pipeline, load_pipeline
 from labpipe.errors import ConfigError
 from labpipe.pipeline.run import run
+from labpipe.places.address import shown
 from labpipe.stages.verification import Verified, differences, verified
 
 
 @click.command()
-@click.argument("folder", type=options.PATH)
+@click.argument("folder", type=options.PLACE)
 @click.option(
     "-c",
     "--config",
@@ -44,18 +46,16 @@ def verify(folder: Path, pipeline_path: Path | None, again: bool, jobs: int, ove
     """
     if again and pipeline_path is None:
         raise ConfigError("--again: needs the pipeline", hint="name it with -c PIPELINE")
-    artefacts = list(verified(folder, None if pipeline_path is None else pipeline_path.parent))
-    for artefact in artefacts:
-        _echo(artefact, verbose)
-    faults = sum(bool(artefact.faults) for artefact in artefacts)
-    if again and pipeline_path is not None:
-        with tempfile.TemporaryDirectory() as scratch:
-            with output_folder(Path(scratch) / "out") as output:
-                run(load_pipeline(pipeline_path, overrides), output, manner(True, False, jobs, None))
-            others = differences(folder, Path(scratch) / "out")
-        for line in others:
-            echo(f"FAILED {line}")
-        faults += len(others)
+    with results_read(folder, everything) as here:
+        artefacts = list(verified(here, None if pipeline_path is None else pipeline_path.parent))
+        for artefact in artefacts:
+            _echo(artefact, shown(folder / artefact.path.relative_to(here)), verbose)
+        faults = sum(bool(artefact.faults) for artefact in artefacts)
+        if again and pipeline_path is not None:
+            others = _done_again(here, load_pipeline(pipeline_path, overrides), jobs)
+            for line in others:
+                echo(f"FAILED {line}".replace(str(here), shown(folder)))
+            faults += len(others)
     if not quiet:
         undigested = sum("carries no digest" in artefact.remarks for artefact in artefacts)
         inputs = sum(artefact.inputs for artefact in artefacts)
@@ -67,8 +67,16 @@ def verify(folder: Path, pipeline_path: Path | None, again: bool, jobs: int, ove
     return 1 if faults else 0
 
 
-def _echo(artefact: Verified, verbose: bool) -> None:
+def _done_again(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:
+    """What differs when the pipeline is run again, aside."""
+    with tempfile.TemporaryDirectory() as scratch:
+        with output_folder(Path(scratch) / "out") as output:
+            run(pipeline, output, manner(True, False, jobs, None))
+        return differences(folder, Path(scratch) / "out")
+
+
+def _echo(artefact: Verified, name: str, verbose: bool) -> None:
     for fault in artefact.faults:
-        echo(f"FAILED {artefact.path}: {fault}")
+        echo(f"FAILED {name}: {fault}")
     for remark in artefact.remarks if verbose else [remark for remark in artefact.remarks if remark == "carries no digest"]:
-        echo(f"note   {artefact.path}: {remark}")
+        echo(f"note   {name}: {remark}")

@@ -9,15 +9,17 @@ from pathlib import Path
 
 import click
 
+from labpipe.artefacts.mirrored import results_kept
 from labpipe.artefacts.writing import only_one
 from labpipe.cli import options
-from labpipe.cli.many import executor
+from labpipe.cli.many import check_shared, executor
 from labpipe.cli.output import echo
 from labpipe.config.pipeline import load_for_files_to_come
 from labpipe.errors import ConfigError, DataError
 from labpipe.pipeline.many_tests import hindrance
 from labpipe.pipeline.run import independent_fits
 from labpipe.pipeline.watch import Watch, WatchSettings
+from labpipe.places.address import is_remote, shown
 from labpipe.quantities import UnitError, parse_value
 
 LOCK = ".labpipe-watch.lock"
@@ -53,9 +55,9 @@ def _asked_to_stop() -> Iterator[list[int]]:
 
 
 @click.command()
-@click.argument("folder", type=options.PATH)
+@click.argument("folder", type=options.PLACE)
 @options.pipeline_file
-@options.out_folder
+@options.out_place
 @click.option("--every", type=_Seconds(), default="10 s", show_default=True, help="Time between two looks.")
 @click.option(
     "--settle", type=_Seconds(), default="5 s", show_default=True, help="A recording is complete when it did not change for so long."
@@ -63,6 +65,7 @@ def _asked_to_stop() -> Iterator[list[int]]:
 @click.option("--marker", default="", metavar="SUFFIX", help="A recording is complete when a file of its name and this suffix is there.")
 @click.option("--append", type=_Seconds(), default="5 min", show_default=True, help="Results wait so long at most until they are appended.")
 @click.option("--names", default="*", show_default=True, metavar="GLOB", help="Only recordings of such names.")
+@click.option("--log", "logs", type=options.PATH, metavar="DIR", help="Folder of watch.prom and watch.log.jsonl; default: RESULTS.")
 @click.option("--once", is_flag=True, help="Work on what is complete now, then end.")
 @options.jobs
 @options.cluster
@@ -78,6 +81,7 @@ def watch(
     marker: str,
     append: float,
     names: str,
+    logs: Path | None,
     once: bool,
     jobs: int,
     cluster: str | None,
@@ -89,25 +93,36 @@ def watch(
 
     The only entry of `tests:` in PIPELINE, one with `each:`, says what a recording becomes; which files are looked at, FOLDER and --names
     say. Results are appended to the dataset in RESULTS; a recording that cannot be evaluated is moved to RESULTS/quarantine with its
-    reason. Beside them stand watch.prom (metrics) and watch.log.jsonl. SIGTERM or Ctrl-C end the watch after the recording in work.
+    reason. Beside them stand watch.prom (metrics) and watch.log.jsonl. FOLDER and RESULTS may be of an object storage, s3://bucket/prefix;
+    bad recordings then stay where they are, and only the reason goes to RESULTS/quarantine.
+
+    SIGTERM or Ctrl-C end the watch after the recording in work.
     """
-    if not folder.is_dir():
+    if not is_remote(folder) and not folder.is_dir():
         raise DataError("no such folder", where=str(folder), hint="name the folder that recordings arrive in")
     pipeline, each = load_for_files_to_come(pipeline_path, overrides)
     if what := hindrance(pipeline, independent_fits(pipeline)):
         raise ConfigError(f"{what}, which needs all tests at once", where=str(pipeline_path), hint="watch with a pipeline of fits alone")
     settings = WatchSettings(settle=settle, every=every, append=append, marker=marker, names=names, once=once)
-    output.mkdir(parents=True, exist_ok=True)
-    with only_one(output / LOCK), _asked_to_stop() as asked:
+    check_shared(output, cluster)
+    log_folder = logs or output
+    if is_remote(log_folder):
+        raise ConfigError("--log: is needed where the results are elsewhere", where=shown(output), hint="name a folder of this machine")
+    log_folder.mkdir(parents=True, exist_ok=True)
+    with only_one(log_folder / LOCK), _asked_to_stop() as asked, results_kept(output) as mirror:
         watched = Watch(
             pipeline,
             each,
-            folder.resolve(),
-            output.resolve(),
+            folder if is_remote(folder) else folder.resolve(),
+            mirror.folder.resolve(),
             settings,
             executor(jobs, cluster),
             stopped=lambda: bool(asked),
             tell=options.teller(quiet, verbose),
+            home=output if is_remote(output) else None,
+            publish=mirror.publish,
+            forget=mirror.forget,
+            logs=log_folder.resolve(),
         )
         index = watched.run().index
     if not quiet:

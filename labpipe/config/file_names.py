@@ -4,18 +4,29 @@ from __future__ import annotations
 
 import glob
 import re
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from labpipe.config.faults import Faults
+from labpipe.errors import ConfigError
 from labpipe.marked_yaml import Marked
+from labpipe.places.address import is_remote, path_of
 
 
-def files_of(node: Marked, key: str, faults: Faults) -> list[Path]:
-    """The files that a path or glob names, sorted; a fault when there is none."""
+def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False) -> list[Path]:
+    """The files that a path or glob names, sorted; a fault when there is none. *elsewhere*: they may be objects of a storage, by URL."""
     if not node.text:
         faults.add(node, key, "a file name is needed")
         return []
-    path = faults.folder / node.text
+    try:
+        address = path_of(node.text)
+    except ConfigError as error:
+        faults.add(node, key, f"'{node.text}' {error.what}", error.hint)
+        return []
+    if is_remote(address):
+        return _objects(address, node, key, faults) if elsewhere else _only_here(node, key, faults)
+    path = faults.folder / address
     if glob.has_magic(node.text):
         matches = sorted(Path(name) for name in glob.glob(str(path), recursive=True))
         if not matches:
@@ -25,6 +36,38 @@ def files_of(node: Marked, key: str, faults: Faults) -> list[Path]:
         faults.add(node, key, f"no such file '{node.text}'", "paths are relative to the pipeline file")
         return []
     return [path]
+
+
+def _only_here(node: Marked, key: str, faults: Faults) -> list[Path]:
+    faults.add(node, key, "is read from this machine only", "recordings may be named by URL; copy this file here")
+    return []
+
+
+def _objects(address: Path, node: Marked, key: str, faults: Faults) -> list[Path]:
+    """The objects that a URL names, as `files_of`; StorageError where the storage does not answer."""
+    # Recordings of this machine are found without an object storage.
+    from labpipe.places.storage import below, status
+
+    if not glob.has_magic(str(address)):
+        found = [address] if status(address) else []
+    else:
+        plain = next(number for number, part in enumerate(address.parts) if glob.has_magic(part))
+        folder, pattern = Path(*address.parts[:plain]), address.parts[plain:]
+        found = [one.path for one in below(folder) if _matches(one.path.parts[plain:], pattern)]
+    if not found:
+        what = f"no object matches '{node.text}'" if glob.has_magic(node.text) else f"no such object '{node.text}'"
+        faults.add(node, key, what, "names are those that the storage lists, capitals included")
+    return found
+
+
+def _matches(names: Sequence[str], pattern: Sequence[str]) -> bool:
+    """Whether a path is of a glob, both part by part: '**' stands for any folders; what begins with a point is hidden, as on a disk."""
+    if not pattern or not names:
+        return not names and all(part == "**" for part in pattern)
+    hidden = names[0].startswith(".") and not pattern[0].startswith(".")
+    if pattern[0] == "**":
+        return _matches(names, pattern[1:]) or (not hidden and _matches(names[1:], pattern))
+    return not hidden and fnmatchcase(names[0], pattern[0]) and _matches(names[1:], pattern[1:])
 
 
 def plain_stem(path: Path) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from labpipe.config.faults import Faults, join
@@ -10,6 +11,7 @@ from labpipe.config.file_names import conditions_in, files_of, listed, plain_ste
 from labpipe.config.rig import load_rig, moved, override_channels
 from labpipe.errors import ConfigError
 from labpipe.marked_yaml import Marked
+from labpipe.places.address import is_remote
 from labpipe.records.rig import Rig
 
 KEYS = ("file", "each", "join", "by", "pattern", "rig", "channels")
@@ -20,7 +22,8 @@ BY = ("time", "sample")
 class SourceFile:
     """One recorded file and the rig that recorded it.
 
-    *joined*: further files with channels of the same run, *by*: joined on time or by sample, by default on time where all have it.
+    *path* may be the URL of an object storage. *joined*: further files with channels of the same run, *by*: joined on time or by sample, by
+    default on time where all have it.
     """
 
     path: Path
@@ -30,7 +33,11 @@ class SourceFile:
 
     def absolute(self) -> SourceFile:
         """The same for a process that works in another folder."""
-        return SourceFile(self.path.absolute(), self.rig, tuple(path.absolute() for path in self.joined), self.by)
+        return self.at({path: path.absolute() for path in (self.path, *self.joined) if not is_remote(path)})
+
+    def at(self, places: Mapping[Path, Path]) -> SourceFile:
+        """The same, of files that lie at other places."""
+        return replace(self, path=places.get(self.path, self.path), joined=tuple(places.get(path, path) for path in self.joined))
 
 
 def read_rig(node: Marked | None, folder: Path, faults: Faults, key: str) -> Rig | None:
@@ -65,7 +72,7 @@ class RecordingReader:
                 continue
             if self.rig is None and self.rig_node is None:
                 self.faults.add(node, key, "no rig file is named", "add rig: FILE")
-            paths = files_of(entry, key, self.faults)
+            paths = files_of(entry, key, self.faults, elsewhere=True)
             sources.extend(SourceFile(path, self.rig) for path in paths if self.rig is not None)
         return sources
 
@@ -76,7 +83,7 @@ class RecordingReader:
             self.faults.add(entry.content[named[1]], join(key, named[1]), f"'{named[0]}' and '{named[1]}' are both named", "leave one out")
         file = entry.content[named[0]] if named else Marked(None, entry.where)
         rig = self._rig(entry, key)
-        paths = [path for item in listed(file) for path in files_of(item, key, self.faults)]
+        paths = [path for item in listed(file) for path in files_of(item, key, self.faults, elsewhere=True)]
         if rig is None or not paths:
             return []
         if named == ["join"]:

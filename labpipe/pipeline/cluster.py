@@ -6,6 +6,8 @@ until its outcome is taken.
 
 from __future__ import annotations
 
+import asyncio
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
@@ -39,8 +41,13 @@ def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
 
     def execute(work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
         distributed = _distributed()
-        with _client(distributed, address) as client:
-            yield from _in_batches(distributed, client, work, [job.absolute() for job in jobs])
+        lost = (distributed.CancelledError, asyncio.CancelledError, distributed.comm.core.CommClosedError)
+        try:
+            with _client(distributed, address) as client:
+                yield from _in_batches(distributed, client, work, [job.absolute() for job in jobs])
+        except lost:
+            hint = "what is finished is kept; the same command goes on from there when a scheduler runs"
+            raise DataError("the scheduler was lost", where=address, hint=hint) from None
 
     return execute
 
@@ -87,6 +94,9 @@ def _distributed() -> Any:
         import distributed
     except ImportError:
         raise ConfigError("--cluster: needs the package dask.distributed", hint="pip install 'labpipe[cluster]'") from None
+    # What goes wrong with a scheduler is said once, by this module.
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     return distributed
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import errno
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
@@ -19,6 +20,8 @@ from labpipe.config.rules import Rule
 from labpipe.config.tests import Test
 from labpipe.errors import ConfigError, LabpipeError
 from labpipe.identify.settings import FitSettings
+from labpipe.places.fetched import fetched
+from labpipe.places.storage import StorageError
 from labpipe.records.dataset_row import TestResult
 from labpipe.records.identification import Failed, Fit
 from labpipe.spectra.settings import FrfSettings
@@ -96,20 +99,36 @@ def work(job: Job) -> Done:
     """Do the job; a fault of its input is its outcome, and what was finished before the fault stays."""
     remarks: list[str] = []
     try:
-        with output_folder(job.target, job.scratch, remarks) as output:
-            sources = measure(job, output)
-        if job.fits:
-            with output_folder(job.target, job.scratch, remarks) as output:
-                fit(job, output)
-        result = None if job.rules is None else _result(job, job.rules, sources)
+        with brought(job) as near:
+            sources, result = _worked(near, remarks)
     except LabpipeError as error:
-        return Done(job.test.name, failed=Failed(job.test.name, str(error)), remarks=tuple(remarks))
+        failed = Failed(job.test.name, str(error))
+        return Done(job.test.name, failed=failed, remarks=tuple(remarks), halts=isinstance(error, StorageError))
     except OSError as error:
         if error.errno is None:
             raise
         failed = Failed(job.test.name, f"{error.filename or 'output'}: {os.strerror(error.errno).lower()}")
         return Done(job.test.name, failed=failed, halts=error.errno in HALTING)
     return Done(job.test.name, sources, remarks=tuple(remarks), result=result)
+
+
+@contextmanager
+def brought(job: Job) -> Iterator[Job]:
+    """The job with recordings of this machine: those of an object storage lie in its scratch folder meanwhile."""
+    paths = [path for source in job.test.recordings for path in (source.path, *source.joined)]
+    with fetched(paths, job.scratch) as here:
+        recordings = tuple(source.at(here) for source in job.test.recordings)
+        yield dataclasses.replace(job, test=dataclasses.replace(job.test, recordings=recordings))
+
+
+def _worked(job: Job, remarks: list[str]) -> tuple[tuple[SourceRef, ...], TestResult | None]:
+    """What went into the test, and its result for a dataset."""
+    with output_folder(job.target, job.scratch, remarks) as output:
+        sources = measure(job, output)
+    if job.fits:
+        with output_folder(job.target, job.scratch, remarks) as output:
+            fit(job, output)
+    return sources, None if job.rules is None else _result(job, job.rules, sources)
 
 
 def _result(job: Job, rules: Sequence[Rule], sources: Sequence[SourceRef]) -> TestResult:

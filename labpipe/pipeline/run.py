@@ -16,7 +16,7 @@ from labpipe.config.rules import Rule
 from labpipe.errors import ConfigError, DataError
 from labpipe.pipeline.executors import Execute, serially
 from labpipe.pipeline.many_tests import Gathered, identified, keeps_dataset
-from labpipe.pipeline.one_test import Done, Job, Tell, finished_fits, measure, measured_of, measured_refs, silent, work
+from labpipe.pipeline.one_test import Done, Job, Tell, brought, finished_fits, measure, measured_of, measured_refs, silent, work
 from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.registry import nearest
 from labpipe.stages.fits import check_tested
@@ -25,6 +25,7 @@ from labpipe.stages.identify import identify_stage
 from labpipe.stages.ingest import unique_names
 from labpipe.stages.measured import MeasuredTest
 
+AGAIN = "the same command goes on from there"
 # Tests from which each has its own file of fits.
 MANY = 2
 
@@ -106,7 +107,7 @@ def measure_tests(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits
         if len(jobs) > 1:
             done = {outcome.test: outcome for outcome in _outcomes(jobs, manner)}
         else:
-            done = {job.test.name: Done(job.test.name, measure(job, output, manner.tell)) for job in jobs}
+            done = {job.test.name: _measured(job, output, manner) for job in jobs}
     output.remarks.extend(remark for outcome in done.values() for remark in outcome.remarks)
     finished = [job for job in jobs if done[job.test.name].failed is None]
     failed = tuple(outcome.failed for outcome in (done[job.test.name] for job in jobs) if outcome.failed is not None)
@@ -117,6 +118,12 @@ def measure_tests(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits
     tests = [part for job in finished for part in measured_of(job, output)]
     inputs = tuple(reference for job in finished for reference in measured_refs(job, output))
     return Measured(tuple(tests), tuple(sources), finished_fits(finished, output), failed, inputs)
+
+
+def _measured(job: Job, output: OutputFolder, manner: Manner) -> Done:
+    """The only test of a pipeline, measured here."""
+    with brought(job) as near:
+        return Done(job.test.name, measure(near, output, manner.tell))
 
 
 def independent_fits(pipeline: Pipeline) -> list[str]:
@@ -161,7 +168,9 @@ def _outcomes(jobs: Sequence[Job], manner: Manner) -> Iterator[Done]:
         for outcome in manner.execute(work, jobs):
             count += 1
             manner.progress(count, len(jobs), outcome.test)
+            if outcome.halts and outcome.failed is not None:
+                raise DataError(outcome.failed.message, hint=f"{count - 1} of {len(jobs)} tests are finished and kept; {AGAIN}")
             yield outcome
     except KeyboardInterrupt:
         remark = f"{count} of {len(jobs)} tests are finished and kept"
-        raise DataError(f"interrupted; {remark}", hint="the same command goes on from there") from None
+        raise DataError(f"interrupted; {remark}", hint=AGAIN) from None

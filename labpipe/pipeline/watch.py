@@ -21,11 +21,11 @@ from labpipe.config.pipeline import Pipeline
 from labpipe.config.recordings import SourceFile
 from labpipe.config.tests import EachFile, Test
 from labpipe.errors import ConfigError, DataError, LabpipeError
-from labpipe.formats.packed import plain_suffix
-from labpipe.formats.table import READERS
+from labpipe.pipeline.arrivals import Arrived, arrived_in
 from labpipe.pipeline.executors import Execute, serially
 from labpipe.pipeline.many_tests import outcome_of, settings_of_many, summed_up
 from labpipe.pipeline.one_test import Done, Job, work
+from labpipe.places.address import is_remote
 from labpipe.records.dataset_row import TestResult
 from labpipe.records.dataset_summary import DatasetSummary, summary_of, summed
 from labpipe.records.identification import Failed
@@ -51,15 +51,6 @@ class WatchSettings:
     once: bool = False
 
 
-@dataclass(frozen=True)
-class Arrived:
-    """A recording in the watched folder, with what shows whether it still changes."""
-
-    path: Path
-    size: int
-    changed: float
-
-
 @dataclass
 class Counts:
     """Recordings since the watch began: worked on, failed, waiting to be appended, not yet complete."""
@@ -72,7 +63,11 @@ class Counts:
 
 @dataclass
 class Watch:
-    """One watched folder and its results. *stopped* is asked between recordings; *clock* gives the time in seconds since 1970."""
+    """One watched folder and its results. *stopped* is asked between recordings; *clock* gives the time in seconds since 1970.
+
+    folder: may be of an object storage. home: where the results are kept, by default *results* itself; another place gets them by
+    *publish*, after which *forget* frees the disk of them. logs: the folder of log and metrics, by default *results*.
+    """
 
     pipeline: Pipeline
     each: EachFile
@@ -85,6 +80,10 @@ class Watch:
     clock: Callable[[], float] = time.time
     sleep: Callable[[float], None] = time.sleep
     counts: Counts = field(default_factory=Counts)
+    home: Path | None = None
+    publish: Callable[[], None] = lambda: None
+    forget: Callable[[], None] = lambda: None
+    logs: Path | None = None
 
     def __post_init__(self) -> None:
         self._done: set[str] = set()
@@ -105,6 +104,7 @@ class Watch:
                 self._take(done, job)
             stopped = self.stopped()
             self._append(whole=self.settings.once or stopped)
+            self.forget()
             self._write_metrics()
             if stopped or (self.settings.once and not complete):
                 return self._summary
@@ -130,7 +130,7 @@ class Watch:
         self._done.update(row["test"] for row in rows)
         for row in rows:
             self._files.setdefault(Path(fits_file_name(row["test"])).stem, row["test"])
-            if row["failed"] is not None:
+            if row["failed"] is not None and not self._stays:
                 self._quarantine(row["test"], row["failed"])
         if found:
             self._write_index()
@@ -141,10 +141,9 @@ class Watch:
         self.counts.arriving = 0
         for arrived in self._arrived():
             seen[arrived.path] = arrived
-            marked = self.settings.marker and arrived.path.with_name(arrived.path.name + self.settings.marker).exists()
             still = not self.settings.marker and self.clock() - arrived.changed >= self.settings.settle
             known = self._seen.get(arrived.path) == arrived or self.settings.settle == 0 or self.settings.once
-            if marked or (still and known):
+            if arrived.marked or (still and known):
                 yield arrived
             else:
                 self.counts.arriving += 1
@@ -152,19 +151,10 @@ class Watch:
 
     def _arrived(self) -> Iterator[Arrived]:
         """Recordings that have no results yet, the oldest first."""
-        found = []
-        for path in self.folder.rglob(self.settings.names):
-            if plain_suffix(path) not in READERS or any(part.startswith(".") for part in path.relative_to(self.folder).parts):
-                continue
-            if self.results in path.parents or self.name_of(path) in self._done:
-                continue
-            try:
-                status = path.stat()
-            except FileNotFoundError:
-                continue
-            if path.is_file():
-                found.append(Arrived(path, status.st_size, status.st_mtime))
-        return iter(sorted(found, key=lambda arrived: (arrived.changed, arrived.path)))
+        home = self.home or self.results
+        found = arrived_in(self.folder, self.settings.names, self.settings.marker)
+        new = (one for one in found if home not in one.path.parents and self.name_of(one.path) not in self._done)
+        return iter(sorted(new, key=lambda arrived: (arrived.changed, arrived.path)))
 
     def name_of(self, path: Path) -> str:
         """The name of the test of a recording: its path below the folder."""
@@ -249,22 +239,33 @@ class Watch:
     def _write_index(self) -> None:
         with output_folder(self.results) as folder:
             write_identification(folder.write_path(NAME), summed_up(self.pipeline, self._summary))
+        self.publish()
 
     def _quarantine(self, test: str, reason: str) -> None:
-        """Move a bad recording aside, its reason first; nothing where it has gone already."""
+        """Move a bad recording aside, its reason first; nothing where it has gone already.
+
+        In an object storage it stays where it is: an object cannot be moved in one step, and its rows keep it from being looked at again.
+        """
         path = self._paths.get(test)
-        if path is None or not path.exists():
+        if path is None or (not self._stays and not path.exists()):
             return
         aside = self.results / QUARANTINE / path.relative_to(self.folder)
         with output_file(aside.with_name(aside.name + REASON)) as file:
             file.write_text(reason + "\n")
-        shutil.move(path, aside)
+        if not self._stays:
+            shutil.move(path, aside)
         self._log("quarantined", test)
+
+    @property
+    def _stays(self) -> bool:
+        """Whether bad recordings stay where they are."""
+        return is_remote(self.folder) or self.home not in (None, self.results)
 
     def _log(self, event: str, test: str, **entries: object) -> None:
         line = {"time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self.clock())), "event": event, "test": test, **entries}
-        self.results.mkdir(parents=True, exist_ok=True)
-        with (self.results / LOG).open("a") as log:
+        logs = self.logs or self.results
+        logs.mkdir(parents=True, exist_ok=True)
+        with (logs / LOG).open("a") as log:
             log.write(json.dumps({name: entry for name, entry in line.items() if entry not in (None, "")}) + "\n")
 
     def _write_metrics(self) -> None:
@@ -282,5 +283,5 @@ class Watch:
             "labpipe_watch_last_look_seconds": ("gauge", "Time of the last look, seconds since 1970", self.clock()),
         }
         lines = (f"# HELP {name} {text}\n# TYPE {name} {kind}\n{name} {value}\n" for name, (kind, text, value) in values.items())
-        with output_file(self.results / METRICS) as file:
+        with output_file((self.logs or self.results) / METRICS) as file:
             file.write_text("".join(lines))

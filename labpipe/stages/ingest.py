@@ -153,15 +153,18 @@ def _si_limits(channel: RigChannel) -> tuple[float, float] | None:
 
 def unique_names(paths: Sequence[Path]) -> list[str]:
     """A name for each file from its stem, numbered where a stem comes again."""
-    names: list[str] = []
+    # In their order; of each stem how often it came. A fleet has a hundred thousand of them.
+    names: dict[str, None] = {}
+    numbers: dict[str, int] = {}
     for path in paths:
         stem = path.name.removesuffix(SUFFIX) if path.name.endswith(SUFFIX) else path.stem
-        name, number = stem, 1
+        name, number = stem, numbers.get(stem, 1)
         while name in names:
             number += 1
             name = f"{stem}-{number}"
-        names.append(name)
-    return names
+        numbers[stem] = number
+        names[name] = None
+    return list(names)
 
 
 def ingest_all(sources: Iterable[Path], rig: Rig, output: OutputFolder, base: Path) -> list[StoredRecording]:

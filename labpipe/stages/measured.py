@@ -78,10 +78,15 @@ def fits_file_name(test: str) -> str:
     return f"{FITS}/{frf_file_name(test).removesuffix(RESPONSE_SUFFIX)}.json"
 
 
+def files_of_test(test: str) -> list[str]:
+    """The names that a test's files may have in a folder of results, but for its recordings."""
+    stem = frf_file_name(test).removesuffix(RESPONSE_SUFFIX)
+    return [fits_file_name(test), *(stem + suffix for suffix in (RESPONSE_SUFFIX, SUFFIX, SPECTRA_SUFFIX))]
+
+
 def measured_files(folder: Path, test: str) -> list[Path]:
     """What a folder of results holds of a test: its response, free decays or spectra."""
-    stem = frf_file_name(test).removesuffix(RESPONSE_SUFFIX)
-    return [path for suffix in (RESPONSE_SUFFIX, SUFFIX, SPECTRA_SUFFIX) if (path := folder / (stem + suffix)).is_file()]
+    return [path for name in files_of_test(test)[1:] if (path := folder / name).is_file()]
 
 
 def measure_test(

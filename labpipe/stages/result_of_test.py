@@ -11,6 +11,9 @@ from labpipe.artefacts.dataset_file import UNNAMED
 from labpipe.artefacts.header import SourceRef
 from labpipe.config.rules import Rule
 from labpipe.config.tests import Test
+from labpipe.errors import DataError
+from labpipe.places.address import is_remote
+from labpipe.places.storage import status
 from labpipe.records.dataset_row import DatasetRow, TestResult, accepted, rows_of_fit
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Fit
@@ -80,11 +83,18 @@ def files_of(test: Test) -> list[Path]:
 
 def _changed(path: Path) -> str:
     try:
-        seconds = path.stat().st_mtime
-    except OSError:
+        seconds = _seconds(path)
+    except (OSError, DataError):
         # Gone since; the test has failed for that reason.
         seconds = 0.0
     return datetime.datetime.fromtimestamp(seconds, datetime.UTC).date().isoformat()
+
+
+def _seconds(path: Path) -> float:
+    if not is_remote(path):
+        return path.stat().st_mtime
+    found = status(path)
+    return 0.0 if found is None else found.changed
 
 
 def digest_of_sources(sources: Sequence[SourceRef]) -> str:

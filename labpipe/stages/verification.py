@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,9 @@ from labpipe.artefacts.spectra_file import SUFFIX as SPECTRA_SUFFIX
 from labpipe.artefacts.spectra_file import read_spectra
 from labpipe.artefacts.writing import finished
 from labpipe.errors import DataError
+from labpipe.places.address import is_remote
+from labpipe.places.fetched import fetched
+from labpipe.places.storage import status
 
 Reference = tuple[str, str]
 # So many folders above a result may hold the pipeline that made it.
@@ -124,14 +128,26 @@ def _verified(path: Path, kind: _Kind, base: Path | None) -> Verified:
     same = 0
     base = base or pipeline_folder(path.parent if (path.parent / NAME).exists() else path.parent.parent)
     for (name, sha256), folders in [*((one, [base] if base else []) for one in sources), *((one, _near(path)) for one in inputs)]:
-        here = next((candidate for place in folders if (candidate := place / name).is_file()), None)
-        if here is None:
+        found = _digest(name, folders)
+        if found is None:
             remarks.append(f"'{name}' is not there to be compared")
-        elif source_ref(here, here.parent).sha256 != sha256:
+        elif found != sha256:
             faults.append(f"'{name}' is not the file that it was made from")
         else:
             same += 1
     return Verified(path, tuple(faults), tuple(remarks), same)
+
+
+def _digest(name: str, folders: Sequence[Path]) -> str | None:
+    """The digest of a file that an artefact names, in one of some folders or by its URL; None where it is not there."""
+    address = Path(name)
+    if not is_remote(address):
+        here = next((candidate for place in folders if (candidate := place / name).is_file()), None)
+        return None if here is None else source_ref(here, here.parent).sha256
+    if status(address) is None:
+        return None
+    with tempfile.TemporaryDirectory() as scratch, fetched([address], Path(scratch)) as here_by_url:
+        return source_ref(here_by_url[address], Path(scratch)).sha256
 
 
 def pipeline_folder(path: Path) -> Path | None:

@@ -275,7 +275,7 @@ def test_a_fit_of_an_unknown_test_is_refused_before_any_work(project: Path, labp
 def scheduler() -> Iterator[str]:
     """A scheduler with two workers on loopback."""
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster:
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0") as cluster:
         yield cluster.scheduler_address
 
 

@@ -24,6 +24,8 @@ SHELL = {
     "python -m tests.machine.kills --count 100 --processes 2": "tests/machine, with one kill",
     "python -m tests.machine.kills --count 100 --cluster --worker": "tests/machine, with one kill",
     "python -m tests.mutants.run --count 200": "takes hours",
+    "python -m tests.benchmarks.fleet --recordings 2000 --results 20000 --cluster 1000 4000 16000": "takes half an hour",
+    "moto_server -H 127.0.0.1 -p 5055": "tests/cli/test_object_storage.py, on a free port",
     "dask scheduler": "tests/cli/test_many_tests.py, on loopback",
     "dask worker tcp://10.0.0.1:8786 --nthreads 1": "tests/cli/test_many_tests.py, on loopback",
     "pip install ./docs/plugin": "the plug-in's entry points are written here as pip writes them",
@@ -63,7 +65,7 @@ def test_the_commands_of_a_page_run_as_shown(page: Path, tmp_path: Path, monkeyp
 
 
 def test_most_pages_hold_commands() -> None:
-    assert {page.stem for page in PAGES} - {page.stem for page in WITH_COMMANDS} == {"statistics", "notebook", "validation"}
+    assert {page.stem for page in PAGES} - {page.stem for page in WITH_COMMANDS} == {"statistics", "notebook", "validation", "fleet"}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

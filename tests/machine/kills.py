@@ -1,9 +1,10 @@
 """A run over several recordings, killed at a random moment, then finished: the same bytes as an undisturbed one, and nothing left behind.
 
-python -m tests.machine.kills [--count N] [--processes J | --cluster] [--worker]
+python -m tests.machine.kills [--count N] [--processes J | --cluster] [--worker | --scheduler] [--dataset]
 
 With --cluster the tests run on a Dask scheduler with two workers on loopback, which are started and stopped here. With --worker it is a
-worker that is killed; the run goes on and ends as if nothing had been.
+worker that is killed; the run goes on and ends as if nothing had been. With --scheduler it is the scheduler: the run says so, and the
+same command with another one finishes it. With --dataset the results are kept as a dataset.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
+from tests.machine.dask_cluster import dask_cluster
 from tests.unit.pipeline.laboratory import contents, laboratory, recording
 
 TESTS = 3
@@ -32,10 +35,13 @@ frf: {{excitation: periodic, period: 1 s, skip: 0}}
 identify:
   direct: {{model: sdof, input: f, output: y, band: 10-40 Hz}}
 report: {{formats: [md]}}
+results: {results}
 """
 MARK = "LABPIPE_KILL_TEST"
 # So long processes may take to see that their parent is no more, and a cluster's workers to end a task that nobody waits for.
 GONE_SECONDS, TASK_SECONDS = 10.0, 0.5
+# From the first worker to the end of a run on a cluster, on a busy machine.
+SCHEDULER_SECONDS = 6.0
 # A killed worker is replaced, which may take a while; nothing may wait for ever.
 RUN_SECONDS = 120.0
 
@@ -52,13 +58,13 @@ class Way:
         return " ".join(self.options)
 
 
-def prepared(folder: Path) -> None:
+def prepared(folder: Path, results: str = "whole") -> None:
     """Recordings of several tests, their pipeline, and the result of an undisturbed run in "whole"."""
     laboratory(folder)
     for number in range(TESTS):
         (folder / f"run{number}.csv").write_text(recording(18e3 + 100 * number, seed=number))
     tests = "\n".join(f"  - {{name: t{number}, recordings: run{number}.csv}}" for number in range(TESTS))
-    (folder / "pipeline.yaml").write_text(PIPELINE.format(tests=tests))
+    (folder / "pipeline.yaml").write_text(PIPELINE.format(tests=tests, results=results))
     assert _begun(folder, "whole", ()).wait() == 0
 
 
@@ -94,6 +100,30 @@ def worker_killed(folder: Path, name: str, way: Way, seconds: float, rng: random
     return [f"worker killed after {seconds:.3f} s, {way.name}: {fault}" for fault in _amiss(folder, name, code, way)]
 
 
+def scheduler_killed(folder: Path, name: str, seconds: float) -> list[str]:
+    """Kill the scheduler of a run *seconds* after its first worker is there, finish by another one; what is not as it should be."""
+    faults = []
+    with dask_cluster(folder, 2) as first, (folder / f"{name}.err").open("w+") as said:
+        run = _begun(folder, name, ("--cluster", first.address), said)
+        while not first.workers() and run.poll() is None:
+            time.sleep(0.01)
+        time.sleep(seconds)
+        first.scheduler.kill()
+        try:
+            code = run.wait(RUN_SECONDS)
+        except subprocess.TimeoutExpired:
+            run.kill()
+            code = run.wait()
+        said.seek(0)
+        text = said.read()
+        if code not in (0, 2) or (code == 2 and len(text.splitlines()) != 1):
+            faults.append(f"the run ends with {code}: {text[-500:]}")
+    with dask_cluster(folder, 2) as second:
+        way = Way(("--cluster", second.address), lambda _: second.workers())
+        code = _begun(folder, name, way.options).wait()
+        return [f"scheduler killed after {seconds:.3f} s: {fault}" for fault in (*faults, *_amiss(folder, name, code, way))]
+
+
 def _amiss(folder: Path, name: str, code: int, way: Way) -> Iterator[str]:
     """What is not as after an undisturbed run; on a cluster also when the tasks of the killed run have ended."""
     if code != 0:
@@ -106,10 +136,10 @@ def _amiss(folder: Path, name: str, code: int, way: Way) -> Iterator[str]:
             yield f"left behind: {staging}"
 
 
-def _begun(folder: Path, name: str, options: tuple[str, ...]) -> subprocess.Popen[bytes]:
+def _begun(folder: Path, name: str, options: tuple[str, ...], said: IO[str] | int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
     arguments = ["run", str(folder / "pipeline.yaml"), "-o", str(folder / name), "-q", *options]
     environment = {**os.environ, MARK: str(folder / name)}
-    return subprocess.Popen([sys.executable, "-m", "labpipe.cli.main", *arguments], env=environment, stderr=subprocess.DEVNULL)
+    return subprocess.Popen([sys.executable, "-m", "labpipe.cli.main", *arguments], env=environment, stderr=said)
 
 
 def _processes(mark: Path, words: bytes = b"") -> list[int]:
@@ -138,7 +168,7 @@ def cluster(folder: Path) -> Iterator[Way]:
     mark = folder / "cluster"
     os.environ[MARK] = str(mark)
     try:
-        with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as scheduler:
+        with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0") as scheduler:
             yield Way(("--cluster", scheduler.scheduler_address), lambda _: _processes(mark, b"spawn_main"))
     finally:
         del os.environ[MARK]
@@ -146,6 +176,12 @@ def cluster(folder: Path) -> Iterator[Way]:
     while (left := _processes(mark, b"spawn_main")) and time.monotonic() < end:
         time.sleep(0.05)
     assert not left, f"processes {left} of the cluster are left"
+
+
+def scheduler_kills(count: int, folder: Path, seed: int = 0) -> list[str]:
+    """What went wrong in *count* kills of schedulers at random moments of the first seconds of work, in a prepared *folder*."""
+    rng = random.Random(seed)
+    return [fault for number in range(count) for fault in scheduler_killed(folder, f"out{number}", rng.uniform(0, SCHEDULER_SECONDS))]
 
 
 def kills(count: int, way: Way, folder: Path, *, worker: bool = False, seed: int = 0) -> list[str]:
@@ -172,13 +208,18 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--cluster", action="store_true")
     parser.add_argument("--worker", action="store_true")
+    parser.add_argument("--scheduler", action="store_true")
+    parser.add_argument("--dataset", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        prepared(folder)
-        with cluster(folder) if arguments.cluster else nullcontext(alone(arguments.processes)) as way:
-            faults = kills(arguments.count, way, folder, worker=arguments.worker, seed=arguments.seed)
+        prepared(folder, "dataset" if arguments.dataset else "whole")
+        if arguments.scheduler:
+            faults = scheduler_kills(arguments.count, folder, arguments.seed)
+        else:
+            with cluster(folder) if arguments.cluster else nullcontext(alone(arguments.processes)) as way:
+                faults = kills(arguments.count, way, folder, worker=arguments.worker, seed=arguments.seed)
     print(*faults, f"{arguments.count} kills, {len(faults)} faults", sep="\n")
     return 1 if faults else 0
 

@@ -17,7 +17,7 @@ from labpipe.artefacts import writing
 from labpipe.artefacts.writing import STAGING, output_folder, staging_folder
 from tests.conftest import ROOT, Command
 from tests.fuzz.seeds import READS, write_seeds
-from tests.machine.kills import alone, cluster, kills, prepared
+from tests.machine.kills import alone, cluster, kills, prepared, scheduler_kills
 from tests.unit.pipeline.laboratory import ALONE, contents, done, laboratory, recording
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found by /proc")
@@ -57,6 +57,15 @@ def test_a_run_on_a_cluster_that_is_killed_is_finished_to_the_same_bytes(tmp_pat
         assert kills(1, way, tmp_path, worker=worker) == []
 
 
+@pytest.mark.long
+@needs_proc
+def test_a_run_whose_scheduler_is_killed_says_so_and_is_finished_by_another(tmp_path: Path) -> None:
+    """`python -m tests.machine.kills --scheduler --dataset` does more of them."""
+    pytest.importorskip("distributed")
+    prepared(tmp_path, "dataset")
+    assert scheduler_kills(1, tmp_path) == []
+
+
 def test_the_staging_folder_of_a_killed_run_goes_with_the_next_one(tmp_path: Path) -> None:
     code = """
 import os, sys
@@ -74,6 +83,26 @@ with output_folder(Path(sys.argv[1])) as folder:
         with staging_folder(tmp_path) as other:
             assert folder.staging.exists() and other.exists()
     assert [path.name for path in tmp_path.iterdir()] == ["b"]
+
+
+def test_the_staging_folder_of_a_run_that_was_killed_before_it_was_locked_goes_as_well(tmp_path: Path) -> None:
+    """One in fifty kills of a watch met this moment."""
+    code = """
+import os, sys
+from pathlib import Path
+from labpipe.artefacts import writing
+writing._locked = lambda lock: (os.remove(lock.name), os.kill(os.getpid(), 9))
+with writing.staging_folder(Path(sys.argv[1])):
+    pass
+"""
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
+    (left,) = tmp_path.iterdir()
+    assert left.name.startswith(STAGING) and not list(left.iterdir())
+    # Of a process that runs, such as this one, it may be locked in a moment.
+    fresh = tmp_path / left.name.replace(left.name.split("-")[-2], str(os.getpid()))
+    fresh.mkdir()
+    with staging_folder(tmp_path):
+        assert not left.exists() and fresh.exists()
 
 
 @pytest.fixture

@@ -1,23 +1,31 @@
 """A watch over arriving recordings, killed at random moments, then finished: every recording has its rows once, with the same numbers.
 
-python -m tests.machine.watch_kills [--count N] [--seed S]
+python -m tests.machine.watch_kills [--count N] [--seed S] [--s3]
+
+With --s3 recordings arrive in an object storage, an S3 server on loopback, and the results go there.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import random
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
 from labpipe.artefacts.dataset_file import read_rows
+from labpipe.artefacts.mirrored import everything, results_read
+from labpipe.places.address import is_remote, path_of
+from tests.machine.s3_server import s3_client, s3_server
 from tests.unit.pipeline.laboratory import PIPELINE, RIG, recording
 
 RECORDINGS = 8
+BUCKET = "benches"
 BENCH = 'title: Bench\nrig: rig.yaml\ntests:\n  - {each: "*.csv"}\n' + PIPELINE[PIPELINE.index("frf:") :]
 COMMAND = (sys.executable, "-m", "labpipe.cli.main", "watch")
 # The longest time until a kill: starting up, working and appending lie within it.
@@ -27,7 +35,14 @@ LONGEST_SECONDS = 6.0
 def watch(folder: Path, *more: str) -> subprocess.Popen[bytes]:
     """A watch of the recordings of a folder that appends each result at once."""
     settings = ("--settle", "0 s", "--every", "0.2 s", "--append", "0 s", "-q", *more)
-    return subprocess.Popen([*COMMAND, str(folder / "runs"), "-c", str(folder / "bench.yaml"), "-o", str(folder / "out"), *settings])
+    runs, out = (place(folder, name) for name in ("runs", "out"))
+    logs = ("--log", str(folder / "log")) if is_remote(path_of(out)) else ()
+    return subprocess.Popen([*COMMAND, runs, "-c", str(folder / "bench.yaml"), "-o", out, *logs, *settings])
+
+
+def place(folder: Path, name: str) -> str:
+    """A folder of a bench, or its prefix in the storage that the environment names."""
+    return f"s3://{BUCKET}/{folder.name}/{name}" if "AWS_ENDPOINT_URL" in os.environ else str(folder / name)
 
 
 def prepared(folder: Path) -> Path:
@@ -41,13 +56,17 @@ def prepared(folder: Path) -> Path:
 def arrive(folder: Path, number: int) -> None:
     """A recording comes; every fourth is none."""
     text = "no recording" if number % 4 == 3 else recording(18e3 + 100 * number, seed=number)
+    if is_remote(path_of(place(folder, "runs"))):
+        s3_client().put_object(Bucket=BUCKET, Key=f"{folder.name}/runs/{number}.csv", Body=text.encode())
+        return
     (folder / f"{number}.part").write_text(text)
     (folder / f"{number}.part").rename(folder / f"runs/{number}.csv")
 
 
 def rows_in(folder: Path) -> list[dict[str, object]]:
     """The rows of the dataset by test, fit and parameter."""
-    rows = read_rows(folder / "out").to_pylist()
+    with results_read(path_of(place(folder, "out")), everything) as here:
+        rows = read_rows(here).to_pylist()
     return sorted(rows, key=lambda row: (row["test"], str(row["fit"]), str(row["parameter"])))
 
 
@@ -84,15 +103,17 @@ def kills(count: int, seed: int) -> list[str]:
                 faults.append(f"trial {trial}: {len(found)} rows for {len(expected)}, or other numbers")
             if left := [path.name for path in (folder / "out").rglob(".labpipe-*") if path.is_dir()]:
                 faults.append(f"trial {trial}: left behind: {left}")
-            aside = len(list((folder / "out/quarantine").glob("*.csv")))
+            with results_read(path_of(place(folder, "out")), everything) as here:
+                aside = len(list((here / "quarantine").glob("*.csv.reason.txt")))
             if aside != RECORDINGS // 4:
                 faults.append(f"trial {trial}: {aside} recordings in quarantine")
     return faults
 
 
 def _numbers(row: dict[str, object]) -> dict[str, object]:
-    """A row without the folder of its trial, which stands in the reasons."""
-    return {**row, "failed": row["failed"] is not None}
+    """A row without the folder of its trial, which stands in the reasons, and in URLs, which a recording's digest counts in."""
+    where = {"digest": ""} if "AWS_ENDPOINT_URL" in os.environ else {}
+    return {**row, **where, "failed": row["failed"] is not None}
 
 
 def main() -> None:
@@ -100,8 +121,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--s3", action="store_true")
     asked = parser.parse_args()
-    faults = kills(asked.count, asked.seed)
+    with s3_server() if asked.s3 else nullcontext({}) as environment:
+        os.environ.update(environment)
+        if asked.s3:
+            s3_client().create_bucket(Bucket=BUCKET)
+        faults = kills(asked.count, asked.seed)
     print(*faults, f"{asked.count} trials of a killed watch, {len(faults)} faults", sep="\n")
     sys.exit(bool(faults))
 

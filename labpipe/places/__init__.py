@@ -1,0 +1,1 @@
+"""Files that lie elsewhere: in the buckets of an object storage."""
