@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
-from labpipe.planner.campaigns import Campaign, Limits, Rig, crest_factors, running_shakers, score
+from labpipe.planner.campaigns import Campaign, Limits, Rig, crest_factors, running_shakers, score, with_shares
+from labpipe.planner.expectation import Earlier, Expected, spread, spread_notes
 from labpipe.planner.identifiability import Excitation, identifiability
 from labpipe.planner.information import Noise
 from labpipe.planner.model import AXES, MODELS, PlannedModel
 from labpipe.planner.schemes import ONE_BY_ONE, Multisines
-from labpipe.planner.search import FLAT_PHASES, Candidate, Wanted, best, flat, reference, schemes_of
+from labpipe.planner.search import FLAT_PHASES, LEAST_CREST, Candidate, Wanted, best, flat, reference, schemes_of
 from labpipe.planner.settings import PlanSettings
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.plan import Plan, PlannedCoefficient, PlannedTest
@@ -31,6 +32,9 @@ MOST_LINES, MOST_SAMPLES = 20_000, 1 << 24
 # channels know it from the periods alone.
 OF_SPECTRA = {3: 1.07, 4: 1.05, 5: 1.02, 10: 1.0}
 MAINS_WIDTH = 0.5
+# Factor of the time up to which goals are looked for.
+LONGEST = 1e6
+NO_ERRORS = "The earlier result states no errors: how sure the prediction is, is not known."
 # One direction of force whose errors are more than this times those of x and then y gets a note.
 MUCH_WORSE = 2.0
 
@@ -55,10 +59,13 @@ class Planned:
         return dict(zip(planned.files, whole.T, strict=True))
 
 
-def make_plan(settings: PlanSettings, expected: Mapping[str, float], title: str) -> Planned:
-    """The plan for *expected* values [SI] of the coefficients; ConfigError where the rig cannot determine them, or time is too short."""
-    model = MODELS[settings.model](expected, settings.mass)
+def make_plan(settings: PlanSettings, expected: Expected, title: str) -> Planned:
+    """The plan for the *expected* coefficients; ConfigError where the rig cannot determine them, or time is too short."""
+    model = MODELS[settings.model](expected.values, settings.mass)
     rig = _rig(settings, model)
+    if settings.combine_earlier:
+        assert expected.earlier is not None
+        rig = replace(rig, known=expected.earlier.known(model, settings.duration))
     wanted = Wanted(settings.criterion, _goals(settings, model), settings.floor)
     lines = planned_lines(settings)
     _check_identifiable(rig, lines)
@@ -68,7 +75,28 @@ def make_plan(settings: PlanSettings, expected: Mapping[str, float], title: str)
     timed = _timed(rig, found.campaign, periods)
     flats = {phases: flat(rig, lines, ONE_BY_ONE, phases) for phases in FLAT_PHASES}
     plan = _plan(settings, title, rig, wanted, found, timed, periods, flats, lines)
+    if expected.earlier is not None:
+        plan = _over_draws(plan, rig, wanted, timed, flats[LEAST_CREST], expected.earlier)
     return Planned(plan, rig, found.campaign.tests)
+
+
+def _over_draws(plan: Plan, rig: Rig, wanted: Wanted, timed: Campaign, other: Campaign, earlier: Earlier) -> Plan:
+    """The plan with the ranges of its prediction over draws from the covariance of what is expected."""
+    covariance = earlier.covariance_of(rig.model)
+    if not np.all(np.isfinite(covariance)):
+        return replace(plan, notes=(*plan.notes, NO_ERRORS))
+    if not np.any(covariance):
+        return plan
+    limits = wanted.goals / plan.factor
+    found = spread(rig, timed, other, covariance, limits, wanted.criterion, plan.duration)
+    ranges = [(float(low), float(high)) if np.isfinite(high) else None for low, high in found.errors.T]
+    errors = np.array([c.error for c in plan.coefficients])
+    return replace(
+        plan,
+        coefficients=tuple(replace(c, error_range=ends) for c, ends in zip(plan.coefficients, ranges, strict=True)),
+        gain_range=(float(found.gain[0]), float(found.gain[1])),
+        notes=(*plan.notes, *spread_notes(found, errors, dict(plan.gains)[LEAST_CREST], plan.needed is not None)),
+    )
 
 
 def planned_lines(settings: PlanSettings) -> IntArray:
@@ -139,6 +167,9 @@ def _goals(settings: PlanSettings, model: PlannedModel) -> FloatArray:
 
 
 def _check_identifiable(rig: Rig, lines: IntArray) -> None:
+    if rig.known is not None and np.all(np.diagonal(rig.known.information) > 0):
+        # What the forces do not tell was told before.
+        return
     found = identifiability(rig.model, rig.noise, Excitation.of_directions(rig.spacing * lines, rig.directions))
     if not found.full:
         raise ConfigError(f"with forces along {', '.join(rig.shakers)} {found.words}", hint=found.remedy, field="shakers")
@@ -157,9 +188,7 @@ def _periods(settings: PlanSettings, found: Campaign) -> tuple[int, ...]:
 
 def _timed(rig: Rig, found: Campaign, periods: tuple[int, ...]) -> Campaign:
     """The campaign with the times that whole periods give."""
-    shares = np.array(periods) / sum(periods)
-    rates = np.stack([rig.rate(test) for test in found.tests])
-    return Campaign(found.tests, shares, np.tensordot(shares, rates, 1))
+    return with_shares(rig, found.tests, np.array(periods) / sum(periods))
 
 
 def _plan(
@@ -177,7 +206,7 @@ def _plan(
     errors = timed.errors(duration)
     of_spectra = rig.model.stator_mass > 0 or any(np.count_nonzero(running_shakers(test)) > 1 for test in found.campaign.tests)
     factor = weighting_factor(min(periods), of_spectra)
-    flat_errors = flats[FLAT_PHASES[1]].errors(duration)
+    flat_errors = flats[LEAST_CREST].errors(duration)
     model = rig.model
     goals = dict(settings.goal)
     coefficients = tuple(
@@ -191,7 +220,7 @@ def _plan(
     own = score(timed.information, wanted.criterion, wanted.goals)
     gains = tuple((phases, score(told.information, wanted.criterion, wanted.goals) / own) for phases, told in flats.items())
     certificate = found.certificate or reference(rig, lines, wanted).certificate
-    worst = max((factor * error / goal for error, goal in zip(errors, wanted.goals, strict=True) if np.isfinite(goal)), default=0.0)
+    least = FEWEST_PERIODS * len(periods) * settings.period
     return Plan(
         title=title,
         model=model.kind,
@@ -207,10 +236,27 @@ def _plan(
         coefficients=coefficients,
         tests=tuple(_test(settings, rig, test, number) for test, number in zip(timed.tests, periods, strict=True)),
         gains=gains,
-        needed=max(float(duration * worst**2), FEWEST_PERIODS * len(periods) * settings.period) if settings.goal else None,
+        needed=max(time_needed(timed, wanted.goals / factor, duration), least) if settings.goal else None,
         mass=settings.mass,
         notes=_notes(rig, lines, found, wanted),
+        combined=rig.known is not None,
     )
+
+
+def time_needed(campaign: Campaign, limits: FloatArray, duration: float) -> float:
+    """Time [s] of the campaign after which no relative standard error exceeds its limit (n_coefficient,) [1], of a *duration* [s] or not.
+
+    Infinite where more than LONGEST times the duration would be needed.
+    """
+    if campaign.known is None:
+        return float(duration * np.max(campaign.errors(duration) / limits) ** 2)
+    low, high = -np.log(LONGEST), np.log(LONGEST)
+    if np.any(campaign.errors(duration * LONGEST) > limits):
+        return float("inf")
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (low, middle) if np.all(campaign.errors(duration * np.exp(middle)) <= limits) else (middle, high)
+    return float(duration * np.exp(high))
 
 
 def _test(settings: PlanSettings, rig: Rig, test: Multisines, periods: int) -> PlannedTest:

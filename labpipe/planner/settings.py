@@ -72,6 +72,7 @@ class PlanSettings(Settings):
     expected: tuple[tuple[str, float], ...] = setting("coefficients", "expected values, by name", default=())
     earlier: str = setting("file", "identification.json whose values are expected where `expected` has none", default="")
     fit: str = setting("text", "the fit of `earlier`; default: its only one", default="")
+    combine_earlier: bool = setting("flag", "the earlier result counts: it and the new test are combined", default=False)
     theory: TheorySettings | None = setting(
         "section",
         "bearing whose theory is expected where `expected` has no value; also expected: {bearing: FILE, ...}",
@@ -102,11 +103,7 @@ class PlanSettings(Settings):
             raise ConfigError(
                 "one of 'noise' and 'noise_density' is needed", hint="noise: {force: 20 mN, displacement: 0.3 um}", field="noise"
             )
-        if not self.expected and not self.earlier and self.theory is None:
-            hint = "expected: {k_xx: 180 kN/m, ...}, {bearing: FILE}, or earlier: identification.json"
-            raise ConfigError("nothing is expected", hint=hint, field="expected")
-        if self.theory is not None and self.model == "sdof":
-            raise ConfigError("theory gives matrices", hint="state k and c of the pedestal under `expected`", field="theory")
+        self._check_expected()
         for name, values in self.goal:
             if len(values) != 1 or values[0] <= 0:
                 raise ConfigError(f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal")
@@ -114,3 +111,12 @@ class PlanSettings(Settings):
             raise ConfigError(f"{self.band[1]:g} Hz needs more than {2 * self.band[1]:g} Hz of sampling rate", field="sample_rate")
         if abs(self.sample_rate * self.period - round(self.sample_rate * self.period)) > 1e-6:
             raise ConfigError("a period holds no whole number of samples", hint="change `period` or `sample_rate`", field="period")
+
+    def _check_expected(self) -> None:
+        if not self.expected and not self.earlier and self.theory is None:
+            hint = "expected: {k_xx: 180 kN/m, ...}, {bearing: FILE}, or earlier: identification.json"
+            raise ConfigError("nothing is expected", hint=hint, field="expected")
+        if self.combine_earlier and not self.earlier:
+            raise ConfigError("there is no earlier result to combine", hint="earlier: FILE", field="combine_earlier")
+        if self.theory is not None and self.model == "sdof":
+            raise ConfigError("theory gives matrices", hint="state k and c of the pedestal under `expected`", field="theory")

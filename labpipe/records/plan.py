@@ -10,7 +10,8 @@ class PlannedCoefficient:
     """A coefficient [SI *unit*] with its *expected* value and predicted standard errors, all relative to *scale*, its expected size.
 
     error: with the noise known; error_weighted: with weights from the scatter of the periods; flat: of a flat multisine of equal peak and
-    time. goal: the relative error that is wanted, None for none.
+    time. goal: the relative error that is wanted, None for none. error_range: of *error* over draws from the covariance of an earlier
+    result, None where what is expected has no doubt, or a draw leaves the coefficient undetermined.
     """
 
     name: str
@@ -21,6 +22,7 @@ class PlannedCoefficient:
     error_weighted: float
     flat: float
     goal: float | None = None
+    error_range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,8 @@ class Plan:
     period [s], sample_rate [Hz], duration [s] of all measured periods; needed [s]: duration that meets all goals, None without goals;
     efficiency [1]: the least that the underlying design has against the best of its kind at equal mean square force; factor [1]: of the
     standard errors where weights come from the scatter of the periods; gain [1]: of the largest error over goal (or of all, without
-    goals), by the flat multisine it is compared with: its name and the ratio.
+    goals), by the flat multisine it is compared with: its name and the ratio; gain_range: of the one over least crest, over draws from the
+    covariance of an earlier result. combined: whether that result counts beside the test.
     """
 
     title: str
@@ -71,3 +74,5 @@ class Plan:
     needed: float | None = None
     mass: float | None = None
     notes: tuple[str, ...] = field(default=())
+    gain_range: tuple[float, float] | None = None
+    combined: bool = False

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import floor
 
-from labpipe.display import shown_unit
+from labpipe.display import NOT_DETERMINED, shown_unit
 from labpipe.quantities import to_display
 from labpipe.records.plan import Plan, PlannedCoefficient, PlannedTest
 from labpipe.report.chart import Axis, Panel, dots, look, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
 HEADER = ("coefficient", "expected", "goal", "std. error, noise known", "std. error, weights from the periods", "flat multisine", "gain")
+RANGE = "over draws of the expected values (95 %)"
 TEST_HEADER = ("test", "shaker", "file", "lines", "periods", "skipped", "crest factor", "peak force [N]", "peak displacement [um]")
 SCHEMES = {
     "one by one": "one shaker after the other",
@@ -76,6 +77,14 @@ def _verdict(plan: Plan) -> Iterator[Block]:
     )
     rows = tuple((FLATS[name], f"{gain:.2f}") for name, gain in plan.gains)
     yield Table(("flat multisine, one shaker after the other", "its error over the plan's"), rows, "Gain at equal peak and time", (1,))
+    if plan.combined:
+        yield Paragraph(COMBINED)
+
+
+COMBINED = (
+    "The earlier result counts: errors are those of both together, weighted by their covariances, as a fit to the recordings of both gives "
+    "them. The pipeline of the plan evaluates the new recordings."
+)
 
 
 def _designs(plan: Plan) -> str:
@@ -83,19 +92,27 @@ def _designs(plan: Plan) -> str:
 
 
 def _coefficients(plan: Plan) -> Table:
+    ranged = any(c.error_range is not None for c in plan.coefficients)
     rows = tuple(
         (
             c.name,
             _expected(c),
             "" if c.goal is None else per_cent(c.goal),
             per_cent(c.error),
+            *([_range(c)] if ranged else []),
             per_cent(c.error_weighted),
             per_cent(c.flat),
             f"{c.flat / c.error:.2f}",
         )
         for c in plan.coefficients
     )
-    return Table(HEADER, rows, "Relative standard errors, at the expected values", (1, 2, 3, 4, 5, 6))
+    header = (*HEADER[:4], *([RANGE] if ranged else []), *HEADER[4:])
+    return Table(header, rows, "Relative standard errors, at the expected values", tuple(range(1, len(header))))
+
+
+def _range(coefficient: PlannedCoefficient) -> str:
+    ends = coefficient.error_range
+    return NOT_DETERMINED if ends is None else f"{per_cent(ends[0])} to {per_cent(ends[1])}"
 
 
 def _expected(coefficient: PlannedCoefficient) -> str:

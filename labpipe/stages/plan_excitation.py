@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,12 @@ from labpipe.document.render import DOCUMENTS
 from labpipe.errors import ConfigError
 from labpipe.formats.signal_file import write_signal
 from labpipe.marked_yaml import set_entry
+from labpipe.planner.expectation import Earlier, Expected
 from labpipe.planner.model import AXES
 from labpipe.planner.plan import Planned, make_plan
 from labpipe.planner.settings import TheorySettings
+from labpipe.records.identification import Fit
+from labpipe.records.parameter import Parameter
 from labpipe.records.plan import Plan
 from labpipe.records.settings import settings_of
 from labpipe.registry import nearest
@@ -49,20 +52,41 @@ def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], l
     return sentences, [*names, NAME, REPORT, RIG, PIPELINE]
 
 
-def _expected(file: PlanFile) -> dict[str, float]:
-    """Values by name: those of `expected`, the others from the earlier result, then from theory."""
+def _expected(file: PlanFile) -> Expected:
+    """Values by name: those of `expected`, the others from the earlier result, with its doubts, then from theory."""
     settings = file.settings
     theory = {} if settings.theory is None else _theory(settings.theory, file.path.parent)
-    given = theory | dict(settings.expected)
+    typed = dict(settings.expected)
     if not settings.earlier:
-        return given
+        return Expected(theory | typed)
     path = file.path.parent / settings.earlier
     fits = {fit.name: fit for fit in read_identification(path).fits}
     name = settings.fit or next(iter(fits), "")
     if name not in fits or (not settings.fit and len(fits) > 1):
         raise ConfigError(f"name the fit of {path.name}", hint=nearest(settings.fit, tuple(fits)), field="fit")
-    found = {p.name: p.value for p in fits[name].parameters if not p.derived and p.name[0] in "kcm"}
-    return theory | found | dict(settings.expected)
+    found = {p.name: p.value for p in fits[name].parameters if _is_coefficient(p)}
+    return Expected(theory | found | typed, earlier_doubts(fits[name], typed))
+
+
+def _is_coefficient(parameter: Parameter) -> bool:
+    return not parameter.derived and parameter.name[0] in "kcm"
+
+
+def earlier_doubts(fit: Fit, typed: Container[str] = ()) -> Earlier:
+    """Covariance by noise and systematic changes of a fit's coefficients, without those that are *typed*; NaN where it states no errors."""
+    estimated = [p for p in fit.parameters if not p.derived]
+    kept = [number for number, p in enumerate(estimated) if _is_coefficient(p) and p.name not in typed]
+    names = tuple(estimated[number].name for number in kept)
+    by_noise = {} if fit.budget is None else dict(zip(fit.budget.names, fit.budget.random, strict=True))
+    errors = np.array([by_noise.get(p.name, np.nan if p.full_error is None else p.full_error) for p in estimated], float)
+    # A form with constraints reports more coefficients than it estimates.
+    of_all = np.shape(fit.correlation) == (len(estimated),) * 2
+    correlation = np.asarray(fit.correlation) if of_all else np.eye(len(estimated))
+    noise = (correlation * np.outer(errors, errors))[np.ix_(kept, kept)]
+    if fit.budget is None:
+        return Earlier(names, noise)
+    columns = [fit.budget.names.index(name) for name in names]
+    return Earlier(names, noise, tuple(source.source for source in fit.budget.sources), fit.budget.changes[:, columns])
 
 
 def _theory(theory: TheorySettings, folder: Path) -> dict[str, float]:
