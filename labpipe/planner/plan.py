@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import ceil
 
@@ -17,11 +17,24 @@ from labpipe.planner.information import Noise
 from labpipe.planner.model import AXES, MODELS, PlannedModel
 from labpipe.planner.schemes import ONE_BY_ONE, Multisines
 from labpipe.planner.search import FLAT_PHASES, LEAST_CREST, Candidate, Wanted, best, flat, reference, schemes_of
-from labpipe.planner.settings import PlanSettings
+from labpipe.planner.settings import BEST, PlanSettings
+from labpipe.planner.uncertainty import (
+    Goals,
+    Rehearse,
+    aims,
+    beside_earlier,
+    calibration_notes,
+    goals_of,
+    lasting_notes,
+    limits,
+    predicted,
+    unreachable,
+    with_uncertainty,
+)
 from labpipe.quantities import UnitError, parse_value
+from labpipe.records.budget import Budget
 from labpipe.records.plan import Plan, PlannedCoefficient, PlannedTest
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.registry import nearest
 from labpipe.signals.least_peak import peaks
 
 FEWEST_PERIODS = 3
@@ -59,43 +72,115 @@ class Planned:
         return dict(zip(planned.files, whole.T, strict=True))
 
 
-def make_plan(settings: PlanSettings, expected: Expected, title: str) -> Planned:
-    """The plan for the *expected* coefficients; ConfigError where the rig cannot determine them, or time is too short."""
-    model = MODELS[settings.model](expected.values, settings.mass)
-    rig = _rig(settings, model)
-    if settings.combine_earlier:
-        assert expected.earlier is not None
-        rig = replace(rig, known=expected.earlier.known(model, settings.duration))
-    wanted = Wanted(settings.criterion, _goals(settings, model), settings.floor)
-    lines = planned_lines(settings)
-    _check_identifiable(rig, lines)
-    schemes = schemes_of(len(rig.shakers), settings.scheme)
-    found = best(rig, lines, wanted, schemes)
+@dataclass(frozen=True)
+class _Question:
+    """What is planned, and what it is held against: *flats* are the flat multisines by their phases."""
+
+    settings: PlanSettings
+    title: str
+    rig: Rig
+    lines: IntArray
+    goals: Goals
+    wanted: Wanted
+    flats: Mapping[str, Campaign]
+
+
+def make_plan(settings: PlanSettings, expected: Expected, title: str, rehearse: Rehearse | None = None) -> Planned:
+    """The plan for the *expected* coefficients; ConfigError where the rig cannot determine them, or time is too short.
+
+    rehearse: gives the uncertainty budget of the evaluation of tests; None where nothing but noise is known of the sensors.
+    """
+    question = _question(settings, expected, title, rehearse)
+    rig, wanted = question.rig, question.wanted
+    found = best(rig, question.lines, wanted, schemes_of(len(rig.shakers), _scheme(settings)))
     periods = _periods(settings, found.campaign)
-    timed = _timed(rig, found.campaign, periods)
-    flats = {phases: flat(rig, lines, ONE_BY_ONE, phases) for phases in FLAT_PHASES}
-    plan = _plan(settings, title, rig, wanted, found, timed, periods, flats, lines)
+    timed = with_shares(rig, found.campaign.tests, np.array(periods) / sum(periods))
+    budget = None if rehearse is None else rehearse(rig, timed.tests, periods)
+    plan = _plan(question, found, timed, periods)
+    if budget is not None:
+        plan = _with_budget(plan, question, timed, budget, expected.earlier)
     if expected.earlier is not None:
-        plan = _over_draws(plan, rig, wanted, timed, flats[LEAST_CREST], expected.earlier)
+        plan = _over_draws(plan, question, timed, expected.earlier)
     return Planned(plan, rig, found.campaign.tests)
 
 
-def _over_draws(plan: Plan, rig: Rig, wanted: Wanted, timed: Campaign, other: Campaign, earlier: Earlier) -> Plan:
+def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: Rehearse | None) -> _Question:
+    model = MODELS[settings.model](expected.values, settings.mass)
+    rig, lines, goals = _rig(settings, model), planned_lines(settings), goals_of(settings, model)
+    if not (settings.combine_earlier and expected.earlier is not None):
+        _check_identifiable(rig, lines)
+    flats = {phases: flat(rig, lines, ONE_BY_ONE, phases) for phases in FLAT_PHASES}
+    first = None
+    if rehearse is not None and (settings.combine_earlier or np.any(np.isfinite(goals.expanded))):
+        # Systematic parts hardly depend on the spectrum: a flat one tells what goals leave to noise.
+        tests = flats[LEAST_CREST].tests
+        first = rehearse(rig, tests, [max(round(settings.duration / settings.period / len(tests)), 1)] * len(tests))
+    if first is None and np.any(np.isfinite(goals.expanded)):
+        what = "nothing but noise is in doubt, so that no expanded uncertainty is known"
+        raise ConfigError(what, hint="rig: FILE with sensitivity: 8 V/mm +- 1 %, or mass: 0.79 kg +- 5 g", field="goal")
+    if settings.combine_earlier:
+        assert expected.earlier is not None
+        common = () if first is None else tuple(source.source for source in first.sources)
+        known = expected.earlier.known(model, settings.duration, common)
+        rig, flats = replace(rig, known=known), {phases: replace(told, known=known) for phases, told in flats.items()}
+        if not np.all(np.diagonal(known.information) > 0):
+            _check_identifiable(rig, lines)
+    wanted = Wanted(settings.criterion, aims(limits(goals, first, model.scales), goals), settings.floor)
+    return _Question(settings, title, rig, lines, goals, wanted, flats)
+
+
+def _scheme(settings: PlanSettings) -> str:
+    """The scheme that is asked for; one by one where the rig file has one force for two shakers."""
+    forces = [] if settings.sensors is None else [one for one in settings.sensors.channels if one.channel.role == "input"]
+    if len(forces) != 1 or len(settings.shakers) == 1 or settings.model == "sdof":
+        return settings.scheme
+    if settings.scheme not in (BEST, ONE_BY_ONE):
+        raise ConfigError("the rig has one force", hint=f"scheme: {ONE_BY_ONE}, or a force for every shaker", field="scheme")
+    return ONE_BY_ONE
+
+
+def _with_budget(plan: Plan, question: _Question, timed: Campaign, budget: Budget, earlier: Earlier | None) -> Plan:
+    """The plan with what the doubts of sensors and mass add, and what of the goals they leave."""
+    model, goals = question.rig.model, question.goals
+    random = np.array([c.error_weighted * c.scale for c in plan.coefficients])
+    if timed.known is not None and earlier is not None:
+        budget = beside_earlier(budget, earlier, timed, model, plan.duration)
+    budget = predicted(budget, random)
+    coefficients = with_uncertainty(plan.coefficients, budget)
+    allowed = limits(goals, budget, model.scales)
+    beyond = unreachable(goals, allowed)
+    return replace(
+        plan,
+        coefficients=coefficients,
+        needed=_needed(question, timed, allowed / plan.factor, plan.duration) if goals.any and not np.any(beyond) else None,
+        unreachable=tuple(name for name, never in zip(model.names, beyond, strict=True) if never),
+        notes=(*plan.notes, *lasting_notes(coefficients), *calibration_notes(goals, budget, random, model.scales)),
+    )
+
+
+def _needed(question: _Question, timed: Campaign, allowed: FloatArray, duration: float) -> float | None:
+    """Time [s] after which all errors by noise are as small as *allowed* (n_coefficient,) [1]; None where no time is enough."""
+    least = FEWEST_PERIODS * len(timed.tests) * question.settings.period
+    needed = max(time_needed(timed, allowed, duration), least)
+    return needed if np.isfinite(needed) else None
+
+
+def _over_draws(plan: Plan, question: _Question, timed: Campaign, earlier: Earlier) -> Plan:
     """The plan with the ranges of its prediction over draws from the covariance of what is expected."""
+    rig, wanted = question.rig, question.wanted
     covariance = earlier.covariance_of(rig.model)
     if not np.all(np.isfinite(covariance)):
         return replace(plan, notes=(*plan.notes, NO_ERRORS))
     if not np.any(covariance):
         return plan
-    limits = wanted.goals / plan.factor
-    found = spread(rig, timed, other, covariance, limits, wanted.criterion, plan.duration)
+    found = spread(rig, timed, question.flats[LEAST_CREST], covariance, wanted.goals / plan.factor, wanted.criterion, plan.duration)
     ranges = [(float(low), float(high)) if np.isfinite(high) else None for low, high in found.errors.T]
     errors = np.array([c.error for c in plan.coefficients])
     return replace(
         plan,
         coefficients=tuple(replace(c, error_range=ends) for c, ends in zip(plan.coefficients, ranges, strict=True)),
         gain_range=(float(found.gain[0]), float(found.gain[1])),
-        notes=(*plan.notes, *spread_notes(found, errors, dict(plan.gains)[LEAST_CREST], plan.needed is not None)),
+        notes=(*plan.notes, *spread_notes(found, errors, dict(plan.gains)[LEAST_CREST], question.goals.any)),
     )
 
 
@@ -154,22 +239,7 @@ def _direction(name: str) -> tuple[float, float]:
     return (float(np.cos(angle)), float(np.sin(angle)))
 
 
-def _goals(settings: PlanSettings, model: PlannedModel) -> FloatArray:
-    """(n_coefficient,): relative errors wanted, infinite where none is; all one without goals."""
-    if not settings.goal:
-        return np.ones(len(model.names))
-    goals = np.full(len(model.names), np.inf)
-    for name, (value,) in settings.goal:
-        if name not in model.names:
-            raise ConfigError(f"the model has no coefficient {name}", hint=nearest(name, model.names), field="goal")
-        goals[model.names.index(name)] = value
-    return goals
-
-
 def _check_identifiable(rig: Rig, lines: IntArray) -> None:
-    if rig.known is not None and np.all(np.diagonal(rig.known.information) > 0):
-        # What the forces do not tell was told before.
-        return
     found = identifiability(rig.model, rig.noise, Excitation.of_directions(rig.spacing * lines, rig.directions))
     if not found.full:
         raise ConfigError(f"with forces along {', '.join(rig.shakers)} {found.words}", hint=found.remedy, field="shakers")
@@ -186,44 +256,17 @@ def _periods(settings: PlanSettings, found: Campaign) -> tuple[int, ...]:
     return periods
 
 
-def _timed(rig: Rig, found: Campaign, periods: tuple[int, ...]) -> Campaign:
-    """The campaign with the times that whole periods give."""
-    return with_shares(rig, found.tests, np.array(periods) / sum(periods))
-
-
-def _plan(
-    settings: PlanSettings,
-    title: str,
-    rig: Rig,
-    wanted: Wanted,
-    found: Candidate,
-    timed: Campaign,
-    periods: tuple[int, ...],
-    flats: Mapping[str, Campaign],
-    lines: IntArray,
-) -> Plan:
+def _plan(question: _Question, found: Candidate, timed: Campaign, periods: tuple[int, ...]) -> Plan:
+    settings, rig, wanted = question.settings, question.rig, question.wanted
     duration = sum(periods) * settings.period
-    errors = timed.errors(duration)
     of_spectra = rig.model.stator_mass > 0 or any(np.count_nonzero(running_shakers(test)) > 1 for test in found.campaign.tests)
     factor = weighting_factor(min(periods), of_spectra)
-    flat_errors = flats[LEAST_CREST].errors(duration)
-    model = rig.model
-    goals = dict(settings.goal)
-    coefficients = tuple(
-        PlannedCoefficient(
-            name, unit, float(value), float(scale), float(error), float(factor * error), float(other), goals.get(name, (None,))[0]
-        )
-        for name, unit, value, scale, error, other in zip(
-            model.names, model.units, model.expected, model.scales, errors, flat_errors, strict=True
-        )
-    )
     own = score(timed.information, wanted.criterion, wanted.goals)
-    gains = tuple((phases, score(told.information, wanted.criterion, wanted.goals) / own) for phases, told in flats.items())
-    certificate = found.certificate or reference(rig, lines, wanted).certificate
-    least = FEWEST_PERIODS * len(periods) * settings.period
+    gains = tuple((phases, score(told.information, wanted.criterion, wanted.goals) / own) for phases, told in question.flats.items())
+    certificate = found.certificate or reference(rig, question.lines, wanted).certificate
     return Plan(
-        title=title,
-        model=model.kind,
+        title=question.title,
+        model=rig.model.kind,
         criterion=wanted.criterion,
         scheme=found.scheme,
         design=found.criterion,
@@ -233,14 +276,32 @@ def _plan(
         duration=duration,
         efficiency=certificate.efficiency,
         factor=factor,
-        coefficients=coefficients,
-        tests=tuple(_test(settings, rig, test, number) for test, number in zip(timed.tests, periods, strict=True)),
+        coefficients=tuple(_coefficients(question, timed, factor, duration)),
+        tests=tuple(planned_test(settings, rig, test, number) for test, number in zip(timed.tests, periods, strict=True)),
         gains=gains,
-        needed=max(time_needed(timed, wanted.goals / factor, duration), least) if settings.goal else None,
+        needed=_needed(question, timed, wanted.goals / factor, duration) if question.goals.any else None,
         mass=settings.mass,
-        notes=_notes(rig, lines, found, wanted),
+        notes=_notes(rig, question.lines, found, wanted),
         combined=rig.known is not None,
     )
+
+
+def _coefficients(question: _Question, timed: Campaign, factor: float, duration: float) -> Iterator[PlannedCoefficient]:
+    model, goals = question.rig.model, question.goals
+    errors, others = timed.errors(duration), question.flats[LEAST_CREST].errors(duration)
+    numbers = zip(model.expected, model.scales, errors, factor * errors, others, goals.random, goals.expanded, strict=True)
+    for name, unit, (value, scale, error, weighted, other, random, expanded) in zip(model.names, model.units, numbers, strict=True):
+        yield PlannedCoefficient(
+            name,
+            unit,
+            float(value),
+            float(scale),
+            float(error),
+            float(weighted),
+            float(other),
+            goal=float(random) if np.isfinite(random) else None,
+            goal_expanded=float(expanded) if np.isfinite(expanded) else None,
+        )
 
 
 def time_needed(campaign: Campaign, limits: FloatArray, duration: float) -> float:
@@ -259,7 +320,8 @@ def time_needed(campaign: Campaign, limits: FloatArray, duration: float) -> floa
     return float(duration * np.exp(high))
 
 
-def _test(settings: PlanSettings, rig: Rig, test: Multisines, periods: int) -> PlannedTest:
+def planned_test(settings: PlanSettings, rig: Rig, test: Multisines, periods: int) -> PlannedTest:
+    """A test of so many periods as it is written down."""
     running = running_shakers(test)
     forces: ComplexArray = test.forces[:, running]
     names = tuple(name for name, runs in zip(rig.shakers, running, strict=True) if runs)
