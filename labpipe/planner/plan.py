@@ -62,14 +62,19 @@ class Planned:
 
     def signals(self, test: int) -> dict[str, FloatArray]:
         """Force of every running shaker of a test, by file, (n_sample,) [N]: all its periods, transient ones included."""
-        multisines, planned = self.tests[test], self.plan.tests[test]
-        n_sample = round(self.plan.period * self.plan.sample_rate)
-        running = multisines.forces[:, running_shakers(multisines)]
-        spectrum = np.zeros((n_sample // 2 + 1, running.shape[1]), complex)
-        spectrum[multisines.lines] = running * (n_sample / 2)
-        period = np.fft.irfft(spectrum, n_sample, axis=0)
+        planned = self.plan.tests[test]
+        period = period_signals(self.tests[test], self.plan.sample_rate, self.plan.period)
         whole = np.tile(period, (planned.periods + planned.skip, 1))
         return dict(zip(planned.files, whole.T, strict=True))
+
+
+def period_signals(test: Multisines, sample_rate: float, period: float) -> FloatArray:
+    """Forces (n_sample, n_running) [N] of the running shakers in one period [s] at *sample_rate* [Hz]."""
+    n_sample = round(period * sample_rate)
+    running = test.forces[:, running_shakers(test)]
+    spectrum = np.zeros((n_sample // 2 + 1, running.shape[1]), complex)
+    spectrum[test.lines] = running * (n_sample / 2)
+    return np.asarray(np.fft.irfft(spectrum, n_sample, axis=0))
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,7 @@ def make_plan(settings: PlanSettings, expected: Expected, title: str, rehearse: 
 
 def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: Rehearse | None) -> _Question:
     model = MODELS[settings.model](expected.values, settings.mass)
-    rig, lines, goals = _rig(settings, model), planned_lines(settings), goals_of(settings, model)
+    rig, lines, goals = bench(settings, model), planned_lines(settings), goals_of(settings, model)
     if not (settings.combine_earlier and expected.earlier is not None):
         _check_identifiable(rig, lines)
     flats = {phases: flat(rig, lines, ONE_BY_ONE, phases) for phases in FLAT_PHASES}
@@ -210,7 +215,8 @@ def weighting_factor(periods: int, of_spectra: bool) -> float:
     return float(np.interp(periods, known, [OF_SPECTRA[number] for number in known])) if of_spectra else 1.0
 
 
-def _rig(settings: PlanSettings, model: PlannedModel) -> Rig:
+def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
+    """The rig of the settings: noise, limits and directions of the shakers; ConfigError for shakers that the model does not have."""
     names = settings.shakers or AXES[: model.n_dof]
     if len(names) > model.n_dof:
         raise ConfigError(f"{len(names)} shakers for {model.n_dof} directions", hint="one or two, x and y", field="shakers")

@@ -139,7 +139,7 @@ def lasting_notes(coefficients: Sequence[PlannedCoefficient]) -> Iterator[str]:
 
 
 def unreachable(goals: Goals, allowed: FloatArray) -> BoolArray:
-    """Coefficients (n_coefficient,) whose goal no time meets."""
+    """Coefficients (n_coefficient,) whose goal no time meets; *allowed* (n_coefficient,) [1]: as of `limits`."""
     return np.asarray(np.isfinite(goals.expanded) & (allowed <= 0))
 
 

@@ -14,7 +14,7 @@ from labpipe.report.document import Block, Document, Figure, Paragraph, Section,
 HEADER = ("coefficient", "expected", "goal", "std. error, noise known", "std. error, weights from the periods", "flat multisine", "gain")
 RANGE = "over draws of the expected values (95 %)"
 BUDGET = ("coefficient", "goal, expanded", "random", "systematic", "combined", "expanded", "largest shares of the variance")
-SOURCES = 3
+SOURCES, SHOWN = 3, 0.005
 BUDGETED = (
     "Random is what noise leaves, systematic what the doubts of the rig file's numbers and of the mass do to first order, by the budget of "
     "the plan's pipeline on the expected responses. Longer measuring lowers the random part alone."
@@ -139,7 +139,7 @@ def _uncertainty(plan: Plan) -> Iterator[Section]:
             c.name,
             "" if c.goal_expanded is None else per_cent(c.goal_expanded),
             *(per_cent(number or 0.0) for number in (c.error_weighted, c.systematic, c.combined, c.expanded)),
-            ", ".join(f"{part.source} {100 * part.share:.0f} %" for part in c.budget[:SOURCES]),
+            ", ".join(f"{part.source} {100 * part.share:.0f} %" for part in c.budget[:SOURCES] if part.share > SHOWN),
         )
         for c in stated
     )
