@@ -35,8 +35,24 @@ class Limits:
 
 
 @dataclass(frozen=True)
+class Known:
+    """What an earlier test counts for: *information* (n_coefficient, n_coefficient) [1] of relative coefficients, beside *duration* [s]."""
+
+    information: FloatArray
+    duration: float
+
+    @property
+    def rate(self) -> FloatArray:
+        """Information (n_coefficient, n_coefficient) [1/s] spread over the planned duration."""
+        return self.information / self.duration
+
+
+@dataclass(frozen=True)
 class Rig:
-    """Model, noise, limits and directions of the shakers (n_shaker, n_dof) [1], with their names; *spacing* of the lines [Hz]."""
+    """Model, noise, limits and directions of the shakers (n_shaker, n_dof) [1], with their names; *spacing* of the lines [Hz].
+
+    known: what an earlier test tells, where it is combined with the planned one.
+    """
 
     model: PlannedModel
     noise: Noise
@@ -44,6 +60,12 @@ class Rig:
     directions: ComplexArray
     shakers: tuple[str, ...]
     spacing: float
+    known: Known | None = None
+
+    @property
+    def known_rate(self) -> FloatArray:
+        """Information (n_coefficient, n_coefficient) [1/s] of an earlier test over the planned duration; zero without one."""
+        return np.zeros((len(self.model.names),) * 2) if self.known is None else self.known.rate
 
     def omega(self, test: Multisines) -> FloatArray:
         """Angular frequencies (n_line,) [rad/s] of a test's lines."""
@@ -97,21 +119,31 @@ def crest_factors(test: Multisines) -> FloatArray:
 
 @dataclass(frozen=True)
 class Campaign:
-    """Tests with their shares of the time (n_test,) [1], and what they tell per second: information (n, n) [1/s], relative."""
+    """Tests with their shares of the time (n_test,) [1], and what they tell per second: *rate* (n, n) [1/s], relative; *known* besides."""
 
     tests: tuple[Multisines, ...]
     shares: FloatArray
-    information: FloatArray
+    rate: FloatArray
+    known: Known | None = None
+
+    @property
+    def information(self) -> FloatArray:
+        """Information per second (n, n) [1/s], what an earlier test tells spread over the planned duration."""
+        return self.rate if self.known is None else self.rate + self.known.rate
 
     def errors(self, duration: float) -> FloatArray:
-        """Relative standard errors (n_coefficient,) [1] of *duration* [s] of data, the noise being known."""
-        return relative_errors(self.information * duration)
+        """Relative standard errors (n_coefficient,) [1] of *duration* [s] of data and what is known before, the noise being known."""
+        return relative_errors(self.rate * duration if self.known is None else self.rate * duration + self.known.information)
+
+
+def with_shares(rig: Rig, tests: Sequence[Multisines], shares: FloatArray) -> Campaign:
+    """The tests with *shares* (n_test,) [1] of the time."""
+    return Campaign(tuple(tests), shares, np.tensordot(shares, np.stack([rig.rate(test) for test in tests]), 1), rig.known)
 
 
 def equal_times(rig: Rig, tests: Sequence[Multisines]) -> Campaign:
     """The tests with the same time each."""
-    rates = np.stack([rig.rate(test) for test in tests])
-    return Campaign(tuple(tests), np.full(len(rates), 1 / len(rates)), rates.mean(axis=0))
+    return with_shares(rig, tests, np.full(len(tests), 1 / len(tests)))
 
 
 def campaign(rig: Rig, tests: Sequence[Multisines], criterion: str, goals: FloatArray) -> Campaign:
@@ -121,10 +153,10 @@ def campaign(rig: Rig, tests: Sequence[Multisines], criterion: str, goals: Float
         return equal_times(rig, tests)
     wanted = np.isfinite(goals)
     weight = 1 / np.where(wanted, goals, 1.0)
-    design = optimum(criterion, rates / np.outer(weight, weight), np.eye(wanted.size)[wanted])
+    design = optimum(criterion, (rates + rig.known_rate) / np.outer(weight, weight), np.eye(wanted.size)[wanted])
     shares = np.maximum(design.shares, 0.02)
     shares = shares / shares.sum()
-    return Campaign(tuple(tests), shares, np.tensordot(shares, rates, 1))
+    return Campaign(tuple(tests), shares, np.tensordot(shares, rates, 1), rig.known)
 
 
 def score(information: FloatArray, criterion: str, goals: FloatArray) -> float:

@@ -25,6 +25,7 @@ class PlanKind:
 EXCITATION = PlanKind("labpipe.planner.settings:PlanSettings", "labpipe.stages.plan_excitation:excitation_files")
 RUN_UPS = PlanKind("labpipe.planner.run_up_settings:RunUpPlanSettings", "labpipe.stages.plan_run_ups:run_up_files")
 WEAR = PlanKind("labpipe.planner.wear_settings:WearPlanSettings", "labpipe.stages.plan_wear:wear_files")
+STATES = PlanKind("labpipe.planner.state_settings:StatePlanSettings", "labpipe.stages.plan_states:state_files")
 
 PLANS = Registry(
     "model",
@@ -32,6 +33,7 @@ PLANS = Registry(
         "sdof": "labpipe.planner.kinds:EXCITATION",
         "rotor-2dof": "labpipe.planner.kinds:EXCITATION",
         "dynamic-stiffness": "labpipe.planner.kinds:EXCITATION",
+        "bearing-states": "labpipe.planner.kinds:STATES",
         "run-ups": "labpipe.planner.kinds:RUN_UPS",
         "worn-bearing": "labpipe.planner.kinds:WEAR",
     },

@@ -2,25 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
-from labpipe.planner.campaigns import Campaign, Limits, Rig, crest_factors, running_shakers, score
+from labpipe.planner.campaigns import Campaign, Limits, Rig, crest_factors, running_shakers, score, with_shares
+from labpipe.planner.expectation import Earlier, Expected, spread, spread_notes
 from labpipe.planner.identifiability import Excitation, identifiability
 from labpipe.planner.information import Noise
 from labpipe.planner.model import AXES, MODELS, PlannedModel
 from labpipe.planner.schemes import ONE_BY_ONE, Multisines
-from labpipe.planner.search import FLAT_PHASES, Candidate, Wanted, best, flat, reference, schemes_of
-from labpipe.planner.settings import PlanSettings
+from labpipe.planner.search import FLAT_PHASES, LEAST_CREST, Candidate, Wanted, best, flat, reference, schemes_of
+from labpipe.planner.settings import BEST, PlanSettings
+from labpipe.planner.uncertainty import (
+    Goals,
+    Rehearse,
+    aims,
+    beside_earlier,
+    calibration_notes,
+    goals_of,
+    lasting_notes,
+    limits,
+    predicted,
+    unreachable,
+    with_uncertainty,
+)
 from labpipe.quantities import UnitError, parse_value
+from labpipe.records.budget import Budget
 from labpipe.records.plan import Plan, PlannedCoefficient, PlannedTest
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.registry import nearest
 from labpipe.signals.least_peak import peaks
 
 FEWEST_PERIODS = 3
@@ -31,6 +45,9 @@ MOST_LINES, MOST_SAMPLES = 20_000, 1 << 24
 # channels know it from the periods alone.
 OF_SPECTRA = {3: 1.07, 4: 1.05, 5: 1.02, 10: 1.0}
 MAINS_WIDTH = 0.5
+# Factor of the time up to which goals are looked for.
+LONGEST = 1e6
+NO_ERRORS = "The earlier result states no errors: how sure the prediction is, is not known."
 # One direction of force whose errors are more than this times those of x and then y gets a note.
 MUCH_WORSE = 2.0
 
@@ -45,30 +62,131 @@ class Planned:
 
     def signals(self, test: int) -> dict[str, FloatArray]:
         """Force of every running shaker of a test, by file, (n_sample,) [N]: all its periods, transient ones included."""
-        multisines, planned = self.tests[test], self.plan.tests[test]
-        n_sample = round(self.plan.period * self.plan.sample_rate)
-        running = multisines.forces[:, running_shakers(multisines)]
-        spectrum = np.zeros((n_sample // 2 + 1, running.shape[1]), complex)
-        spectrum[multisines.lines] = running * (n_sample / 2)
-        period = np.fft.irfft(spectrum, n_sample, axis=0)
+        planned = self.plan.tests[test]
+        period = period_signals(self.tests[test], self.plan.sample_rate, self.plan.period)
         whole = np.tile(period, (planned.periods + planned.skip, 1))
         return dict(zip(planned.files, whole.T, strict=True))
 
 
-def make_plan(settings: PlanSettings, expected: Mapping[str, float], title: str) -> Planned:
-    """The plan for *expected* values [SI] of the coefficients; ConfigError where the rig cannot determine them, or time is too short."""
-    model = MODELS[settings.model](expected, settings.mass)
-    rig = _rig(settings, model)
-    wanted = Wanted(settings.criterion, _goals(settings, model), settings.floor)
-    lines = planned_lines(settings)
-    _check_identifiable(rig, lines)
-    schemes = schemes_of(len(rig.shakers), settings.scheme)
-    found = best(rig, lines, wanted, schemes)
+def period_signals(test: Multisines, sample_rate: float, period: float) -> FloatArray:
+    """Forces (n_sample, n_running) [N] of the running shakers in one period [s] at *sample_rate* [Hz]."""
+    n_sample = round(period * sample_rate)
+    running = test.forces[:, running_shakers(test)]
+    spectrum = np.zeros((n_sample // 2 + 1, running.shape[1]), complex)
+    spectrum[test.lines] = running * (n_sample / 2)
+    return np.asarray(np.fft.irfft(spectrum, n_sample, axis=0))
+
+
+@dataclass(frozen=True)
+class _Question:
+    """What is planned, and what it is held against: *flats* are the flat multisines by their phases."""
+
+    settings: PlanSettings
+    title: str
+    rig: Rig
+    lines: IntArray
+    goals: Goals
+    wanted: Wanted
+    flats: Mapping[str, Campaign]
+
+
+def make_plan(settings: PlanSettings, expected: Expected, title: str, rehearse: Rehearse | None = None) -> Planned:
+    """The plan for the *expected* coefficients; ConfigError where the rig cannot determine them, or time is too short.
+
+    rehearse: gives the uncertainty budget of the evaluation of tests; None where nothing but noise is known of the sensors.
+    """
+    question = _question(settings, expected, title, rehearse)
+    rig, wanted = question.rig, question.wanted
+    found = best(rig, question.lines, wanted, schemes_of(len(rig.shakers), _scheme(settings)))
     periods = _periods(settings, found.campaign)
-    timed = _timed(rig, found.campaign, periods)
-    flats = {phases: flat(rig, lines, ONE_BY_ONE, phases) for phases in FLAT_PHASES}
-    plan = _plan(settings, title, rig, wanted, found, timed, periods, flats, lines)
+    timed = with_shares(rig, found.campaign.tests, np.array(periods) / sum(periods))
+    budget = None if rehearse is None else rehearse(rig, timed.tests, periods)
+    plan = _plan(question, found, timed, periods)
+    if budget is not None:
+        plan = _with_budget(plan, question, timed, budget, expected.earlier)
+    if expected.earlier is not None:
+        plan = _over_draws(plan, question, timed, expected.earlier)
     return Planned(plan, rig, found.campaign.tests)
+
+
+def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: Rehearse | None) -> _Question:
+    model = MODELS[settings.model](expected.values, settings.mass)
+    rig, lines, goals = bench(settings, model), planned_lines(settings), goals_of(settings, model)
+    if not (settings.combine_earlier and expected.earlier is not None):
+        _check_identifiable(rig, lines)
+    flats = {phases: flat(rig, lines, ONE_BY_ONE, phases) for phases in FLAT_PHASES}
+    first = None
+    if rehearse is not None and (settings.combine_earlier or np.any(np.isfinite(goals.expanded))):
+        # Systematic parts hardly depend on the spectrum: a flat one tells what goals leave to noise.
+        tests = flats[LEAST_CREST].tests
+        first = rehearse(rig, tests, [max(round(settings.duration / settings.period / len(tests)), 1)] * len(tests))
+    if first is None and np.any(np.isfinite(goals.expanded)):
+        what = "nothing but noise is in doubt, so that no expanded uncertainty is known"
+        raise ConfigError(what, hint="rig: FILE with sensitivity: 8 V/mm +- 1 %, or mass: 0.79 kg +- 5 g", field="goal")
+    if settings.combine_earlier:
+        assert expected.earlier is not None
+        common = () if first is None else tuple(source.source for source in first.sources)
+        known = expected.earlier.known(model, settings.duration, common)
+        rig, flats = replace(rig, known=known), {phases: replace(told, known=known) for phases, told in flats.items()}
+        if not np.all(np.diagonal(known.information) > 0):
+            _check_identifiable(rig, lines)
+    wanted = Wanted(settings.criterion, aims(limits(goals, first, model.scales), goals), settings.floor)
+    return _Question(settings, title, rig, lines, goals, wanted, flats)
+
+
+def _scheme(settings: PlanSettings) -> str:
+    """The scheme that is asked for; one by one where the rig file has one force for two shakers."""
+    forces = [] if settings.sensors is None else [one for one in settings.sensors.channels if one.channel.role == "input"]
+    if len(forces) != 1 or len(settings.shakers) == 1 or settings.model == "sdof":
+        return settings.scheme
+    if settings.scheme not in (BEST, ONE_BY_ONE):
+        raise ConfigError("the rig has one force", hint=f"scheme: {ONE_BY_ONE}, or a force for every shaker", field="scheme")
+    return ONE_BY_ONE
+
+
+def _with_budget(plan: Plan, question: _Question, timed: Campaign, budget: Budget, earlier: Earlier | None) -> Plan:
+    """The plan with what the doubts of sensors and mass add, and what of the goals they leave."""
+    model, goals = question.rig.model, question.goals
+    random = np.array([c.error_weighted * c.scale for c in plan.coefficients])
+    if timed.known is not None and earlier is not None:
+        budget = beside_earlier(budget, earlier, timed, model, plan.duration)
+    budget = predicted(budget, random)
+    coefficients = with_uncertainty(plan.coefficients, budget)
+    allowed = limits(goals, budget, model.scales)
+    beyond = unreachable(goals, allowed)
+    return replace(
+        plan,
+        coefficients=coefficients,
+        needed=_needed(question, timed, allowed / plan.factor, plan.duration) if goals.any and not np.any(beyond) else None,
+        unreachable=tuple(name for name, never in zip(model.names, beyond, strict=True) if never),
+        notes=(*plan.notes, *lasting_notes(coefficients), *calibration_notes(goals, budget, random, model.scales)),
+    )
+
+
+def _needed(question: _Question, timed: Campaign, allowed: FloatArray, duration: float) -> float | None:
+    """Time [s] after which all errors by noise are as small as *allowed* (n_coefficient,) [1]; None where no time is enough."""
+    least = FEWEST_PERIODS * len(timed.tests) * question.settings.period
+    needed = max(time_needed(timed, allowed, duration), least)
+    return needed if np.isfinite(needed) else None
+
+
+def _over_draws(plan: Plan, question: _Question, timed: Campaign, earlier: Earlier) -> Plan:
+    """The plan with the ranges of its prediction over draws from the covariance of what is expected."""
+    rig, wanted = question.rig, question.wanted
+    covariance = earlier.covariance_of(rig.model)
+    if not np.all(np.isfinite(covariance)):
+        return replace(plan, notes=(*plan.notes, NO_ERRORS))
+    if not np.any(covariance):
+        return plan
+    found = spread(rig, timed, question.flats[LEAST_CREST], covariance, wanted.goals / plan.factor, wanted.criterion, plan.duration)
+    ranges = [(float(low), float(high)) if np.isfinite(high) else None for low, high in found.errors.T]
+    errors = np.array([c.error for c in plan.coefficients])
+    return replace(
+        plan,
+        coefficients=tuple(replace(c, error_range=ends) for c, ends in zip(plan.coefficients, ranges, strict=True)),
+        gain_range=(float(found.gain[0]), float(found.gain[1])),
+        notes=(*plan.notes, *spread_notes(found, errors, dict(plan.gains)[LEAST_CREST], question.goals.any)),
+    )
 
 
 def planned_lines(settings: PlanSettings) -> IntArray:
@@ -97,7 +215,8 @@ def weighting_factor(periods: int, of_spectra: bool) -> float:
     return float(np.interp(periods, known, [OF_SPECTRA[number] for number in known])) if of_spectra else 1.0
 
 
-def _rig(settings: PlanSettings, model: PlannedModel) -> Rig:
+def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
+    """The rig of the settings: noise, limits and directions of the shakers; ConfigError for shakers that the model does not have."""
     names = settings.shakers or AXES[: model.n_dof]
     if len(names) > model.n_dof:
         raise ConfigError(f"{len(names)} shakers for {model.n_dof} directions", hint="one or two, x and y", field="shakers")
@@ -126,18 +245,6 @@ def _direction(name: str) -> tuple[float, float]:
     return (float(np.cos(angle)), float(np.sin(angle)))
 
 
-def _goals(settings: PlanSettings, model: PlannedModel) -> FloatArray:
-    """(n_coefficient,): relative errors wanted, infinite where none is; all one without goals."""
-    if not settings.goal:
-        return np.ones(len(model.names))
-    goals = np.full(len(model.names), np.inf)
-    for name, (value,) in settings.goal:
-        if name not in model.names:
-            raise ConfigError(f"the model has no coefficient {name}", hint=nearest(name, model.names), field="goal")
-        goals[model.names.index(name)] = value
-    return goals
-
-
 def _check_identifiable(rig: Rig, lines: IntArray) -> None:
     found = identifiability(rig.model, rig.noise, Excitation.of_directions(rig.spacing * lines, rig.directions))
     if not found.full:
@@ -155,46 +262,17 @@ def _periods(settings: PlanSettings, found: Campaign) -> tuple[int, ...]:
     return periods
 
 
-def _timed(rig: Rig, found: Campaign, periods: tuple[int, ...]) -> Campaign:
-    """The campaign with the times that whole periods give."""
-    shares = np.array(periods) / sum(periods)
-    rates = np.stack([rig.rate(test) for test in found.tests])
-    return Campaign(found.tests, shares, np.tensordot(shares, rates, 1))
-
-
-def _plan(
-    settings: PlanSettings,
-    title: str,
-    rig: Rig,
-    wanted: Wanted,
-    found: Candidate,
-    timed: Campaign,
-    periods: tuple[int, ...],
-    flats: Mapping[str, Campaign],
-    lines: IntArray,
-) -> Plan:
+def _plan(question: _Question, found: Candidate, timed: Campaign, periods: tuple[int, ...]) -> Plan:
+    settings, rig, wanted = question.settings, question.rig, question.wanted
     duration = sum(periods) * settings.period
-    errors = timed.errors(duration)
     of_spectra = rig.model.stator_mass > 0 or any(np.count_nonzero(running_shakers(test)) > 1 for test in found.campaign.tests)
     factor = weighting_factor(min(periods), of_spectra)
-    flat_errors = flats[FLAT_PHASES[1]].errors(duration)
-    model = rig.model
-    goals = dict(settings.goal)
-    coefficients = tuple(
-        PlannedCoefficient(
-            name, unit, float(value), float(scale), float(error), float(factor * error), float(other), goals.get(name, (None,))[0]
-        )
-        for name, unit, value, scale, error, other in zip(
-            model.names, model.units, model.expected, model.scales, errors, flat_errors, strict=True
-        )
-    )
     own = score(timed.information, wanted.criterion, wanted.goals)
-    gains = tuple((phases, score(told.information, wanted.criterion, wanted.goals) / own) for phases, told in flats.items())
-    certificate = found.certificate or reference(rig, lines, wanted).certificate
-    worst = max((factor * error / goal for error, goal in zip(errors, wanted.goals, strict=True) if np.isfinite(goal)), default=0.0)
+    gains = tuple((phases, score(told.information, wanted.criterion, wanted.goals) / own) for phases, told in question.flats.items())
+    certificate = found.certificate or reference(rig, question.lines, wanted).certificate
     return Plan(
-        title=title,
-        model=model.kind,
+        title=question.title,
+        model=rig.model.kind,
         criterion=wanted.criterion,
         scheme=found.scheme,
         design=found.criterion,
@@ -204,16 +282,52 @@ def _plan(
         duration=duration,
         efficiency=certificate.efficiency,
         factor=factor,
-        coefficients=coefficients,
-        tests=tuple(_test(settings, rig, test, number) for test, number in zip(timed.tests, periods, strict=True)),
+        coefficients=tuple(_coefficients(question, timed, factor, duration)),
+        tests=tuple(planned_test(settings, rig, test, number) for test, number in zip(timed.tests, periods, strict=True)),
         gains=gains,
-        needed=max(float(duration * worst**2), FEWEST_PERIODS * len(periods) * settings.period) if settings.goal else None,
+        needed=_needed(question, timed, wanted.goals / factor, duration) if question.goals.any else None,
         mass=settings.mass,
-        notes=_notes(rig, lines, found, wanted),
+        notes=_notes(rig, question.lines, found, wanted),
+        combined=rig.known is not None,
     )
 
 
-def _test(settings: PlanSettings, rig: Rig, test: Multisines, periods: int) -> PlannedTest:
+def _coefficients(question: _Question, timed: Campaign, factor: float, duration: float) -> Iterator[PlannedCoefficient]:
+    model, goals = question.rig.model, question.goals
+    errors, others = timed.errors(duration), question.flats[LEAST_CREST].errors(duration)
+    numbers = zip(model.expected, model.scales, errors, factor * errors, others, goals.random, goals.expanded, strict=True)
+    for name, unit, (value, scale, error, weighted, other, random, expanded) in zip(model.names, model.units, numbers, strict=True):
+        yield PlannedCoefficient(
+            name,
+            unit,
+            float(value),
+            float(scale),
+            float(error),
+            float(weighted),
+            float(other),
+            goal=float(random) if np.isfinite(random) else None,
+            goal_expanded=float(expanded) if np.isfinite(expanded) else None,
+        )
+
+
+def time_needed(campaign: Campaign, limits: FloatArray, duration: float) -> float:
+    """Time [s] of the campaign after which no relative standard error exceeds its limit (n_coefficient,) [1], of a *duration* [s] or not.
+
+    Infinite where more than LONGEST times the duration would be needed.
+    """
+    if campaign.known is None:
+        return float(duration * np.max(campaign.errors(duration) / limits) ** 2)
+    low, high = -np.log(LONGEST), np.log(LONGEST)
+    if np.any(campaign.errors(duration * LONGEST) > limits):
+        return float("inf")
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (low, middle) if np.all(campaign.errors(duration * np.exp(middle)) <= limits) else (middle, high)
+    return float(duration * np.exp(high))
+
+
+def planned_test(settings: PlanSettings, rig: Rig, test: Multisines, periods: int) -> PlannedTest:
+    """A test of so many periods as it is written down."""
     running = running_shakers(test)
     forces: ComplexArray = test.forces[:, running]
     names = tuple(name for name, runs in zip(rig.shakers, running, strict=True) if runs)

@@ -100,7 +100,7 @@ def plan_runs(question: RunQuestion, title: str, model: str, notes: Sequence[str
     quantities = question.quantities
     aimed = [quantity for quantity in quantities if quantity.goal is not None] or list(quantities)
     rows = _rows(quantities, question.units)
-    wanted = np.stack([row / (quantity.goal or 1.0) for quantity, row in zip(quantities, rows, strict=True) if quantity in aimed])
+    wanted = np.stack([row / _size(quantity, row) for quantity, row in zip(quantities, rows, strict=True) if quantity in aimed])
     _check_open(question, choices, aimed, wanted)
     design = best_runs(question.criterion, choices, question.duration, wanted)
     flat = question.duration / choices.cost / len(choices.cost)
@@ -127,6 +127,11 @@ def plan_runs(question: RunQuestion, title: str, model: str, notes: Sequence[str
 
 def _rows(quantities: Sequence[Quantity], units: FloatArray) -> FloatArray:
     return np.stack([quantity.row * units for quantity in quantities])
+
+
+def _size(quantity: Quantity, row: FloatArray) -> float:
+    """What an error of a number is compared by [its unit]: its goal, else its scale, else its change by one unit of the parameters."""
+    return quantity.goal or quantity.scale or float(np.abs(row).max()) or 1.0
 
 
 def _check_open(question: RunQuestion, choices: RunChoices, aimed: Sequence[Quantity], wanted: FloatArray) -> None:

@@ -14,8 +14,8 @@ from scipy import linalg
 
 from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.planner.criteria import A, D, variances
-from labpipe.planner.designs import optimum
+from labpipe.planner.criteria import A, D, certificate, variances
+from labpipe.planner.designs import Design, optimum
 
 # What makes the first runs comparable, before they determine everything: this share of the information of all.
 SLIGHT = 1e-9
@@ -70,10 +70,12 @@ def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: Floa
         hint = f"a duration of {float(choices.cost.min()):.4g} s or more"
         raise ConfigError(f"no run fits into {duration:g} s", hint=hint, field="duration")
     whole = choices.information * (duration / choices.cost)[:, None, None] + choices.prior
-    design = optimum(criterion, whole, wanted)
-    counts = _exchanged(
-        criterion, choices, duration, wanted, _filled(criterion, choices, duration, wanted, _down(choices, design.shares, duration))
-    )
+    separate = _separate(criterion, whole, choices, wanted)
+    design = separate or optimum(criterion, whole, wanted)
+    begun = _down(choices, design.shares, duration)
+    if separate:
+        begun = _one_each(choices, begun, duration)
+    counts = _exchanged(criterion, choices, duration, wanted, _filled(criterion, choices, duration, wanted, begun))
     information = choices.of(counts)
     poor = _values(criterion, information[None], wanted)[0] / _values(criterion, design.information[None], wanted)[0]
     if not np.isfinite(poor):
@@ -81,8 +83,42 @@ def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: Floa
     return RunDesign(counts, information, design.shares, min(design.certificate.efficiency / float(poor), 1.0))
 
 
+def _separate(criterion: str, whole: FloatArray, choices: RunChoices, wanted: FloatArray) -> Design | None:
+    """The optimum among runs each of which tells of parameters of its own, *whole* (n_run, n, n) [1] in all the time; None for others.
+
+    With the variances v of what is wanted of a run in all the time, its share goes as max v, as the root of sum v, or as its number of
+    parameters: the Lagrange conditions of minimax, A and D.
+    """
+    told = np.diagonal(choices.information, axis1=1, axis2=2) > 0
+    owner = np.argmax(told, axis=0)
+    of_run = np.abs(wanted) @ told.T > 0
+    if np.any(choices.prior) or np.any(told.sum(axis=0) != 1) or np.any(of_run.sum(axis=1) != 1) or not np.all(of_run.any(axis=0)):
+        return None
+    sizes = np.zeros(len(whole))
+    for number, information in enumerate(whole):
+        own = np.ix_(owner == number, owner == number)
+        if np.linalg.matrix_rank(information[own], hermitian=True) < len(information[own]):
+            return None
+        v = variances(information[own], wanted[of_run[:, number]][:, owner == number])
+        sizes[number] = {D: float(len(information[own])), A: float(np.sqrt(v.sum()))}.get(criterion, float(v.max()))
+    shares = sizes / sizes.sum()
+    together = np.tensordot(shares, whole, 1)
+    return Design(shares, together, certificate(criterion, whole, together, wanted))
+
+
 def _down(choices: RunChoices, shares: FloatArray, duration: float) -> IntArray:
     return np.floor(shares * duration / choices.cost + 1e-9).astype(int)
+
+
+def _one_each(choices: RunChoices, counts: IntArray, duration: float) -> IntArray:
+    """The counts with one run of every kind at least, those of the most frequent kind taken off as long as the time is too short."""
+    counts = np.maximum(counts, 1)
+    while float(counts @ choices.cost) > duration * (1 + 1e-9) and counts.max() > 1:
+        counts[int(counts.argmax())] -= 1
+    if float(counts @ choices.cost) > duration * (1 + 1e-9):
+        what = f"{len(counts)} kinds of runs, each of which alone determines something, do not fit into {duration:g} s"
+        raise ConfigError(what, hint=f"a duration of {float(choices.cost.sum()):.4g} s or more", field="duration")
+    return np.asarray(counts)
 
 
 def _filled(criterion: str, choices: RunChoices, duration: float, wanted: FloatArray, counts: IntArray) -> IntArray:

@@ -93,8 +93,22 @@ def best(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> C
 
 def reference(rig: Rig, lines: IntArray, wanted: Wanted) -> Design:
     """The optimum on lines (n_line,) [multiples] at equal mean square force, floor included, for the certificate."""
-    found = candidates(rig.model, rig.noise, 2 * np.pi * rig.spacing * lines, rig.directions)
-    return _design(found, wanted, wanted.criterion, wanted.floor)
+    return _design(_candidates(rig, lines, 0.0), wanted, wanted.criterion, wanted.floor)
+
+
+def _candidates(rig: Rig, lines: IntArray, share: float) -> Candidates:
+    """All lines and shakers at a *share* [1] of the displacement in the cost, with what is known before inside each of them.
+
+    The cost that the limits will allow is taken from a flat multisine: an information of that size is what an earlier one adds to.
+    """
+    stroke = (rig.limits.displacement or 1.0) / rig.limits.force
+    found = candidates(rig.model, rig.noise, 2 * np.pi * rig.spacing * lines, rig.directions, share, stroke)
+    if rig.known is None:
+        return found
+    tests = flat(rig, lines, ONE_BY_ONE, LEAST_CREST).tests
+    price = found.cost.reshape(lines.size, -1)
+    cost = float(np.mean([np.sum(price[np.isin(lines, test.lines)] * np.abs(test.forces) ** 2 / 2) for test in tests]))
+    return replace(found, information=found.information + rig.known_rate / cost)
 
 
 def _design(found: Candidates, wanted: Wanted, criterion: str, floor: float) -> Design:
@@ -130,12 +144,10 @@ class _Source:
 
 def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> Iterator[_Source]:
     """Designs of every criterion and cost on every scheme; flat last."""
-    omega = 2 * np.pi * rig.spacing * lines
     limited = rig.limits.displacement is not None
     at_once = [scheme for scheme in schemes if scheme != ONE_BY_ONE]
-    stroke = (rig.limits.displacement or 1.0) / rig.limits.force
     for share in DISPLACEMENT_SHARES if limited else (0.0,):
-        found = candidates(rig.model, rig.noise, omega, rig.directions, share, stroke)
+        found = _candidates(rig, lines, share)
         for criterion in CRITERIA:
             for floor in _floors(wanted) if criterion == wanted.criterion else (wanted.floor,):
                 if ONE_BY_ONE in schemes:

@@ -8,10 +8,13 @@ from labpipe.errors import ConfigError
 from labpipe.planner.criteria import CRITERIA, MINIMAX
 from labpipe.planner.model import MODELS
 from labpipe.planner.schemes import SCHEMES
-from labpipe.records.settings import Settings, setting
+from labpipe.records.rig import Rig
+from labpipe.records.settings import Doubts, Settings, setting
 from labpipe.rigs.rotor_rig import RotorRig
 
 BEST = "best"
+# Behind the name of a coefficient: of its expanded uncertainty, as in rules.
+EXPANDED = ".expanded"
 
 
 @dataclass(frozen=True)
@@ -72,17 +75,24 @@ class PlanSettings(Settings):
     expected: tuple[tuple[str, float], ...] = setting("coefficients", "expected values, by name", default=())
     earlier: str = setting("file", "identification.json whose values are expected where `expected` has none", default="")
     fit: str = setting("text", "the fit of `earlier`; default: its only one", default="")
+    combine_earlier: bool = setting("flag", "the earlier result counts: it and the new test are combined", default=False)
     theory: TheorySettings | None = setting(
         "section",
         "bearing whose theory is expected where `expected` has no value; also expected: {bearing: FILE, ...}",
         section=TheorySettings,
         default=None,
     )
-    mass: float | None = setting("value", "known mass that moves; dynamic-stiffness: of the stator", unit="kg", default=None)
+    mass: float | None = setting("value", "known mass that moves, e.g. 0.79 kg +- 5 g; of a floating stator", unit="kg", default=None)
+    rig: str = setting(
+        "file", "rig file of the recordings, whose doubts count; default: none, SI columns", default="", file_kind="rig", into="sensors"
+    )
     noise: NoiseSettings | None = setting("section", "noise of the sensors per sample", section=NoiseSettings, default=None)
     noise_density: DensitySettings | None = setting("section", "or its density", section=DensitySettings, default=None)
     goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
-        "series", "relative standard errors that are wanted: {k_xx: 2 %}; default: all alike", unit="1", default=()
+        "series",
+        "relative standard errors by noise, or expanded: {k: 2 %, c.expanded: 3 %}; default: all alike",
+        unit="1",
+        default=(),
     )
     criterion: str = setting("choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX)
     floor: float = setting("value", "share of the power on all lines alike, for a test of the model", unit="1", default=0.2)
@@ -92,6 +102,8 @@ class PlanSettings(Settings):
     speed: float | None = setting("value", "speed of the shaft, whose 1x line and neighbours are left out", unit="Hz", default=None)
     mains: float | None = setting("value", "mains frequency, whose multiples are left out", unit="Hz", default=None)
     skip: int = setting("integer", "transient periods before the measured ones, in every test", default=1)
+    doubts: Doubts = ()
+    sensors: Rig | None = None
 
     def __post_init__(self) -> None:
         for name in ("period", "sample_rate", "duration", "force_limit", "displacement_limit", "mass", "speed", "mains"):
@@ -102,11 +114,10 @@ class PlanSettings(Settings):
             raise ConfigError(
                 "one of 'noise' and 'noise_density' is needed", hint="noise: {force: 20 mN, displacement: 0.3 um}", field="noise"
             )
-        if not self.expected and not self.earlier and self.theory is None:
-            hint = "expected: {k_xx: 180 kN/m, ...}, {bearing: FILE}, or earlier: identification.json"
-            raise ConfigError("nothing is expected", hint=hint, field="expected")
-        if self.theory is not None and self.model == "sdof":
-            raise ConfigError("theory gives matrices", hint="state k and c of the pedestal under `expected`", field="theory")
+        for name, _ in self.doubts:
+            if name != "mass":
+                raise ConfigError(f"a doubt of '{name}' is not planned with", hint="the mass may carry one", field=name)
+        self._check_expected()
         for name, values in self.goal:
             if len(values) != 1 or values[0] <= 0:
                 raise ConfigError(f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal")
@@ -114,3 +125,12 @@ class PlanSettings(Settings):
             raise ConfigError(f"{self.band[1]:g} Hz needs more than {2 * self.band[1]:g} Hz of sampling rate", field="sample_rate")
         if abs(self.sample_rate * self.period - round(self.sample_rate * self.period)) > 1e-6:
             raise ConfigError("a period holds no whole number of samples", hint="change `period` or `sample_rate`", field="period")
+
+    def _check_expected(self) -> None:
+        if not self.expected and not self.earlier and self.theory is None:
+            hint = "expected: {k_xx: 180 kN/m, ...}, {bearing: FILE}, or earlier: identification.json"
+            raise ConfigError("nothing is expected", hint=hint, field="expected")
+        if self.combine_earlier and not self.earlier:
+            raise ConfigError("there is no earlier result to combine", hint="earlier: FILE", field="combine_earlier")
+        if self.theory is not None and self.model == "sdof":
+            raise ConfigError("theory gives matrices", hint="state k and c of the pedestal under `expected`", field="theory")

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from labpipe.records.parameter import Contribution
+
 
 @dataclass(frozen=True)
 class PlannedCoefficient:
     """A coefficient [SI *unit*] with its *expected* value and predicted standard errors, all relative to *scale*, its expected size.
 
     error: with the noise known; error_weighted: with weights from the scatter of the periods; flat: of a flat multisine of equal peak and
-    time. goal: the relative error that is wanted, None for none.
+    time. goal: the relative error that is wanted, None for none. error_range: of *error* over draws from the covariance of an earlier
+    result, None where what is expected has no doubt, or a draw leaves the coefficient undetermined. systematic: what numbers of the rig
+    and the mass add, None without doubts; then there are the combined and the expanded uncertainty, coverage_factor times the former, and
+    the *budget*, noise among the sources. goal_expanded: the relative expanded uncertainty that is wanted.
     """
 
     name: str
@@ -21,6 +26,13 @@ class PlannedCoefficient:
     error_weighted: float
     flat: float
     goal: float | None = None
+    error_range: tuple[float, float] | None = None
+    goal_expanded: float | None = None
+    systematic: float | None = None
+    combined: float | None = None
+    coverage_factor: float | None = None
+    expanded: float | None = None
+    budget: tuple[Contribution, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -48,10 +60,12 @@ class PlannedTest:
 class Plan:
     """The planned tests and their prediction.
 
-    period [s], sample_rate [Hz], duration [s] of all measured periods; needed [s]: duration that meets all goals, None without goals;
+    period [s], sample_rate [Hz], duration [s] of all measured periods; needed [s]: duration that meets all goals, None without goals, or
+    where none does; unreachable: coefficients whose goals none meets because of systematic errors;
     efficiency [1]: the least that the underlying design has against the best of its kind at equal mean square force; factor [1]: of the
     standard errors where weights come from the scatter of the periods; gain [1]: of the largest error over goal (or of all, without
-    goals), by the flat multisine it is compared with: its name and the ratio.
+    goals), by the flat multisine it is compared with: its name and the ratio; gain_range: of the one over least crest, over draws from the
+    covariance of an earlier result. combined: whether that result counts beside the test.
     """
 
     title: str
@@ -71,3 +85,11 @@ class Plan:
     needed: float | None = None
     mass: float | None = None
     notes: tuple[str, ...] = field(default=())
+    gain_range: tuple[float, float] | None = None
+    combined: bool = False
+    unreachable: tuple[str, ...] = ()
+
+    @property
+    def with_goals(self) -> bool:
+        """Whether anything is wanted in particular."""
+        return any(c.goal is not None or c.goal_expanded is not None for c in self.coefficients)

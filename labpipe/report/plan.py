@@ -5,13 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import floor
 
-from labpipe.display import shown_unit
+from labpipe.display import NOT_DETERMINED, shown_unit
 from labpipe.quantities import to_display
 from labpipe.records.plan import Plan, PlannedCoefficient, PlannedTest
 from labpipe.report.chart import Axis, Panel, dots, look, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
 HEADER = ("coefficient", "expected", "goal", "std. error, noise known", "std. error, weights from the periods", "flat multisine", "gain")
+RANGE = "over draws of the expected values (95 %)"
+BUDGET = ("coefficient", "goal, expanded", "random", "systematic", "combined", "expanded", "largest shares of the variance")
+SOURCES, SHOWN = 3, 0.005
+BUDGETED = (
+    "Random is what noise leaves, systematic what the doubts of the rig file's numbers and of the mass do to first order, by the budget of "
+    "the plan's pipeline on the expected responses. Longer measuring lowers the random part alone."
+)
 TEST_HEADER = ("test", "shaker", "file", "lines", "periods", "skipped", "crest factor", "peak force [N]", "peak displacement [um]")
 SCHEMES = {
     "one by one": "one shaker after the other",
@@ -31,6 +38,7 @@ def plan_document(plan: Plan, version: str) -> Document:
     sections = (
         Section("Plan", tuple(_verdict(plan))),
         Section("Predicted errors", (_coefficients(plan), Paragraph(_explained(plan)))),
+        *_uncertainty(plan),
         Section("Excitation", (_tests(plan), _spectrum(plan))),
     )
     return Document(plan.title, f"Test plan, labpipe {version}", sections, to_sign=False)
@@ -38,21 +46,27 @@ def plan_document(plan: Plan, version: str) -> Document:
 
 def sentence(plan: Plan) -> str:
     """What the plan does, in a sentence."""
-    worst = max(plan.coefficients, key=_over_goal)
+    worst = max(plan.coefficients, key=_over_goal if plan.with_goals else lambda c: c.error)
     tests = ", ".join(f"{test.name} {test.periods} periods" for test in plan.tests)
     gain = dict(plan.gains)["least crest"]
-    rank = "least certain" if plan.needed is None else "tightest against its goal"
+    rank = "tightest against its goal" if plan.with_goals else "least certain"
+    reached = per_cent(worst.error_weighted)
+    if worst.expanded is not None and worst.goal_expanded is not None:
+        reached += f" by noise and {per_cent(worst.expanded)} expanded"
     return (
         f"{plan.duration:g} s of data ({tests} of {plan.period:g} s, {SCHEMES[plan.scheme]}) determine {worst.name}, the {rank}, to "
-        f"{per_cent(worst.error_weighted)}: {gain:.2f} times better by {CRITERIA[plan.criterion]} than a flat multisine of the same peak "
+        f"{reached}: {gain:.2f} times better by {CRITERIA[plan.criterion]} than a flat multisine of the same peak "
         "and time."
     )
 
 
 def goal_sentence(plan: Plan) -> str:
     """Whether the goals are met, and the time they need; empty without goals."""
-    if plan.needed is None:
+    if not plan.with_goals:
         return ""
+    if plan.needed is None:
+        never = f", that of {', '.join(plan.unreachable)} because of what sensors and mass leave" if plan.unreachable else ""
+        return f"The goals are NOT met: no time meets them{never}; {_time(plan.duration)} are planned."
     reached = "The goals are met" if plan.needed <= plan.duration else "The goals are NOT met"
     return f"{reached}: they need {_time(plan.needed)} of data, {_time(plan.duration)} are planned."
 
@@ -64,8 +78,9 @@ def per_cent(share: float) -> str:
 
 def _verdict(plan: Plan) -> Iterator[Block]:
     yield Paragraph(sentence(plan))
-    if plan.needed is not None:
-        yield Paragraph(goal_sentence(plan), "passed" if plan.needed <= plan.duration else "failed")
+    if plan.with_goals:
+        met = plan.needed is not None and plan.needed <= plan.duration
+        yield Paragraph(goal_sentence(plan), "passed" if met else "failed")
     yield from (Paragraph(note, "note") for note in plan.notes)
     # Rounded down: a bound is not to be stated higher than it is.
     sure = floor(1e4 * plan.efficiency) / 100
@@ -76,6 +91,14 @@ def _verdict(plan: Plan) -> Iterator[Block]:
     )
     rows = tuple((FLATS[name], f"{gain:.2f}") for name, gain in plan.gains)
     yield Table(("flat multisine, one shaker after the other", "its error over the plan's"), rows, "Gain at equal peak and time", (1,))
+    if plan.combined:
+        yield Paragraph(COMBINED)
+
+
+COMBINED = (
+    "The earlier result counts: errors are those of both together, weighted by their covariances, as a fit to the recordings of both gives "
+    "them. The pipeline of the plan evaluates the new recordings."
+)
 
 
 def _designs(plan: Plan) -> str:
@@ -83,19 +106,44 @@ def _designs(plan: Plan) -> str:
 
 
 def _coefficients(plan: Plan) -> Table:
+    ranged = any(c.error_range is not None for c in plan.coefficients)
     rows = tuple(
         (
             c.name,
             _expected(c),
             "" if c.goal is None else per_cent(c.goal),
             per_cent(c.error),
+            *([_range(c)] if ranged else []),
             per_cent(c.error_weighted),
             per_cent(c.flat),
             f"{c.flat / c.error:.2f}",
         )
         for c in plan.coefficients
     )
-    return Table(HEADER, rows, "Relative standard errors, at the expected values", (1, 2, 3, 4, 5, 6))
+    header = (*HEADER[:4], *([RANGE] if ranged else []), *HEADER[4:])
+    return Table(header, rows, "Relative standard errors, at the expected values", tuple(range(1, len(header))))
+
+
+def _range(coefficient: PlannedCoefficient) -> str:
+    ends = coefficient.error_range
+    return NOT_DETERMINED if ends is None else f"{per_cent(ends[0])} to {per_cent(ends[1])}"
+
+
+def _uncertainty(plan: Plan) -> Iterator[Section]:
+    """What sensors and mass add to the noise, where that is known."""
+    stated = [c for c in plan.coefficients if c.expanded is not None]
+    if not stated:
+        return
+    rows = tuple(
+        (
+            c.name,
+            "" if c.goal_expanded is None else per_cent(c.goal_expanded),
+            *(per_cent(number or 0.0) for number in (c.error_weighted, c.systematic, c.combined, c.expanded)),
+            ", ".join(f"{part.source} {100 * part.share:.0f} %" for part in c.budget[:SOURCES] if part.share > SHOWN),
+        )
+        for c in stated
+    )
+    yield Section("Predicted uncertainty", (Table(BUDGET, rows, "Relative uncertainties", (1, 2, 3, 4, 5)), Paragraph(BUDGETED)))
 
 
 def _expected(coefficient: PlannedCoefficient) -> str:
@@ -147,7 +195,10 @@ def _spectrum(plan: Plan) -> Figure:
 
 
 def _over_goal(coefficient: PlannedCoefficient) -> float:
-    return coefficient.error / (coefficient.goal or 1.0)
+    """Error over goal, of noise or expanded, whichever is further; by noise where nothing is wanted of it."""
+    parts = [coefficient.error_weighted / coefficient.goal] if coefficient.goal else []
+    parts += [(coefficient.expanded or 0.0) / coefficient.goal_expanded] if coefficient.goal_expanded else []
+    return max(parts, default=0.0)
 
 
 def _time(seconds: float) -> str:

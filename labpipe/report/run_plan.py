@@ -12,7 +12,11 @@ from labpipe.report.document import Block, Document, Paragraph, Section, Table
 from labpipe.report.plan import CRITERIA
 
 NUMBERS = ("number", "expected", "goal", "std. error", "runs shared alike", "known before", "never below")
-MODELS = {"run-ups": "run-ups of the rotor", "worn-bearing": "frequency responses of the worn rotor"}
+MODELS = {
+    "bearing-states": "runs of the floating bearing",
+    "run-ups": "run-ups of the rotor",
+    "worn-bearing": "frequency responses of the worn rotor",
+}
 
 
 def run_plan_document(plan: RunPlan, version: str) -> Document:

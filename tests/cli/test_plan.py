@@ -105,7 +105,10 @@ def test_a_test_carried_out_as_planned(labpipe: Command, tmp_path: Path, entries
     again = {name: value for name, value in entries.items() if name != "expected"} | {"earlier": "out/identification.json"}
     ended = labpipe("plan", _write(tmp_path, {**again, "scheme": scheme}), "-o", tmp_path / "second")
     assert ended.code == 0, ended.err
-    values = {c.name: c.expected for c in read_plan(tmp_path / "second" / "plan.json").coefficients}
+    second = read_plan(tmp_path / "second" / "plan.json")
+    assert all(c.error_range is not None and c.error_range[0] <= c.error <= c.error_range[1] for c in second.coefficients)
+    assert second.gain_range is not None
+    values = {c.name: c.expected for c in second.coefficients}
     assert values == pytest.approx({c.name: found[c.name]["value"] for c in plan.coefficients})
 
 
@@ -197,6 +200,7 @@ def test_a_floating_bearing_expected_from_theory(labpipe: Command, tmp_path: Pat
         ({"period": "1e7 s"}, "a period of 1e+07 s has 6e+08 lines in the band"),
         ({"expected": {"k_xx": "1 N/m"}}, "no value is expected for k_xy"),
         ({"earlier": "none.json"}, "no such file"),
+        ({"combine_earlier": True}, "there is no earlier result to combine"),
         ({"expected": {"bearing": "none.yaml"}}, "none.yaml"),
         ({"expected": {"bearing": BALL, "load": "1 N"}}, "a file of a ball-bearing has no 'load'"),
         ({"expected": {"rotor": MENDES, "load": "1 N"}}, "the load follows from the rotor"),

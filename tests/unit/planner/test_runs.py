@@ -57,6 +57,36 @@ def test_no_other_counts_are_better(criterion: str) -> None:
     assert min(values) >= own * design.efficiency * (1 - 1e-9)
 
 
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_runs_that_each_tell_of_parameters_of_their_own(criterion: str) -> None:
+    # Three rigs side by side, of one, two and one parameters; all 165 divisions of eleven runs that leave none out are fewer still.
+    information = np.zeros((3, 4, 4))
+    information[0, 0, 0], information[2, 3, 3] = 4.0, 0.3
+    information[1, 1:3, 1:3] = [[2.0, 0.5], [0.5, 1.0]]
+    choices = RunChoices(np.ones(3), information, np.zeros((4, 4)))
+    design = best_runs(criterion, choices, 11.0, np.eye(4))
+    values = {
+        "D": lambda inverse: np.linalg.det(inverse) ** 0.25,
+        "A": np.trace,
+        "minimax": lambda inverse: np.diagonal(inverse).max(),
+    }
+    found = [
+        values[criterion](np.linalg.inv(choices.of(np.array(counts)))) for counts in product(range(1, 10), repeat=3) if sum(counts) == 11
+    ]
+    own = values[criterion](np.linalg.inv(design.information))
+    assert own == pytest.approx(min(found))
+    assert 0.8 < design.efficiency <= 1
+    # Shares by hand: variances 1/4, 4/7 and 8/7, 10/3 of one run each.
+    expected = {
+        "minimax": np.array([1 / 4, 8 / 7, 10 / 3]),
+        "A": np.sqrt([1 / 4, 12 / 7, 10 / 3]),
+        "D": np.array([1.0, 2.0, 1.0]),
+    }[criterion]
+    np.testing.assert_allclose(design.shares, expected / expected.sum(), rtol=1e-9)
+    with pytest.raises(ConfigError, match="3 kinds of runs"):
+        best_runs(criterion, choices, 2.0, np.eye(4))
+
+
 def test_runs_of_different_length_fill_the_time() -> None:
     choices = RunChoices(np.array([2.0, 3.0]), np.stack([np.eye(2)] * 2), np.zeros((2, 2)))
     assert best_runs("A", choices, 9.0, np.eye(2)).counts.tolist() == [4, 0]
@@ -99,3 +129,12 @@ def test_a_goal_out_of_reach_is_refused_with_the_change_that_helps() -> None:
     with pytest.raises(ConfigError, match=r"do not determine a to the goal: no run tells a \+1.00, b -1.00") as refusal:
         plan_runs(question, "", "run-ups")
     assert refusal.value.hint == "the difference or a known b would determine all"
+
+
+def test_without_goals_errors_are_compared_in_units_of_the_parameters() -> None:
+    # Micrometres and degrees, each told by a run of its own, equally well in these units: as many runs of each.
+    units = np.array([1e-6, np.deg2rad(1)])
+    conditions = tuple(Condition(name, 1.0, (), np.diag(row) / np.outer(units, units)) for name, row in zip("ab", np.eye(2), strict=True))
+    quantities = tuple(Quantity(name, "1", 1.0, row) for name, row in zip("ab", np.eye(2), strict=True))
+    plan = plan_runs(RunQuestion(("a", "b"), units, np.zeros((2, 2)), conditions, quantities, 6.0, "minimax"), "", "run-ups").plan
+    assert [run.count for run in plan.runs] == [3, 3]
