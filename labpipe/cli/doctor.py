@@ -15,6 +15,7 @@ import click
 
 from labpipe import __version__
 from labpipe.cli.output import echo
+from labpipe.commit import commit
 
 # Packages of one feature each, by the distribution's name: the module, and the feature with its installation.
 OPTIONAL = {
@@ -52,7 +53,7 @@ def _machine() -> list[Check]:
     threads = ", ".join(f"{name}={os.environ[name]}" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS") if name in os.environ)
     encoding = sys.stdout.encoding or "unknown"
     return [
-        Check("labpipe", __version__),
+        Check("labpipe", f"{__version__} (commit {commit()})" if commit() else __version__),
         Check("Python", f"{platform.python_version()} ({platform.system()} {platform.machine()})"),
         Check("processors", str(os.cpu_count())),
         Check("threads of linear algebra", threads),

@@ -69,8 +69,17 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, COMMANDS.get(name, "Added by another package.")) for name in TABLE])
 
 
+def _print_version(context: click.Context, _option: click.Parameter, asked: bool) -> None:
+    if asked:
+        from labpipe.commit import commit
+
+        known = commit()
+        echo(f"labpipe, version {__version__}" + (f" (commit {known})" if known else ""))
+        context.exit()
+
+
 @click.command(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(__version__, prog_name="labpipe")
+@click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=_print_version, help="Show version and commit.")
 def group() -> None:
     """From recorded test-rig runs to stiffness and damping with their uncertainty.
 

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from labpipe.cli.main import COMMANDS
+from labpipe.commit import commit
 
 PEDESTAL = "pipelines/pedestal.yaml"
 
@@ -213,8 +214,9 @@ def test_help_is_quick_because_heavy_imports_wait(root: Path) -> None:
 
 
 def test_version_and_python_dash_m(root: Path) -> None:
-    ended = subprocess.run([sys.executable, "-m", "labpipe.cli.main", "--version"], capture_output=True, text=True, check=True)
-    assert ended.stdout == "labpipe, version 0.1.0\n"
+    ended = subprocess.run([sys.executable, "-m", "labpipe", "--version"], capture_output=True, text=True, check=True)
+    known = commit()
+    assert ended.stdout == "labpipe, version 0.1.0" + (f" (commit {known})" if known else "") + "\n"
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from /proc")

@@ -20,10 +20,6 @@ def imported(*arguments: object) -> set[str]:
     return HEAVY & set(ended.stdout.splitlines()[-1].split("|"))
 
 
-def test_help_loads_nothing() -> None:
-    assert imported("--help") == set()
-
-
 def test_a_run_that_changes_nothing_loads_nothing_that_measures_fits_or_draws(tmp_path: Path) -> None:
     run = ("run", "pipelines/pedestal.yaml", "-o", tmp_path / "out")
     assert "matplotlib" in imported(*run)

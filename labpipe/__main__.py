@@ -1,0 +1,6 @@
+"""``python -m labpipe``: the command line where its script is not on the path."""
+
+from labpipe.cli.main import main
+
+if __name__ == "__main__":
+    main()
