@@ -135,7 +135,7 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
         lines.extend(_fit_lines("fit", force, f"{DECIDE}    {MARK} the channel of a response, once rig.yaml knows one", None))
     for output in (first.channels[number].key for number in outputs):
         lines.extend(_fit_lines(f"fit_{output}", force, output, peaks.get(output)))
-    lines.append("# Coupled responses: model: mdof, with one force after the other. See README, 'Models and estimators'.")
+    lines.append("# Coupled responses: model: mdof, with one force after the other. See docs/pages/models.md.")
     return "\n".join(lines) + "\n"
 
 

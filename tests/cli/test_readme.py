@@ -66,4 +66,10 @@ def test_the_notebook_code_runs(capsys) -> None:
 
 @pytest.mark.parametrize("name", sorted(p.name for p in (README.parent / "pipelines").glob("*.yaml")))
 def test_every_pipeline_is_listed(name: str) -> None:
-    assert f"`{name}`" in TEXT
+    assert f"`{name}`" in (README.parent / "docs/pages/pipelines.md").read_text(encoding="utf-8")
+
+
+def test_the_front_page_is_short_and_every_link_leads_somewhere() -> None:
+    assert len(TEXT.splitlines()) < 150
+    links = re.findall(r"\]\(([^)#]+)", TEXT)
+    assert len(links) > 15 and all((README.parent / link).exists() for link in links)

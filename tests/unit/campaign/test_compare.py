@@ -74,7 +74,7 @@ def test_every_kind_answers_with_a_documented_verdict_and_survives_its_file(evid
     # Those over frequency are looked at in test_prediction, test_bandwise and test_sensitivity.
     assert set(found) == set(VERDICTS) == {*FIGURES, "reciprocity"}
     assert set(KINDS) == set(COMPARISONS) == set(EXPLAINED) == {*found, *OVER_FREQUENCY}
-    readme = (Path(__file__).parents[3] / "README.md").read_text()
+    page = (Path(__file__).parents[3] / "docs/pages/comparisons.md").read_text()
     for kind, comparison in found.items():
         assert comparison.kind == kind
         assert comparison.verdict in VERDICTS[kind]
@@ -82,7 +82,7 @@ def test_every_kind_answers_with_a_documented_verdict_and_survives_its_file(evid
         entry = json.loads(json.dumps(entry_of(comparison)))
         assert record_of(entry, Comparison) == comparison
         for verdict in VERDICTS[kind]:
-            assert verdict in readme
+            assert verdict in page
 
 
 def test_the_numbers_are_those_of_the_making(evidence) -> None:
