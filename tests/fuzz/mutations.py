@@ -16,6 +16,9 @@ WORDS = (
     "250-1 Hz", "[1, [2, [3]]]", "{a: {b: c}}", "&a [*a]", "!!python/object:os.system", "|", ">", "*", "@", "a: b: c", "'", "90 deg",
     "1 N +- -1 N",
 )  # fmt: skip
+# Of numbers that stand in YAML with or without a unit, not within a word.
+FACTORS = (0.0, -1.0, 1e-9, 1e-3, 0.1, 0.5, 0.9, 1.1, 2.0, 10.0, 1e3, 1e9)
+_AMOUNT = re.compile(r"(?<=[\s\[:-])\d+(?:\.\d+)?(?=[\s,\]}-])")
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?")
 
 
@@ -80,6 +83,15 @@ def mutated_yaml(text: str, rng: random.Random) -> str:
     for _ in range(rng.choice((1, 1, 2, 3))):
         rng.choice(_YAML_CHANGES)(lines, rng)
     return "\n".join(lines) + "\n"
+
+
+def mutated_amounts(text: str, rng: random.Random) -> str:
+    """YAML of which one to three numbers have another size or sign: what is still understood, and must be made or refused."""
+    places = list(_AMOUNT.finditer(text))
+    for place in sorted(rng.sample(places, rng.choice((1, 1, 2, 3))), key=lambda one: -one.start()):
+        number = f"{float(place[0]) * rng.choice(FACTORS):.6g}"
+        text = text[: place.start()] + number + text[place.end() :]
+    return text
 
 
 def _value(lines: list[str], rng: random.Random) -> None:

@@ -21,13 +21,15 @@ SIMULATE = ("simulate", "virtual.yaml", "-q", "-o", "out")
 class Scenario:
     """The *files* of a folder by name, which of them is *mutated*, and the *command* that is given in the folder.
 
-    *moves*: the command puts files of the folder aside, so that they and its results are made anew for every trial.
+    *moves*: the command puts files of the folder aside, so that they and its results are made anew for every trial. *amounts*: of every
+    second trial numbers alone are changed, since other changes are refused before anything is computed.
     """
 
     mutated: str
     command: tuple[str, ...]
     files: Mapping[str, str]
     moves: bool = False
+    amounts: bool = False
 
 
 def shown(name: str) -> str:
@@ -159,8 +161,10 @@ SCENARIOS: dict[str, Scenario] = {
     "run-up rotor": Scenario("rotor.yaml", SIMULATE, RUN_UP_ROTOR),
     "run-ups, virtual rig": Scenario("virtual.yaml", SIMULATE, RUN_UP_ROTOR),
     "plan": Scenario("plan.yaml", PLANS, {"plan.yaml": PLAN}),
-    "plan, run-ups": Scenario("plan.yaml", PLANS, {"plan.yaml": PLANNED["run-ups"], "rotor.yaml": shown("rotors/falah.yaml")}),
-    "plan, wear": Scenario("plan.yaml", PLANS, {"plan.yaml": PLANNED["wear"], "rotor.yaml": shown("rotors/mendes.yaml")}),
+    "plan, run-ups": Scenario(
+        "plan.yaml", PLANS, {"plan.yaml": PLANNED["run-ups"], "rotor.yaml": shown("rotors/falah.yaml")}, amounts=True
+    ),
+    "plan, wear": Scenario("plan.yaml", PLANS, {"plan.yaml": PLANNED["wear"], "rotor.yaml": shown("rotors/mendes.yaml")}, amounts=True),
     "watch": Scenario("pipeline.yaml", WATCH, WATCHED, moves=True),
     "watched recording": Scenario("runs/100N-1.csv", WATCH, WATCHED, moves=True),
     "virtual journal": Scenario(

@@ -15,8 +15,9 @@ from labpipe.artefacts.writing import STAGING
 from labpipe.catalogue.index import INDEX
 from labpipe.cli.main import run_command
 from labpipe.cli.output import KEPT, LONGEST, message_line, printable
+from labpipe.cli.watch import LOCK
 from labpipe.errors import LabpipeError
-from tests.fuzz.mutations import mutated_bytes, mutated_yaml
+from tests.fuzz.mutations import mutated_amounts, mutated_bytes, mutated_yaml
 from tests.fuzz.scenarios import SCENARIOS, write_scenario
 from tests.fuzz.seeds import READS
 
@@ -68,7 +69,10 @@ def trial_of_yaml(name: str, folder: Path, seed: int, tally: Tally) -> None:
     scenario = SCENARIOS[name]
     path = folder / scenario.mutated
     text, rng = scenario.files[scenario.mutated], random.Random(f"{name} {seed}")
-    path.write_bytes(mutated_yaml(text, rng).encode() if path.suffix == ".yaml" else mutated_bytes(text.encode(), rng))
+    if path.suffix != ".yaml":
+        path.write_bytes(mutated_bytes(text.encode(), rng))
+    else:
+        path.write_text((mutated_amounts if scenario.amounts and seed % 2 else mutated_yaml)(text, rng), "utf-8")
     out, err = io.StringIO(), io.StringIO()
     try:
         with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -101,5 +105,6 @@ def _said_amiss(code: int, said: str) -> str:
 
 
 def _left_behind(folder: Path) -> str:
-    left = [path.name for home in (folder, folder / "out") for path in home.glob(f"{STAGING}*")]
+    # The file of a watch's lock stays; the lock itself goes with the process.
+    left = [path.name for home in (folder, folder / "out") for path in home.glob(f"{STAGING}*") if path.name != LOCK]
     return f"left behind: {', '.join(left)}" if left else ""

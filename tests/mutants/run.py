@@ -117,6 +117,7 @@ def tests_of(module: str) -> Iterator[list[str]]:
     every = {path.relative_to(ROOT).as_posix(): path for path in sorted((ROOT / "tests").rglob("test_*.py"))}
     users = [name for name, path in every.items() if f"labpipe.{package}.{stem}" in path.read_text("utf-8")]
     stages = (
+        [name for name in every if Path(name).stem == f"test_{stem}"],
         [name for name in every if Path(name).stem.startswith(f"test_{stem}")],
         [name for name in users if name.startswith(folder)],
         [name for name in users if name.startswith("tests/unit/")],

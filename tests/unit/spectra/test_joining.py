@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import DataError
+from labpipe.records.doubt import Doubt, MatrixError
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.joining import joined
 
@@ -37,6 +38,21 @@ def test_coherence_and_noise_stay_with_their_elements() -> None:
     np.testing.assert_array_equal(response.covariance[2], np.diag([1.0, 2.0, 3.0, 4.0]))
     np.testing.assert_array_equal(response.coherence[0], [[0.0, 0.1], [0.2, 0.3]])
     assert response.covariance_dof == 6.0
+
+
+def test_errors_of_one_number_are_one_error_in_all_files() -> None:
+    """The gain of the force is that of both files, the error of a sum in one of them that of its own element."""
+
+    def error(source: str, value: complex) -> MatrixError:
+        return MatrixError(Doubt(source, 0.01, "1"), np.full((3, 1, 1), value))
+
+    parts = [part("a", "f", 1, errors=(error("gain", 2), error("sum", 5))), part("b", "f", 1, errors=(error("gain", 3j),))]
+    found = {one.doubt.source: one.change for one in joined(parts).errors}
+    np.testing.assert_array_equal(found["gain"][1], [[2], [3j]])
+    np.testing.assert_array_equal(found["sum"][1], [[5], [0]])
+    # A file by itself is the whole matrix.
+    (alone,) = joined(parts[1:]).errors
+    np.testing.assert_array_equal(alone.change, np.full((3, 1, 1), 3j))
 
 
 @pytest.mark.parametrize(
