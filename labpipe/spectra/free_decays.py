@@ -103,7 +103,7 @@ def _levels(samples: FloatArray, name: str) -> _Levels:
         raise DataError(f"recording '{name}' does not move", hint="check the channels of the rig file")
     scaled = centred[:, moving] / deviation[moving]
     period = _period(scaled)
-    swinging = scaled - _rest(scaled, STEADY_PERIODS * period)
+    swinging = _swinging(scaled, STEADY_PERIODS * period)
     size = np.sqrt(np.sum((swinging / np.std(swinging, axis=0)) ** 2, axis=1))
     levels = _Levels(size, period, 0.0)
     rms = _rms(size, levels.stretch)
@@ -120,6 +120,17 @@ def _period(samples: FloatArray) -> int:
     spectrum = np.sum(np.abs(fft.rfft(samples, axis=0)) ** 2, axis=1)
     strongest = int(np.argmax(np.arange(spectrum.size) ** 2 * spectrum))
     return max(2, round(samples.shape[0] / max(strongest, 1)))
+
+
+def _swinging(samples: FloatArray, length: int) -> FloatArray:
+    """Distance (n_sample, n_output) from the mean over *length* samples before every sample or after it, whichever is nearer.
+
+    A mean that reaches across a hit carries some of it to where nothing moves yet, and the hit is no jump any more.
+    """
+    rest = _rest(samples, length)
+    number = np.arange(samples.shape[0])
+    parts = [samples - rest[np.clip(number + shift, 0, len(rest) - 1)] for shift in (-(length // 2), length // 2)]
+    return np.where(np.abs(parts[0]) < np.abs(parts[1]), parts[0], parts[1])
 
 
 def _rest(samples: FloatArray, length: int) -> FloatArray:

@@ -87,7 +87,8 @@ def response_worlds(response: FrequencyResponse, settings: FitSettings) -> tuple
     truth = replace(part, matrix=matrix)
     assert part.covariance is not None
     values, vectors = np.linalg.eigh(part.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    # The Hermitian root goes smoothly from line to line; eigenvectors alone change sign and order, and noise that lines share would not be.
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ vectors.conj().swapaxes(1, 2)
     noise = None
     if part.line_correlation:
         spacing = np.min(np.diff(response.frequency))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,22 @@ def test_every_hit_gives_a_decay_from_its_first_period_to_the_next_hit() -> None
     assert len(found) == 3
     for (start, end), hit, following in zip(found, (0.5, 3.5, 6.5), (3.5, 6.5, 10.0), strict=True):
         assert hit + PERIOD < start < hit + 3 * PERIOD and following - 3 * PERIOD < end <= following
+
+
+@pytest.mark.parametrize("shape", [np.cos, np.sin])
+def test_a_weaker_hit_is_seen_in_every_recording(shape: Callable[[np.ndarray], np.ndarray]) -> None:
+    # Hits of 100, 80, 64 % and noise of 1 % of the first, as of the sample data: 40 recordings, three decays in each of them.
+    t = np.arange(round(12.2 * RATE)) / RATE
+    parts = [(t >= hit, np.maximum(t - hit, 0.0), 0.8**number) for number, hit in enumerate((0.2, 4.2, 8.2))]
+    y = np.select(
+        [acts for acts, *_ in reversed(parts)],
+        [size * np.exp(-0.005 * OMEGA * after) * shape(OMEGA * after) for _, after, size in reversed(parts)],
+    )
+    rng = np.random.default_rng(8)
+    channels = (Channel("y", "displacement", "output", "y"),)
+    for _ in range(40):
+        found = spans(Recording(channels, (y + 0.01 * rng.standard_normal(t.size))[:, None], RATE, "run"))
+        assert [round(start) for start, _ in found] == [0, 4, 8]
 
 
 def test_a_decay_ends_where_it_is_lost_in_the_noise() -> None:
