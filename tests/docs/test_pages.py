@@ -65,7 +65,13 @@ def test_the_commands_of_a_page_run_as_shown(page: Path, tmp_path: Path, monkeyp
 
 
 def test_most_pages_hold_commands() -> None:
-    assert {page.stem for page in PAGES} - {page.stem for page in WITH_COMMANDS} == {"statistics", "notebook", "validation", "fleet", "versions"}
+    assert {page.stem for page in PAGES} - {page.stem for page in WITH_COMMANDS} == {
+        "statistics",
+        "notebook",
+        "validation",
+        "fleet",
+        "versions",
+    }
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
