@@ -28,7 +28,8 @@ from labpipe.records.listed import ListedParameter, of_fit
 def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path | None) -> None:
     """Compare the result SECOND with FIRST (folders or identification.json), parameter by parameter.
 
-    The p-value is the probability of so large a difference by the standard errors alone, corrected for the number of parameters (Holm).
+    Either may be s3://bucket/prefix. The p-value is the probability of so large a difference by the standard errors alone, corrected for
+    the number of parameters (Holm).
     """
     pairs = differences(_parameters(first), _parameters(second))
     selected = [pair for pair in pairs if not parameter or pair.parameter in parameter]

@@ -9,9 +9,13 @@ import click
 from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.cli import options
+from labpipe.cli.many import echo_failed
+from labpipe.cli.progress import Progress, silent
 from labpipe.cli.terminal import echo_identification
 from labpipe.config.pipeline import Pipeline, load_pipeline
 from labpipe.errors import DataError
+from labpipe.pipeline.run import Manner, identify_many
+from labpipe.records.identification import Identification
 from labpipe.stages.frf import DESCRIPTION, ready_refs
 from labpipe.stages.identify import identify_stage
 from labpipe.stages.measured import MeasuredTest, load_measured, load_ready_measured, measured_file_name
@@ -27,20 +31,28 @@ from labpipe.stages.measured import MeasuredTest, load_measured, load_ready_meas
 def identify(frfs: tuple[Path, ...], pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
     """Identify parameters from frequency responses, or from free decays: DIR/identification.json.
 
-    Without FRF... the responses of `labpipe frf` in DIR are used, or those under frfs: in the pipeline.
+    Without FRF... the responses of `labpipe frf` in DIR are used, or those under frfs: in the pipeline. Of very many tests the results are
+    kept as a dataset, as `labpipe run` does.
     """
     pipeline = load_pipeline(pipeline_path, overrides)
     options.teller(quiet, verbose)(f"identify  {pipeline.title}")
     with options.results_folder(output) as folder:
-        if frfs:
-            tests, inputs = [load_measured(path) for path in frfs], [source_ref(path, path.parent) for path in frfs]
-        else:
-            tests, inputs = _of_pipeline(pipeline, folder)
-        files = [reference for reference in inputs if reference.path != DESCRIPTION]
-        sources = [*files, *(source_ref(path, pipeline.folder) for path in pipeline.side_files)]
-        identification = identify_stage(pipeline, tests, sources, folder, inputs=inputs)
+        many = None if frfs else identify_many(pipeline, folder, Manner(progress=silent if quiet else Progress(verbose)))
+        identification = many if many is not None else _identified(pipeline, frfs, folder)
     echo_identification(identification, quiet)
-    return 0 if identification.accepted else 1
+    echo_failed(identification.failed)
+    return 2 if identification.failed else 0 if identification.accepted else 1
+
+
+def _identified(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder) -> Identification:
+    """The result of all tests at once."""
+    if frfs:
+        tests, inputs = [load_measured(path) for path in frfs], [source_ref(path, path.parent) for path in frfs]
+    else:
+        tests, inputs = _of_pipeline(pipeline, folder)
+    files = [reference for reference in inputs if reference.path != DESCRIPTION]
+    sources = [*files, *(source_ref(path, pipeline.folder) for path in pipeline.side_files)]
+    return identify_stage(pipeline, tests, sources, folder, inputs=inputs)
 
 
 def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[MeasuredTest], list[SourceRef]]:

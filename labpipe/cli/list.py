@@ -26,8 +26,8 @@ from labpipe.quantities import readable_unit
 def list_results(folder: Path, parameter: str, table: Path | None, **filters: object) -> None:
     """List the results below FOLDER, or their parameter values.
 
-    Every identification.json counts. Conditions are written as `--where "preload >= 400 N"`; all of them must hold. The date is the
-    test's condition `date`, or else that of the file.
+    FOLDER may be s3://bucket/prefix. Every identification.json counts. Conditions are written as `--where "preload >= 400 N"`; all of
+    them must hold. The date is the test's condition `date`, or else that of the file.
     """
     criteria = Filter(parameter=parameter, **filters)  # type: ignore[arg-type]
     find = found_values if _selects_values(criteria) else found_results

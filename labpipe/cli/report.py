@@ -35,8 +35,9 @@ from labpipe.stages.report import write_campaign, write_report, write_test_repor
 def report(results: tuple[Path, ...], output: Path, figures: Path | None, test: str, quiet: bool, verbose: bool) -> None:
     """Write the report of a result: verdict, parameters, figures, warnings, provenance.
 
-    Several results, or a folder with results below it, give the report of a campaign: every coefficient over preload, speed,
-    temperature and the condition `date` of its tests, control limits, and results that differ from the others.
+    A result may be at s3://bucket/prefix. Several results, or a folder with results below it, give the report of a campaign: every
+    coefficient over preload, speed, temperature and the condition `date` of its tests, control limits, and results that differ from the
+    others.
 
     \b
     labpipe report out/ -o report.pdf --figures out/figures

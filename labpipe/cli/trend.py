@@ -38,7 +38,8 @@ LEVEL = 0.05
 def trend(folder: Path, parameter: str, over: str, table: Path | None, output: Path | None, **filters: object) -> None:
     """Show a parameter over a condition in all results below FOLDER: values, slope, and over `date` control limits.
 
-    The line is weighted by the standard errors; control limits are mean -+ 3 x mean moving range / 1.128 in the order of the dates.
+    FOLDER may be s3://bucket/prefix. The line is weighted by the standard errors; control limits are mean -+ 3 x mean moving range /
+    1.128 in the order of the dates.
     """
     if output is not None:
         format_of(output)

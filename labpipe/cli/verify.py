@@ -37,8 +37,8 @@ from labpipe.stages.verification import Verified, differences, verified
 def verify(folder: Path, pipeline_path: Path | None, again: bool, jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
     """Verify the artefacts below FOLDER: each against the digest of its content, and the files that it was made from.
 
-    Exit code 0 when all holds, 1 when something does not, 2 when nothing could be verified. Results of earlier versions carry no
-    digest, which is said and is no fault.
+    FOLDER may be s3://bucket/prefix. Exit code 0 when all holds, 1 when something does not, 2 when nothing could be verified. Results of
+    earlier versions carry no digest, which is said and is no fault.
 
     \b
     labpipe verify out/

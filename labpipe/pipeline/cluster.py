@@ -25,6 +25,7 @@ Work = Callable[[Job], Done]
 # A batch whose worker was ended from outside is tried this often before its tests are tried one by one, and these as often.
 ATTEMPTS = 3
 CONNECT_SECONDS = 10
+LOST = "Timed out trying to connect"
 # Batch systems start workers when there is room for them.
 START_SECONDS = 3600
 LOCAL = "local"
@@ -41,11 +42,13 @@ def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
 
     def execute(work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
         distributed = _distributed()
-        lost = (distributed.CancelledError, asyncio.CancelledError, distributed.comm.core.CommClosedError)
         try:
             with _client(distributed, address) as client:
                 yield from _in_batches(distributed, client, work, [job.absolute() for job in jobs])
-        except lost:
+        except (distributed.CancelledError, asyncio.CancelledError, OSError) as error:
+            # Dask's own errors of a connection; those of files have a number.
+            if isinstance(error, OSError) and not isinstance(error, distributed.comm.core.CommClosedError) and LOST not in str(error):
+                raise
             hint = "what is finished is kept; the same command goes on from there when a scheduler runs"
             raise DataError("the scheduler was lost", where=address, hint=hint) from None
 

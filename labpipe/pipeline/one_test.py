@@ -15,10 +15,11 @@ from labpipe.artefacts.fits_file import fits_with_digest, has_fresh_fits, read_f
 from labpipe.artefacts.freshness import made_again
 from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.parquet import header_of
+from labpipe.artefacts.recording_file import SUFFIX as RECORDING
 from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.config.rules import Rule
 from labpipe.config.tests import Test
-from labpipe.errors import ConfigError, LabpipeError
+from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.identify.settings import FitSettings
 from labpipe.places.fetched import fetched
 from labpipe.places.storage import StorageError
@@ -47,7 +48,7 @@ class Job:
 
     names: the file names of its calibrated recordings. fits: those that depend on no other fit. target: the run's output folder;
     scratch: the run's folder for what is not finished. rules: of a run whose results are kept as a dataset, by which the test is judged
-    by itself; None for others.
+    by itself; None for others. measured_before: its response is there, by `labpipe frf`, and its recordings are not looked at.
     """
 
     test: Test
@@ -59,6 +60,7 @@ class Job:
     target: Path
     scratch: Path
     rules: tuple[Rule, ...] | None = None
+    measured_before: bool = False
 
     @property
     def folder(self) -> Path:
@@ -116,7 +118,7 @@ def work(job: Job) -> Done:
 def brought(job: Job) -> Iterator[Job]:
     """The job with recordings of this machine: those of an object storage lie in its scratch folder meanwhile."""
     paths = [path for source in job.test.recordings for path in (source.path, *source.joined)]
-    with fetched(paths, job.scratch) as here:
+    with fetched([] if job.measured_before else paths, job.scratch) as here:
         recordings = tuple(source.at(here) for source in job.test.recordings)
         yield dataclasses.replace(job, test=dataclasses.replace(job.test, recordings=recordings))
 
@@ -124,7 +126,7 @@ def brought(job: Job) -> Iterator[Job]:
 def _worked(job: Job, remarks: list[str]) -> tuple[tuple[SourceRef, ...], TestResult | None]:
     """What went into the test, and its result for a dataset."""
     with output_folder(job.target, job.scratch, remarks) as output:
-        sources = measure(job, output)
+        sources = sources_before(job) if job.measured_before else measure(job, output)
     if job.fits:
         with output_folder(job.target, job.scratch, remarks) as output:
             fit(job, output)
@@ -155,6 +157,19 @@ def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[Source
         measure_test(stored, job.frf, output, job.test.name, conditions)
     recorded = [reference for recording in stored for reference in recording_refs(recording, job.folder)]
     return (*recorded, *(source_ref(path, job.folder) for ready in job.test.frfs for path in ready.paths))
+
+
+def sources_before(job: Job) -> tuple[SourceRef, ...]:
+    """The references of the raw files behind a response that is there, by the calibrated recordings beside it, or else its own."""
+    path = job.target / job.measured_name
+    if job.test.recordings and not path.exists():
+        raise DataError("no such file", where=str(path), hint="run `labpipe frf` first, or `labpipe run` for all stages")
+    recordings = [job.target / f"recordings/{name}{RECORDING}" for name in job.names]
+    if all(recording.exists() for recording in recordings):
+        recorded = [reference for recording in recordings for reference in header_of(recording).inputs]
+    else:
+        recorded = [source_ref(path, job.target)]
+    return (*recorded, *(source_ref(ready_path, job.folder) for ready in job.test.frfs for ready_path in ready.paths))
 
 
 def measured_of(job: Job, output: OutputFolder) -> list[MeasuredTest]:

@@ -6,7 +6,7 @@ A single test is all or nothing. Of several tests each is all or nothing: one th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from labpipe.artefacts.header import SourceRef, source_ref
@@ -89,10 +89,19 @@ def run_only(pipeline: Pipeline, target: Path, test: str) -> Done:
         return work(_jobs(pipeline, target, scratch, independent_fits(pipeline))[names.index(test)])
 
 
-def _run_many(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str]) -> Identification:
-    """All stages of so many tests that their results are kept as a dataset."""
+def identify_many(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identification | None:
+    """The fits of responses that are there, where so many tests are kept as a dataset; None for fewer."""
+    independent = independent_fits(pipeline)
+    return _run_many(pipeline, output, manner, independent, measured_before=True) if keeps_dataset(pipeline, independent) else None
+
+
+def _run_many(
+    pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str], *, measured_before: bool = False
+) -> Identification:
+    """All stages of so many tests that their results are kept as a dataset, or those after the responses."""
     with staging_folder(existing_home(output.target)) as scratch:
         jobs = _jobs(pipeline, output.target, scratch, fits, pipeline.rules)
+        jobs = [replace(job, measured_before=measured_before) for job in jobs]
         gathered = Gathered(jobs, output)
         for outcome in _outcomes(jobs, manner):
             gathered.add(outcome)

@@ -188,9 +188,16 @@ class Watch:
         other = self._files.setdefault(name, test.name)
         if other != test.name:
             raise DataError(f"its results would have the file name of those of '{other}'", where=test.name, hint="rename the recording")
-        rules = self.pipeline.rules
-        where = {"pipeline_path": self.pipeline.path, "target": self.results, "scratch": scratch}
-        return Job(test, (name,), frf=frf, fits=self.pipeline.fits, rules=rules, **where)
+        return Job(
+            test,
+            (name,),
+            frf=frf,
+            fits=self.pipeline.fits,
+            rules=self.pipeline.rules,
+            pipeline_path=self.pipeline.path,
+            target=self.results,
+            scratch=scratch,
+        )
 
     def _refuse(self, path: Path, message: str) -> None:
         """A recording that is no test, such as one of another name than the pattern's."""

@@ -60,7 +60,7 @@ def status(path: Path) -> Found | None:
         if info.is_file:
             return _found(path, info)
         # Whether it is the object or the bucket that is missing, only a list tells.
-        _listed(path.parent if len(path.parts) > 2 else path, recursive=False)
+        _listed(path, recursive=False)
     return None
 
 

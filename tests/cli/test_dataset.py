@@ -158,6 +158,18 @@ def test_tests_are_run_one_by_one_and_collected(lab: Path, jobs: Path, labpipe) 
     assert here == there
 
 
+def test_fits_by_themselves_give_the_same_dataset(lab: Path, jobs: Path, labpipe) -> None:
+    """`labpipe frf`, then `labpipe identify`: the rows of one run; one whose response is missing is named, the others are done."""
+    assert labpipe("frf", "-c", "fleet.yaml", "-o", "out", "-q").code == 0
+    assert labpipe("identify", "-c", "fleet.yaml", "-o", "out", "-q").code == 0
+    here, there = (next((folder / "dataset").rglob("*.parquet")).read_bytes() for folder in (jobs / "out", lab / "out/dataset"))
+    assert here == there
+    (jobs / "out/t03.frf.parquet").unlink()
+    ended = labpipe("identify", "-c", "fleet.yaml", "-o", "out", "-q")
+    assert ended.code == 2 and "t03.frf.parquet: no such file; run `labpipe frf` first" in ended.err
+    assert "11 tests evaluated" in labpipe("identify", "-c", "fleet.yaml", "-o", "out").out
+
+
 def test_a_test_that_fails_or_is_not_there_ends_with_2(jobs: Path, labpipe) -> None:
     (jobs / "3.csv").write_text("t [s],force [N],y [um]\n0,1,x\n")
     ended = labpipe("run", "fleet.yaml", "-o", "out", "--only", "t03")
