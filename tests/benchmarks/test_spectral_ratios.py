@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 from scipy import fft, signal
 
+from labpipe.cli.main import run_command
 from labpipe.records.recording import Channel, Recording
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
@@ -112,3 +114,28 @@ def test_from_parquet_against_bare_read_and_bare_ffts(samples: np.ndarray, tmp_p
     with capsys.disabled():
         print(f"\nMIMO FRF from Parquet: {own:.2f} times a bare read and the bare FFTs")
     assert own < 5
+
+
+def test_a_raw_file_to_its_frf_by_the_command_against_bare_read_and_bare_ffts(
+    samples: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What users run: a logger's file of single precision is read, screened, calibrated, written, read again and measured."""
+    raw, columns = tmp_path / "raw.parquet", np.ascontiguousarray(samples.T)
+    table = pa.table({channel.name: column.astype(np.float32) for channel, column in zip(CHANNELS, columns, strict=True)})
+    pq.write_table(table, raw, compression="zstd", use_dictionary=False, use_byte_stream_split=True)
+    entries = (f"  {c.name}: {{quantity: {c.quantity}, dof: {'x' if c.angle == 0 else 'y'}}}\n" for c in CHANNELS)
+    (tmp_path / "rig.yaml").write_text(f"name: R\nsample_rate: {RATE:g} Hz\nchannels:\n{''.join(entries)}")
+    (tmp_path / "p.yaml").write_text("rig: rig.yaml\nrecordings: raw.parquet\nfrf: {excitation: random, block: 5 s}\n")
+    turn = count()
+
+    def bare() -> None:
+        read: pa.Table = pq.read_table(raw, use_threads=False)
+        bare_ffts(np.stack([column.combine_chunks().to_numpy().astype(float) for column in read.columns]))
+
+    def by_command() -> None:
+        assert run_command(["frf", "-c", str(tmp_path / "p.yaml"), "-o", str(tmp_path / f"out{next(turn)}"), "-q"]) == 0
+
+    (own,) = ratios(bare, by_command, repeats=4)
+    with capsys.disabled():
+        print(f"\nRaw Parquet to FRF by the command: {own:.2f} times a bare read and the bare FFTs")
+    assert own < 12

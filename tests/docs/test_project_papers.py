@@ -45,3 +45,12 @@ def test_contributors_are_told_what_ci_runs() -> None:
     assert all((ROOT / link).is_file() for link in re.findall(r"\]\(([^)]+)\)", paper))
     packages = {path.parent.name for path in (ROOT / "labpipe").glob("*/__init__.py")}
     assert packages - set(re.findall(r"[a-z_]+", paper)) == set()
+
+
+def test_the_glossary_names_findings_and_comparisons_that_there_are() -> None:
+    from labpipe.campaign.settings import KINDS
+
+    page = text_of("docs/pages/glossary.md")
+    codes = set(yaml.safe_load(text_of("docs/warnings.yaml")))
+    assert set(re.findall(r"finding `([\w-]+)`", page)) <= codes
+    assert set(re.findall(r"comparison `([\w-]+)`", page)) <= set(KINDS)
