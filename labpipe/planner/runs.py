@@ -22,6 +22,8 @@ SLIGHT = 1e-9
 MOST_EXCHANGES = 50
 # Eigenvalues of information below this share of the largest count as zero, parameters scaled to unit diagonal.
 SINGULAR = 1e-12
+# Runs that a plan lists one by one, of the shortest kind.
+MOST_RUNS = 10_000
 # Factor of the time up to which goals are looked for.
 LONGEST = 1e6
 
@@ -62,13 +64,16 @@ class RunDesign:
 
 
 def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: FloatArray) -> RunDesign:
-    """The best numbers of runs within *duration* [s] for combinations *wanted* (n_wanted, n) [1]; ConfigError where no run fits in.
+    """The best numbers of runs within *duration* [s] for combinations *wanted* (n_wanted, n) [1]; ConfigError where none or too many fit.
 
     FitError where no numbers of runs determine what is wanted.
     """
-    if float(choices.cost.min()) > duration:
-        hint = f"a duration of {float(choices.cost.min()):.4g} s or more"
-        raise ConfigError(f"no run fits into {duration:g} s", hint=hint, field="duration")
+    shortest = float(choices.cost.min())
+    if shortest > duration:
+        raise ConfigError(f"no run fits into {duration:g} s", hint=f"a duration of {shortest:.4g} s or more", field="duration")
+    if duration > MOST_RUNS * shortest:
+        what = f"{duration:g} s have room for {duration / shortest:.3g} runs of {shortest:.3g} s; a plan lists {MOST_RUNS} at most"
+        raise ConfigError(what, hint="a shorter duration, or longer runs", field="duration")
     whole = choices.information * (duration / choices.cost)[:, None, None] + choices.prior
     separate = _separate(criterion, whole, choices, wanted)
     design = separate or optimum(criterion, whole, wanted)

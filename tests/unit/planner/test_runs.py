@@ -90,6 +90,8 @@ def test_runs_that_each_tell_of_parameters_of_their_own(criterion: str) -> None:
 def test_runs_of_different_length_fill_the_time() -> None:
     choices = RunChoices(np.array([2.0, 3.0]), np.stack([np.eye(2)] * 2), np.zeros((2, 2)))
     assert best_runs("A", choices, 9.0, np.eye(2)).counts.tolist() == [4, 0]
+    with pytest.raises(ConfigError, match=r"20001 s have room for 1e\+04 runs of 2 s; a plan lists 10000 at most"):
+        best_runs("A", choices, 20001.0, np.eye(2))
     with pytest.raises(ConfigError, match="no run fits into 1 s"):
         best_runs("A", choices, 1.0, np.eye(2))
     with pytest.raises(FitError, match="no runs of that time"):
