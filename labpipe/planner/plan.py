@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 
@@ -105,7 +105,8 @@ def make_plan(settings: PlanSettings, expected: Expected, title: str, rehearse: 
     if budget is not None:
         plan = _with_budget(plan, question, timed, budget, expected.earlier)
     if expected.earlier is not None:
-        plan = _over_draws(plan, question, timed, expected.earlier)
+        common = () if budget is None else tuple(source.source for source in budget.sources)
+        plan = _over_draws(plan, question, timed, expected.earlier, common)
     return Planned(plan, rig, found.campaign.tests)
 
 
@@ -170,10 +171,14 @@ def _needed(question: _Question, timed: Campaign, allowed: FloatArray, duration:
     return needed if np.isfinite(needed) else None
 
 
-def _over_draws(plan: Plan, question: _Question, timed: Campaign, earlier: Earlier) -> Plan:
-    """The plan with the ranges of its prediction over draws from the covariance of what is expected."""
+def _over_draws(plan: Plan, question: _Question, timed: Campaign, earlier: Earlier, common: Sequence[str]) -> Plan:
+    """The plan with the ranges of its prediction over draws from the covariance of what is expected.
+
+    common: sources of error that the new test has as well. With the same wrong mass the earlier coefficients give the response that was
+    measured, and that is what the plan rests on.
+    """
     rig, wanted = question.rig, question.wanted
-    covariance = earlier.covariance_of(rig.model)
+    covariance = earlier.covariance_of(rig.model, common)
     if not np.all(np.isfinite(covariance)):
         return replace(plan, notes=(*plan.notes, NO_ERRORS))
     if not np.any(covariance):

@@ -128,11 +128,13 @@ def pipeline_entries(evaluation: Evaluation, folder: Path) -> dict[str, Any]:
 
 def _moved_force(evaluation: Evaluation) -> tuple[str, str] | None:
     """Name of the one force that is moved from test to test, and the doubt of its direction as it is written; None where none is."""
-    if evaluation.settings.model == SDOF or evaluation.side_by_side:
+    settings = evaluation.settings
+    if evaluation.side_by_side:
         return None
     if evaluation.rig_path is None:
         return ("f", "") if len(evaluation.tests) > 1 else None
-    settings = evaluation.settings
+    if settings.model == SDOF:
+        return None
     assert settings.sensors is not None
     forces = forces_of(settings.sensors)
     if len(forces) > 1:

@@ -15,6 +15,8 @@ from labpipe.planner.plan import make_plan, time_needed
 from labpipe.planner.schemes import ONE_BY_ONE
 from labpipe.planner.search import LEAST_CREST, flat
 from labpipe.planner.settings import NoiseSettings, PlanSettings
+from labpipe.records.budget import Budget
+from labpipe.records.doubt import Doubt
 from tests.unit.planner.rigs import PEDESTAL
 from tests.unit.planner.test_search import planned_rig
 
@@ -61,6 +63,18 @@ def test_errors_of_both_tests_together() -> None:
     assert np.all(np.diagonal(both) < 0.7 * np.diagonal(own))
     assert plan.combined and plan.gain_range is not None
     assert all(c.error_range is not None and c.error_range[0] <= c.error <= c.error_range[1] for c in plan.coefficients)
+
+
+def test_a_mass_that_is_off_in_both_tests_does_not_move_the_resonance() -> None:
+    # 2 % of k by a mass that the new test has as well are no doubt of where the resonance lies; 0.01 % by noise are next to none.
+    small = np.diag((1e-4 * np.array([PEDESTAL["k"], PEDESTAL["c"]])) ** 2)
+    change = np.array([0.02 * PEDESTAL["k"], 0.0])
+    budget = Budget(NAMES, np.sqrt(np.diagonal(small)), None, (Doubt("scale", 0.02, "1"),), change[None])
+    made = make_plan(settings(earlier="x"), Expected(PEDESTAL, Earlier(NAMES, small, ("scale",), change[None])), "both", lambda *_: budget)
+    (k, _), notes = made.plan.coefficients, made.plan.notes
+    assert k.error_range is not None and k.error_range[1] < 1.01 * k.error
+    assert not any("Spend a fifth" in note for note in notes)
+    assert k.systematic == pytest.approx(0.02)
 
 
 def test_time_that_goals_need_beside_an_earlier_result() -> None:

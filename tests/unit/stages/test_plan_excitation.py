@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from labpipe.planner.settings import NoiseSettings, PlanSettings
 from labpipe.quantities import parse_value
-from labpipe.records.plan import Plan, PlannedCoefficient, PlannedTest
-from labpipe.stages.plan_excitation import pipeline_entries
+from labpipe.records.plan import PlannedTest
+from labpipe.stages.plan_evaluation import Evaluation, pipeline_entries
 
 LINES = (60.0, 61.0, 64.0, 64.5)
 ONE = PlannedTest("one", 3, 2, ("x",), ("one.csv",), LINES, ((1.0,) * 4,), ((0.0,) * 4,), (1.5,), (1.0,), (1e-6,))
-COEFFICIENTS = tuple(PlannedCoefficient(name, unit, 1.0, 1.0, 0.1, 0.1, 0.2) for name, unit in (("k", "N/m"), ("c", "N.s/m")))
-PLAN = Plan(
-    "Planned", "sdof", "d", "alone", "optimal", 0.0, period=2.0, sample_rate=256.0, duration=6.0, efficiency=1.0, factor=1.0,
-    coefficients=COEFFICIENTS, tests=(ONE,), gains=(), mass=0.79,
+SETTINGS = PlanSettings(
+    "sdof", band=(50.0, 70.0), period=2.0, sample_rate=256.0, duration=6.0, force_limit=1.0, mass=0.79, noise=NoiseSettings(force=0.02),
+    expected=(("k", 1.0), ("c", 1.0)),
 )  # fmt: skip
+PLANNED = Evaluation(SETTINGS, "Planned", (ONE,), with_masses=False)
 
 
 def ends(band: str) -> tuple[float, float]:
@@ -26,7 +28,7 @@ def ends(band: str) -> tuple[float, float]:
 
 def test_the_band_holds_the_planned_lines_and_the_gaps_none() -> None:
     """Lines stand every half hertz; every edge lies nearer to an excited line than to any other."""
-    entries = pipeline_entries(PLAN)
+    entries = pipeline_entries(PLANNED, Path())
     frf = entries["frf"]
     low, high = ends(frf["band"])
     gaps = [ends(gap) for gap in frf["exclude"]]
@@ -38,8 +40,8 @@ def test_the_band_holds_the_planned_lines_and_the_gaps_none() -> None:
 
 
 def test_tests_one_after_the_other_say_where_their_force_acts() -> None:
-    plan = replace(PLAN, tests=(ONE, replace(ONE, name="two", shakers=("y",), frequency=(59.0, 61.0), skip=1)))
-    entries = pipeline_entries(plan)
+    plan = replace(PLANNED, tests=(ONE, replace(ONE, name="two", shakers=("y",), frequency=(59.0, 61.0), skip=1)))
+    entries = pipeline_entries(plan, Path())
     assert [entry["channels"]["f"]["dof"] for entry in entries["recordings"]] == ["x", "y"]
     # All lines of both, and as much of a transient as every test can spare.
     assert ends(entries["frf"]["band"])[0] == 58.875 and entries["frf"]["skip"] == 1
