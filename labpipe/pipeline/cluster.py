@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
@@ -28,6 +29,8 @@ CONNECT_SECONDS = 10
 LOST = "Timed out trying to connect"
 # Batch systems start workers when there is room for them.
 START_SECONDS = 3600
+# Between two looks at whether there still are some.
+LOOK_SECONDS = 20
 LOCAL = "local"
 # Tests in a batch, so that each worker has several batches; batches that a scheduler has at a time.
 MOST_IN_BATCH, BATCHES_PER_WORKER, MOST_BATCHES = 50, 4, 400
@@ -57,7 +60,7 @@ def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
 
 def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
     """Outcomes as they come; tests of a batch whose workers were all ended are tried alone, so that one of them costs no other."""
-    size = batch_size(len(jobs), len(client.scheduler_info()["workers"]))
+    size = batch_size(len(jobs), len(client.nthreads()))
     waiting = [jobs[start : start + size] for start in range(0, len(jobs), size)][::-1]
     batches: dict[Any, Sequence[Job]] = {}
 
@@ -67,19 +70,39 @@ def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) 
         batches[future] = batch
         return future
 
-    running = distributed.as_completed([submit() for _ in range(min(MOST_BATCHES, len(waiting)))], loop=client.loop)
-    for future in running:
-        batch, error = batches.pop(future), future.exception()
-        if not isinstance(error, distributed.scheduler.KilledWorker):
-            yield from future.result()
-        elif len(batch) > 1:
-            waiting.extend([job] for job in batch)
-        else:
-            name = batch[0].test.name
-            yield Done(name, failed=Failed(name, "every worker that tried it was ended from outside"))
-        future.release()
+    def ended(seconds: float) -> Any:
+        with client.as_current():
+            return distributed.wait(list(batches), timeout=seconds, return_when="FIRST_COMPLETED").done
+
+    while waiting or batches:
         while waiting and len(batches) < MOST_BATCHES:
-            running.add(submit())
+            submit()
+        for future in _patiently(client, ended):
+            # A worker that is ended now takes its outcome with it, which is then worked out again.
+            error = _patiently(client, future.exception)
+            batch = batches.pop(future)
+            if not isinstance(error, distributed.scheduler.KilledWorker):
+                yield from _patiently(client, future.result)
+            elif len(batch) > 1:
+                waiting.extend([job] for job in batch)
+            else:
+                name = batch[0].test.name
+                yield Done(name, failed=Failed(name, "every worker that tried it was ended from outside"))
+            future.release()
+
+
+def _patiently(client: Any, ask: Callable[[float], Any]) -> Any:
+    """What is asked for within some seconds, again and again as long as there are workers; DataError where there was none for an hour."""
+    since = time.monotonic()
+    while True:
+        try:
+            return ask(LOOK_SECONDS)
+        except TimeoutError:
+            if client.nthreads():
+                since = time.monotonic()
+            elif time.monotonic() - since > START_SECONDS:
+                hint = "what is finished is kept; the same command goes on from there when there are some"
+                raise DataError("the scheduler has no workers any more", hint=hint) from None
 
 
 def batch_size(n_job: int, n_worker: int) -> int:

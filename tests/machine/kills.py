@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from tests.machine.dask_cluster import dask_cluster
 from tests.unit.pipeline.laboratory import contents, laboratory, recording
@@ -100,6 +100,12 @@ def worker_killed(folder: Path, name: str, way: Way, seconds: float, rng: random
     return [f"worker killed after {seconds:.3f} s, {way.name}: {fault}" for fault in _amiss(folder, name, code, way)]
 
 
+def _working(cluster: Any) -> list[int]:
+    """The workers that have begun: Dask gives one up that is killed while it starts, and those of a run would come to an end."""
+    keepers = [keeper for keeper in cluster.workers.values() if keeper.process is not None and keeper.process.status.name == "running"]
+    return [keeper.pid for keeper in keepers if keeper.pid]
+
+
 def scheduler_killed(folder: Path, name: str, seconds: float) -> list[str]:
     """Kill the scheduler of a run *seconds* after its first worker is there, finish by another one; what is not as it should be."""
     faults = []
@@ -169,7 +175,7 @@ def cluster(folder: Path) -> Iterator[Way]:
     os.environ[MARK] = str(mark)
     try:
         with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0") as scheduler:
-            yield Way(("--cluster", scheduler.scheduler_address), lambda _: _processes(mark, b"spawn_main"))
+            yield Way(("--cluster", scheduler.scheduler_address), lambda _: _working(scheduler))
     finally:
         del os.environ[MARK]
     end = time.monotonic() + GONE_SECONDS
