@@ -37,7 +37,7 @@ from labpipe.identify.monte_carlo import propagated
 from labpipe.identify.motions import motion_notes
 from labpipe.identify.physical import mode_findings
 from labpipe.identify.reported import reported_parameters, widened_parameters, with_systematic, without_intervals
-from labpipe.identify.settings import BASE, ESTIMATE, ESTIMATORS, MODELS, FitSettings, check_kind
+from labpipe.identify.settings import BASE, ESTIMATE, ESTIMATORS, LINEAR, MODELS, FitSettings, check_kind
 from labpipe.identify.setup import Setup
 from labpipe.identify.short_blocks import leakage_findings
 from labpipe.identify.statistics import Estimate, condition_number, correlation, student_limit
@@ -64,7 +64,7 @@ def identify(measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings
     check_kind(settings, _kind_of(measured))
     if isinstance(measured, FrequencyResponse):
         form_view(measured.form, settings)
-    linear = settings.kind.fit is fit_linear
+    linear = settings.kind is LINEAR
     fits = fit_linear(measured, settings, judging=judging) if linear else settings.kind.fit(measured, settings)  # type: ignore[arg-type]
     if isinstance(measured, FrequencyResponse):
         fits = tuple(with_feedback(fit, measured.findings) for fit in fits)

@@ -177,10 +177,14 @@ def model_kind(name: str) -> ModelKind:
     entry = MODELS.load(name)
     if isinstance(entry, ModelKind):
         return entry
-    return ModelKind(_fit_linear)
+    return LINEAR
 
 
 def _fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
     from labpipe.identify.fitting import fit_linear
 
     return fit_linear(response, settings)
+
+
+# The kind of every model that is linear in its parameters.
+LINEAR = ModelKind(_fit_linear)

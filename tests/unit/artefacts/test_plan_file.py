@@ -9,8 +9,16 @@ import pytest
 from labpipe.artefacts.json_file import write_digested
 from labpipe.artefacts.plan_file import read_any_plan, read_plan, write_plan
 from labpipe.errors import DataError
+from labpipe.records.plan import Plan, PlannedCoefficient, PlannedTest
 from labpipe.records.run_plan import RunPlan
-from tests.unit.stages.test_plan_excitation import PLAN
+
+LINES = (60.0, 61.0, 64.0, 64.5)
+ONE = PlannedTest("one", 3, 2, ("x",), ("one.csv",), LINES, ((1.0,) * 4,), ((0.0,) * 4,), (1.5,), (1.0,), (1e-6,))
+COEFFICIENTS = tuple(PlannedCoefficient(name, unit, 1.0, 1.0, 0.1, 0.1, 0.2) for name, unit in (("k", "N/m"), ("c", "N.s/m")))
+PLAN = Plan(
+    "Planned", "sdof", "d", "alone", "optimal", 0.0, period=2.0, sample_rate=256.0, duration=6.0, efficiency=1.0, factor=1.0,
+    coefficients=COEFFICIENTS, tests=(ONE,), gains=(), mass=0.79,
+)  # fmt: skip
 
 
 def test_a_plan_comes_back(tmp_path: Path) -> None:
