@@ -21,6 +21,8 @@ from labpipe.registry import Registry, nearest
 
 # Faults of one file that are printed one by one.
 MOST_FAULTS = 40
+INTERRUPTIONS = (KeyboardInterrupt, click.Abort)
+INTERRUPTED = "interrupted; nothing was changed"
 COMMANDS = {
     "init": "Scaffold a project: rig, pipeline and a sample recording; runs as it is.",
     "inspect": "Content of a recording: channels, rate, length, gaps, clipping, levels.",
@@ -90,11 +92,25 @@ def group() -> None:
 
 def main() -> NoReturn:
     """Run the command line and end with exit code 0 (done), 1 (a rule fails) or 2 (not done)."""
-    sys.exit(run_command(sys.argv[1:]))
+    try:
+        sys.exit(_run(sys.argv[1:]))
+    except INTERRUPTIONS:
+        code = _fail(INTERRUPTED)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        # Where Ctrl-C met an exec() of text, as dataclasses use when they are imported, Python would end by the signal in spite of all.
+        os._exit(code)
 
 
 def run_command(arguments: list[str]) -> int:
     """The exit code of one command; errors of the input go to standard error as one readable message."""
+    try:
+        return _run(arguments)
+    except INTERRUPTIONS:
+        return _fail(INTERRUPTED)
+
+
+def _run(arguments: list[str]) -> int:
     warnings.showwarning = _echo_warning
     try:
         outcome: Any = group.main(arguments, prog_name="labpipe", standalone_mode=False)
@@ -109,8 +125,6 @@ def run_command(arguments: list[str]) -> int:
     except LabpipeError as error:
         faults = error.faults if isinstance(error, ConfigErrors) else (error,)
         return _fail(*(str(fault) for fault in faults))
-    except (KeyboardInterrupt, click.Abort):
-        return _fail("interrupted; nothing was changed")
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

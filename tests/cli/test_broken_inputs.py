@@ -251,6 +251,13 @@ def hears_ctrl_c() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+def test_ctrl_c_within_an_exec_of_text_ends_with_exit_code_2() -> None:
+    """As where a module of dataclasses is imported: Python notes such an interrupt and would end by the signal, though it was caught."""
+    script = "import labpipe.cli.main as m\ndef broken(_): exec('raise KeyboardInterrupt')\nm._run = broken\nm.main()"
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr.strip()) == (2, "error: interrupted; nothing was changed")
+
+
 def test_ctrl_c_leaves_nothing_behind(project: Path) -> None:
     """A long run is interrupted as by Ctrl-C once it is at work."""
     (project / "run.csv").write_text(LINES[0] + "".join(f"{n / 200:.6g},{n % 7},{n % 11}\n" for n in range(400_000)))
