@@ -72,7 +72,7 @@ def labpipe_without_report(command_line: Command) -> Command:
 
 
 def pytest_collection_finish() -> None:
-    """Thousands of collected tests are nothing that a later search for garbage need look at again: that took a tenth of the suite."""
+    """Thousands of collected tests are nothing that every later search for garbage need look at again."""
     gc.collect()
     gc.freeze()
 
