@@ -35,7 +35,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Known:
+class EarlierInformation:
     """What an earlier test counts for: *information* (n_coefficient, n_coefficient) [1] of relative coefficients, beside *duration* [s]."""
 
     information: FloatArray
@@ -60,7 +60,7 @@ class Rig:
     directions: ComplexArray
     shakers: tuple[str, ...]
     spacing: float
-    known: Known | None = None
+    known: EarlierInformation | None = None
 
     @property
     def known_rate(self) -> FloatArray:
@@ -124,7 +124,7 @@ class Campaign:
     tests: tuple[Multisines, ...]
     shares: FloatArray
     rate: FloatArray
-    known: Known | None = None
+    known: EarlierInformation | None = None
 
     @property
     def information(self) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
-from labpipe.planner.campaigns import Campaign, Known, Rig, score, with_shares
+from labpipe.planner.campaigns import Campaign, EarlierInformation, Rig, score, with_shares
 from labpipe.planner.information import relative_errors
 from labpipe.planner.model import PlannedModel
 from labpipe.signals.least_peak import peaks
@@ -56,7 +56,7 @@ class Earlier:
         whole[np.ix_(there, there)] = self.covariance(without)[np.ix_(here, here)]
         return whole
 
-    def known(self, model: PlannedModel, duration: float, common: Sequence[str] = ()) -> Known:
+    def known(self, model: PlannedModel, duration: float, common: Sequence[str] = ()) -> EarlierInformation:
         """What counts beside a test of *duration* [s]; *common*: sources of errors that the new test has as well, which add no doubt here.
 
         ConfigError where the result states no errors.
@@ -71,7 +71,7 @@ class Earlier:
         root = np.sqrt(np.diagonal(part))
         information = np.zeros_like(covariance)
         information[np.ix_(there, there)] = np.linalg.pinv(part / np.outer(root, root), hermitian=True) / np.outer(root, root)
-        return Known(information * np.outer(model.scales, model.scales), duration)
+        return EarlierInformation(information * np.outer(model.scales, model.scales), duration)
 
 
 @dataclass(frozen=True)
