@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.spectra.matrices import inverse
 
 
 def ordinary_coherence(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
@@ -17,28 +16,31 @@ def ordinary_coherence(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArra
     return _clipped(np.abs(s_yu) ** 2, power)
 
 
-def multiple_coherence(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
-    """gamma^2 = S_yu S_uu^-1 S_uy / S_yy per output, (n_frequency, n_output) [1]; arguments as in ordinary_coherence.
+def multiple_coherence(h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
+    """gamma^2 = H1 S_uy / S_yy per output, (n_frequency, n_output) [1], the share of H1 = S_yu S_uu^-1, (n_frequency, n_output, n_input).
 
-    Raises numpy.linalg.LinAlgError for a singular S_uu.
+    Spectra as in ordinary_coherence.
     """
-    explained = np.einsum("foi,foi->fo", s_yu @ inverse(s_uu), s_yu.conj()).real
-    return _clipped(explained, np.einsum("foo->fo", s_yy).real)
+    return _clipped(_explained(h1, s_yu), np.einsum("foo->fo", s_yy).real)
 
 
-def partial_coherence(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
+def partial_coherence(inverse_force: ComplexArray, h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
     """Coherence of an output and one force, both conditioned on the other forces, (n_frequency, n_output, n_input) [1].
 
     gamma^2 = |Q_yu|^2 / (Q_yy Q_uu) of the inverse Q of the spectra of all forces and that output (Bendat and Piersol, Random
     Data, ch. 7.3: conditioned spectra); by blocks Q_yu = -q H1 and Q_uu = S_uu^-1 + q H1^H H1 with the residual power 1 / q.
-    Arguments as in ordinary_coherence. Raises numpy.linalg.LinAlgError for a singular S_uu.
+    inverse_force: S_uu^-1 (n_frequency, n_input, n_input) [Hz/N^2]; the other arguments as in multiple_coherence.
     """
-    inverse_force = inverse(s_uu)
-    h1 = s_yu @ inverse_force
-    residual = np.einsum("foo->fo", s_yy).real - np.einsum("foi,foi->fo", h1, s_yu.conj()).real
+    residual = np.einsum("foo->fo", s_yy).real - _explained(h1, s_yu)
     explained = np.abs(h1) ** 2
     alone = np.einsum("fii->fi", inverse_force).real[:, None, :] * np.maximum(residual, 0.0)[:, :, None]
     return _clipped(explained, explained + alone)
+
+
+def _explained(h1: ComplexArray, s_yu: ComplexArray) -> FloatArray:
+    """The power of every output that the forces explain, the diagonal of H1 S_uy, (n_frequency, n_output)."""
+    explained: FloatArray = np.sum(h1.real * s_yu.real + h1.imag * s_yu.imag, axis=2)
+    return explained
 
 
 def _clipped(part: FloatArray, whole: FloatArray) -> FloatArray:

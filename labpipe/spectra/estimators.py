@@ -16,7 +16,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
-from labpipe.spectra.matrices import hermitian, inverse
+from labpipe.spectra.matrices import definite_inverse, hermitian, inverse, product
 
 
 def h1(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:  # noqa: ARG001 (one signature for the whole table)
@@ -24,7 +24,7 @@ def h1(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArr
 
     Spectra as in the module's docstring [unit^2/Hz]. Raises numpy.linalg.LinAlgError for a singular S_uu.
     """
-    return s_yu @ inverse(s_uu)
+    return product(s_yu, definite_inverse(s_uu)[0])
 
 
 def h2(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:  # noqa: ARG001
@@ -35,7 +35,7 @@ def h2(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArr
     """
     if s_yu.shape[1] != s_yu.shape[2]:
         raise ConfigError("H2 needs as many responses as forces", hint="use H1 or Hv")
-    return s_yy @ inverse(hermitian(s_yu))
+    return product(s_yy, inverse(hermitian(s_yu)))
 
 
 def hv(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:

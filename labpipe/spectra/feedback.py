@@ -17,7 +17,7 @@ from scipy import fft, linalg, special
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
-from labpipe.spectra.matrices import inverse
+from labpipe.spectra.matrices import definite_inverse, product
 from labpipe.spectra.periodic import LineSpectrum
 from labpipe.spectra.ports import Layout
 from labpipe.spectra.reading import checked_blocks
@@ -108,10 +108,11 @@ def chance_of_order(forces: FloatArray, responses: FloatArray) -> float:
     For the worst of all pairs in two bands, all that is excited and what is excited most (Bonferroni); 1 where these tell nothing.
     """
     n_input = forces.shape[1]
-    both = np.hstack([forces, responses])
-    taper = _tukey(both.shape[0])
-    spectra = fft.rfft((both - np.mean(both, axis=0)) * taper[:, None], axis=0)[1:]
-    spectra = spectra[:, np.any(spectra != 0, axis=0)]
+    # Lines are last in memory, as everywhere below.
+    both = np.vstack([forces.T, responses.T])
+    taper = _tukey(both.shape[1])
+    spectra = fft.rfft((both - np.mean(both, axis=1, keepdims=True)) * taper)[:, 1:]
+    spectra = spectra[np.any(spectra != 0, axis=1)].T
     scale = float(np.sum(taper**4) * taper.size / np.sum(taper**2) ** 2)
     bands = dict.fromkeys(band for band in _excited(spectra[:, :n_input], spectra[:, n_input:]) if _is_enough(*band))
     chances = [p_value for band in bands for p_value in _chances_in(spectra, n_input, band, scale)]
@@ -127,15 +128,16 @@ def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scal
     degree = 1 + int(np.ceil(2 * len(LAGS) * first / last))
     level, size = _level(u), np.sqrt(np.mean(np.abs(u) ** 2, axis=0))
     u = u / level
-    inverted = inverse(_average(u[:, :, None] * u[:, None, :].conj()) + RIDGE * np.eye(n_input))
+    inverted, _ = definite_inverse(_average(u[:, :, None] * u[:, None, :].conj()) + RIDGE * np.eye(n_input))
     spread = np.maximum(np.einsum("lii->li", inverted).real, 0.0) / level**2
     free = (2 * HALF_WIDTH + 1) / max(2 * HALF_WIDTH + 1 - n_input, 1)
     chances = []
     for output in y.T:
         s_yu, power = _average(output[:, None] * u.conj()), _average(np.abs(output) ** 2).real
-        noise = np.maximum(power - np.sum((s_yu[:, None, :] @ inverted)[:, 0] * s_yu.conj(), axis=1).real, 0.0) * free
+        response = product(s_yu[:, None, :], inverted)[:, 0]
+        noise = np.maximum(power - np.sum(response * s_yu.conj(), axis=1).real, 0.0) * free
         white = fade * _whitening(power)
-        raw = white[:, None] * ((output[:, None] * u.conj())[:, None, :] @ inverted)[:, 0] / level * size
+        raw = white[:, None] * product((output[:, None] * u.conj())[:, None, :], inverted)[:, 0] / level * size
         after = _at_lags(raw.conj(), LAGS.stop)
         # What one force leaves of another's spectrum is small against the larger of their effects.
         floor = FLOOR * float(np.max(np.abs(after.real)))
@@ -233,10 +235,14 @@ def _is_enough(first: int, last: int) -> bool:
 
 def _average(values: ComplexArray | FloatArray) -> ComplexArray:
     """Mean over HALF_WIDTH lines to either side along axis 0, truncated at the ends."""
-    total = np.concatenate([np.zeros((1, *values.shape[1:]), values.dtype), np.cumsum(values, axis=0)])
-    number = np.arange(values.shape[0])
-    first, last = np.maximum(number - HALF_WIDTH, 0), np.minimum(number + HALF_WIDTH + 1, values.shape[0])
-    return np.asarray((total[last] - total[first]) / (last - first).reshape(-1, *(1,) * (values.ndim - 1)))
+    rows = np.moveaxis(values, 0, -1)
+    number = np.arange(rows.shape[-1])
+    count = np.minimum(number, HALF_WIDTH) + np.minimum(number[::-1], HALF_WIDTH) + 1
+    total = np.cumsum(rows, axis=-1)
+    before = np.zeros((*rows.shape[:-1], HALF_WIDTH + 1), rows.dtype)
+    total = np.concatenate([before, total, np.repeat(total[..., -1:], HALF_WIDTH, axis=-1)], axis=-1)
+    mean = (total[..., 2 * HALF_WIDTH + 1 :] - total[..., : number.size]) / count
+    return np.asarray(np.moveaxis(mean, -1, 0))
 
 
 def _whitening(power: FloatArray) -> ComplexArray:

@@ -17,11 +17,12 @@ from labpipe.spectra.estimators import ESTIMATORS, INSTRUMENTS
 from labpipe.spectra.from_local import local_parts
 from labpipe.spectra.halves import Halved, change_of_random, cut_at, estimated_by, joined_spectra
 from labpipe.spectra.independence import check_forces, check_responses
+from labpipe.spectra.matrices import at_lines, definite_inverse, product
 from labpipe.spectra.parts import Parts, coherence_findings, lines_left
 from labpipe.spectra.ports import Layout
 from labpipe.spectra.reading import checked_blocks
 from labpipe.spectra.settings import FrfSettings
-from labpipe.spectra.uncertainty import covariance_of_random
+from labpipe.spectra.uncertainty import covariance_of_h1, covariance_of_random
 from labpipe.spectra.welch import CrossSpectra, WelchAverage
 from labpipe.spectra.windows import window_values
 
@@ -48,26 +49,33 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
     """
     chosen = lines_left(spectra[0].frequency, settings)
     n_input = len(layout.inputs)
-    matrix = joined_spectra(spectra, layout)[chosen]
+    matrix = at_lines(joined_spectra(spectra, layout), chosen)
     s_uu, s_yu, s_yy = matrix[:, :n_input, :n_input], matrix[:, n_input:, :n_input], matrix[:, n_input:, n_input:]
     check_forces(s_uu, layout)
     if settings.estimator != "H1":
         check_responses(s_yy, layout, settings.estimator)
-    response = ESTIMATORS[settings.estimator](s_uu, s_yu, s_yy)
-    instruments = INSTRUMENTS[settings.estimator](response, np.einsum("faa->fa", matrix).real)
+    inverse_force, _ = definite_inverse(s_uu)
+    first = product(s_yu, inverse_force)
+    response = first if settings.estimator == "H1" else ESTIMATORS[settings.estimator](s_uu, s_yu, s_yy)
     averages = sum(spectrum.averages for spectrum in spectra)
-    multiple = multiple_coherence(s_uu, s_yu, s_yy)
+    multiple = multiple_coherence(first, s_yu, s_yy)
     enough = averages > n_input + 1
+    covariance = None
+    if enough and settings.estimator == "H1":
+        covariance = covariance_of_h1(matrix, response, inverse_force, averages, half_width)
+    elif enough:
+        instruments = INSTRUMENTS[settings.estimator](response, np.einsum("faa->fa", matrix).real)
+        covariance = covariance_of_random(matrix, response, instruments, averages, half_width)
     return Parts(
         frequency=spectra[0].frequency[chosen],
         matrix=response,
-        covariance=covariance_of_random(matrix, response, instruments, averages, half_width) if enough else None,
+        covariance=covariance,
         averages=averages,
         dof=averages - n_input if enough else np.inf,
         findings=coherence_findings(multiple, np.einsum("foo->fo", s_yy).real, layout) if enough else _no_average_finding(averages),
         coherence=ordinary_coherence(s_uu, s_yu, s_yy),
         multiple_coherence=multiple,
-        partial_coherence=partial_coherence(s_uu, s_yu, s_yy) if n_input > 1 else None,
+        partial_coherence=partial_coherence(inverse_force, first, s_yu, s_yy) if n_input > 1 else None,
         line_correlation=spectra[0].line_correlation,
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.spectra.estimators import ESTIMATORS
+from labpipe.spectra.matrices import at_lines
 from labpipe.spectra.ports import Layout
 from labpipe.spectra.welch import CrossSpectra
 
@@ -32,6 +33,8 @@ def cut_at(blocks: Iterable[FloatArray], middle: int) -> Iterator[tuple[FloatArr
 def joined_spectra(spectra: Sequence[CrossSpectra], layout: Layout) -> ComplexArray:
     """Cross-spectra of all channels (n_line, n_channel, n_channel) [unit^2/Hz], recordings weighted by their numbers of blocks."""
     n_block = sum(spectrum.n_block for spectrum in spectra)
+    if len(spectra) == 1:
+        return layout.padded(0, spectra[0].matrix, 2)
     joined: ComplexArray = np.sum([layout.padded(e, s.matrix, 2) * (s.n_block / n_block) for e, s in enumerate(spectra)], axis=0)
     return joined
 
@@ -48,7 +51,7 @@ def change_of_random(
     if len(first) < len(halved) or min(half.averages for half in first) <= least:
         return None
     rest = [_rest(whole, half) for (whole, _), half in zip(halved, first, strict=True)]
-    before, after = (response_of(joined_spectra(half, layout)[chosen]) for half in (first, rest))
+    before, after = (response_of(at_lines(joined_spectra(half, layout), chosen)) for half in (first, rest))
     return after - before
 
 

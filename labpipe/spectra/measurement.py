@@ -10,6 +10,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray
 from labpipe.errors import ConfigError
+from labpipe.records.arrays import handed_over
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.aliasing import AliasingMonitor, aliasing_findings
@@ -110,8 +111,7 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
     loop = () if aliasing else loop
     findings = (*source_findings(sources), *doubt_findings(sources), *mask_findings(bands), *shaft, *aliasing, *parts.findings, *loop)
     sensor_factor = layout.sensor_factor(parts.frequency)
-    flat = sensor_factor.reshape(sensor_factor.shape[0], -1)
-    covariance = None if parts.covariance is None else parts.covariance * (flat[:, :, None] * flat[:, None, :].conj())
+    covariance = None if parts.covariance is None else handed_over(_corrected(parts.covariance, sensor_factor))
     matrix = parts.matrix * sensor_factor
     return FrequencyResponse(
         frequency=parts.frequency,
@@ -137,6 +137,16 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
         findings=findings,
         conditions=dict(conditions or {}),
     )
+
+
+def _corrected(covariance: ComplexArray, factor: ComplexArray) -> ComplexArray:
+    """The covariance (n_frequency, n, n) of elements times *factor* (n_frequency, n_output, n_input); as it is where that is one."""
+    if np.all(factor == 1):
+        return covariance
+    flat = factor.reshape(factor.shape[0], -1)
+    corrected: ComplexArray = covariance * flat[:, :, None]
+    corrected *= flat[:, None, :].conj()
+    return corrected
 
 
 def _phase(values: ComplexArray) -> ComplexArray:

@@ -59,6 +59,8 @@ class Layout:
     def padded(self, recording: int, values: ComplexArray, axes: int) -> ComplexArray:
         """*values* (..., n_channel) [any unit], its last *axes* axes in the order inputs, outputs; zero for an absent force."""
         columns = np.array([*self.input_columns[recording], *self.output_columns[recording]])
+        if np.array_equal(columns, np.arange(values.shape[-1])):
+            return values
         present = columns >= 0
         for axis in range(values.ndim - axes, values.ndim):
             values = np.take(values, np.maximum(columns, 0), axis=axis)

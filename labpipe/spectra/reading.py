@@ -11,7 +11,7 @@ from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 
 # Samples of a block: a few blocks fit into the cache together with their spectra.
-READ_SAMPLES = 1 << 16
+READ_SAMPLES = 1 << 17
 
 
 def checked_blocks(source: SampleSource) -> Iterator[FloatArray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.spectra.matrices import hermitian, inverse, without_rounding
+from labpipe.spectra.matrices import hermitian, inverse, lines_last, product, without_rounding
 from labpipe.spectra.periodic import neighbourhood_mean
 
 # Degrees of freedom of the noise up to which it is averaged over neighbouring lines: few averages alone tell too little of it.
@@ -29,20 +29,47 @@ def covariance_of_random(
     instruments W (n_frequency, n_output or 1, n_input, n) with z_o = W_o [u; y], see estimators.INSTRUMENTS. The residual's spectrum is
     averaged over *half_width* lines to either side, where few averages alone would tell little of it (pooled_residual).
     """
-    n_frequency, n_output, n_input = response.shape
-    identity = np.broadcast_to(np.eye(n_output), (n_frequency, n_output, n_output))
-    residual_of = np.concatenate([-response, identity], axis=2)
-    residual = pooled_residual(residual_of @ spectra @ hermitian(residual_of), response, half_width)
+    n_frequency, _, n_input = response.shape
+    residual = pooled_residual(residual_spectrum(spectra, response), response, half_width)
     force_products = spectra[:, None, :n_input] @ hermitian(instruments)
     # B_o^H W_o of every response in rows, so that one product gives the spread of all pairs of responses.
     gain = hermitian(inverse(force_products)) @ instruments
     rows = gain.reshape(n_frequency, -1, gain.shape[3])
     spread = (rows @ spectra @ hermitian(rows)).reshape(n_frequency, gain.shape[1], n_input, gain.shape[1], n_input)
     # B_p^H S_zz[p, o] B_o stands at [p, j, o, i]; the covariance needs it at [o, i, p, j].
-    spread = spread.transpose(0, 3, 4, 1, 2)
-    covariance = residual[:, :, None, :, None] * (spread / max(averages - n_input, 1.0))
-    n = n_output * n_input
-    return without_rounding(covariance.reshape(n_frequency, n, n))
+    return _joined(residual, spread.transpose(0, 3, 4, 1, 2) / max(averages - n_input, 1.0))
+
+
+def covariance_of_h1(
+    spectra: ComplexArray, response: ComplexArray, inverse_force: ComplexArray, averages: float, half_width: int = 0
+) -> ComplexArray:
+    """cov(H_oi, H_pj) = S_rr[o, p] (S_uu^-1)[j, i] / (n_e - n_input): covariance_of_random with the forces as instruments.
+
+    inverse_force: S_uu^-1 (n_frequency, n_input, n_input) [Hz/N^2]; the result (n_frequency, n, n) and the other arguments as there.
+    """
+    residual = pooled_residual(residual_spectrum(spectra, response), response, half_width)
+    spread = inverse_force.swapaxes(1, 2) / max(averages - response.shape[2], 1.0)
+    return _joined(residual, spread[:, None, :, None, :])
+
+
+def residual_spectrum(spectra: ComplexArray, response: ComplexArray) -> ComplexArray:
+    """S_rr of r = y - H u, [-H, I] S [-H, I]^H, (n_frequency, n_output, n_output) [unit^2/Hz]; arguments as in covariance_of_random."""
+    n_input = response.shape[2]
+    left = spectra[:, n_input:] - product(response, spectra[:, :n_input])
+    residual: ComplexArray = left[:, :, n_input:] - product(left[:, :, :n_input], hermitian(response))
+    return without_rounding(residual)
+
+
+def _joined(residual: ComplexArray, spread: ComplexArray) -> ComplexArray:
+    """residual[o, p] spread[o, i, p, j] as matrices over o i and p j, (n_frequency, n, n); Hermitian where both are."""
+    n_frequency, n_output = residual.shape[:2]
+    n = n_output * spread.shape[2]
+    covariance = lines_last(n_frequency, n, n)
+    by_axes = covariance.transpose(1, 2, 0).reshape(n_output, -1, n_output, n // n_output, n_frequency).transpose(4, 0, 1, 2, 3)
+    np.multiply(residual[:, :, None, :, None], spread, out=by_axes)
+    diagonal = np.einsum("fii->fi", covariance)
+    diagonal[...] = np.maximum(diagonal.real, 0.0)
+    return covariance
 
 
 def pooled_residual(residual: ComplexArray, response: ComplexArray, half_width: int) -> ComplexArray:

@@ -69,7 +69,7 @@ def test_mimo_frf_in_memory_against_the_bare_ffts_and_scipy(samples: np.ndarray,
     own, peer = ratios(lambda: bare_ffts(columns), lambda: measure([recording], SETTINGS), pair_by_pair, repeats=5)
     with capsys.disabled():
         print(f"\nMIMO FRF with covariance: {own:.2f} times the bare FFTs; scipy.signal.csd {peer:.1f} times")
-    assert own < 5
+    assert own < 4
     assert peer > 6 * own
 
 
@@ -113,7 +113,7 @@ def test_from_parquet_against_bare_read_and_bare_ffts(samples: np.ndarray, tmp_p
     (own,) = ratios(bare, lambda: measure([recording], SETTINGS), repeats=5)
     with capsys.disabled():
         print(f"\nMIMO FRF from Parquet: {own:.2f} times a bare read and the bare FFTs")
-    assert own < 5
+    assert own < 4
 
 
 def test_a_raw_file_to_its_frf_by_the_command_against_bare_read_and_bare_ffts(

@@ -60,9 +60,9 @@ def test_coherence_closed_form(rng: np.random.Generator) -> None:
     # y = h u + e: gamma^2 = |h|^2 S_uu / (|h|^2 S_uu + S_ee).
     s_uu, s_yy, s_yu = np.array([[[2.0 + 0j]]]), np.array([[[4 * 2.0 + 1.0 + 0j]]]), np.array([[[2j * 2.0]]])
     assert ordinary_coherence(s_uu, s_yu, s_yy)[0, 0, 0] == pytest.approx(8 / 9)
-    assert multiple_coherence(s_uu, s_yu, s_yy)[0, 0] == pytest.approx(8 / 9)
+    assert multiple_coherence(s_yu @ np.linalg.inv(s_uu), s_yu, s_yy)[0, 0] == pytest.approx(8 / 9)
     noisy = spectra(rng, 2, 0.0, 3.0)
-    assert np.all(multiple_coherence(*noisy) <= 1) and np.all(ordinary_coherence(*noisy) >= 0)
+    assert np.all(multiple_coherence(noisy[1] @ np.linalg.inv(noisy[0]), *noisy[1:]) <= 1) and np.all(ordinary_coherence(*noisy) >= 0)
 
 
 def test_partial_coherence_is_that_of_what_the_other_force_leaves(rng: np.random.Generator) -> None:
@@ -70,7 +70,9 @@ def test_partial_coherence_is_that_of_what_the_other_force_leaves(rng: np.random
     u = rng.normal(size=(2, 400)) + 1j * rng.normal(size=(2, 400))
     u[1] += 0.8 * u[0]
     y = H @ u + 0.7 * (rng.normal(size=(2, 400)) + 1j * rng.normal(size=(2, 400)))
-    partial = partial_coherence(*(np.array([a @ b.conj().T]) for a, b in ((u, u), (y, u), (y, y))))[0]
+    s_uu, s_yu, s_yy = (np.array([a @ b.conj().T]) for a, b in ((u, u), (y, u), (y, y)))
+    inverse = np.linalg.inv(s_uu)
+    partial = partial_coherence(inverse, s_yu @ inverse, s_yu, s_yy)[0]
     for output in range(2):
         for force in range(2):
             other = u[1 - force]

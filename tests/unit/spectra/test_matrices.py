@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.spectra.matrices import hermitian, inverse
+from labpipe.spectra.matrices import at_lines, definite_inverse, hermitian, inverse, lines_last, product
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
@@ -17,5 +17,25 @@ def test_inverse_is_that_of_numpy(rng: np.random.Generator, n: int) -> None:
 
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_a_singular_matrix_is_refused(n: int) -> None:
-    with pytest.raises(np.linalg.LinAlgError):
-        inverse(np.zeros((2, n, n), complex))
+    for of in (inverse, definite_inverse):
+        with pytest.raises(np.linalg.LinAlgError):
+            of(np.zeros((2, n, n), complex))
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+def test_definite_inverse_and_product_are_those_of_numpy(rng: np.random.Generator, n: int) -> None:
+    factor = rng.normal(size=(40, n, n)) + 1j * rng.normal(size=(40, n, n))
+    matrix = factor @ hermitian(factor)
+    result, pivots = definite_inverse(matrix)
+    np.testing.assert_allclose(result, np.linalg.inv(matrix), rtol=1e-7)
+    np.testing.assert_allclose(np.prod(pivots, axis=1), np.linalg.det(matrix).real, rtol=1e-9)
+    np.testing.assert_allclose(product(factor, matrix[:, :, :1]), factor @ matrix[:, :, :1], rtol=1e-12)
+
+
+def test_chosen_lines_stay_last_in_memory(rng: np.random.Generator) -> None:
+    matrix = lines_last(5, 2, 3)
+    matrix[...] = rng.normal(size=(5, 2, 3))
+    chosen = np.array([True, False, True, True, False])
+    np.testing.assert_array_equal(at_lines(matrix, chosen), matrix[chosen])
+    assert at_lines(matrix, chosen).transpose(1, 2, 0).flags.c_contiguous
+    assert at_lines(matrix, np.ones(5, bool)) is matrix

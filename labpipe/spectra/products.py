@@ -1,0 +1,201 @@
+"""Sums over segments of X_a X_b*, the cross-products of all channels at every line: transformed a few segments at a time.
+
+Two ways of one job. Short blocks: LineProducts, whose small real matrices BLAS multiplies line by line, many segments at once. Long
+blocks: PackedProducts, in which two real channels share one complex transform and lines stand last in memory, so that every operation
+runs over a long row; half the memory, and in place.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import fft
+
+from labpipe.arrays import ComplexArray, FloatArray
+
+# Samples of a block from which on packed transforms are the faster way.
+LONG_BLOCK = 8192
+# Segments transformed together [samples, segments]: enough to keep the overhead small, few enough to stay in the cache and, for
+# very long blocks, in memory. Products of small matrices are fastest with about this many segments; of long rows, with fewer.
+CACHED_SAMPLES = 1 << 18
+MOST_SAMPLES = 1 << 22
+SEGMENTS_AT_ONCE, LONG_SEGMENTS_AT_ONCE = 18, 4
+# Complex numbers of a product that stay in the cache together with what they are made of.
+CACHED_PRODUCTS = 1 << 14
+
+
+class SegmentProducts(ABC):
+    """Running sums of X_a X_b* over tapered segments w x whose trend sum_p c_p b_p is taken out after the transform.
+
+    FFT(w (x - sum_p c_p b_p)) = FFT(w x) - sum_p c_p FFT(w b_p), where FFT(w b_p) has few lines that differ from zero.
+    """
+
+    def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray, n_together: int) -> None:
+        """*window* (n,) [1]; *lines* of the DFT that are summed, neighbours above 0; *trend* (n_row, n_disturbed): FFT(w b_p) from there.
+
+        *n_together*: segments transformed at once, where memory allows it.
+        """
+        self._n, self._lines, self._n_channel, self._trend = window.size, lines, n_channel, trend
+        self._room = max(1, min(n_together, MOST_SAMPLES // (window.size * n_channel)))
+        self._coefficients = np.empty((self._room, trend.shape[0], n_channel))
+        self._n_waiting = 0
+        self.n_block = 0
+
+    @property
+    def room(self) -> int:
+        """Segments that can still be put in before the next transform."""
+        return self._room - self._n_waiting
+
+    def put(self, segments: FloatArray, coefficients: FloatArray) -> None:
+        """Put in at most *room* segments (n_segment, n, n_channel) with their trends (n_segment, n_row, n_channel) [channel unit]."""
+        place = slice(self._n_waiting, self._n_waiting + segments.shape[0])
+        self._taper_into(place, segments)
+        self._coefficients[place] = coefficients
+        self._n_waiting = place.stop
+        if self.room == 0:
+            self.flush()
+
+    def flush(self) -> None:
+        """Add what is waiting to the sums."""
+        if self._n_waiting:
+            self._add(self._n_waiting, self._coefficients[: self._n_waiting])
+            self.n_block += self._n_waiting
+            self._n_waiting = 0
+
+    @abstractmethod
+    def _taper_into(self, place: slice, segments: FloatArray) -> None:
+        """Keep segments (n_segment, n, n_channel) times the window."""
+
+    @abstractmethod
+    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
+        """Transform the first *n_segment* that are kept and add their products; coefficients (n_segment, n_row, n_channel)."""
+
+    @abstractmethod
+    def matrix(self) -> ComplexArray:
+        """sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit."""
+
+
+def segment_products(window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> SegmentProducts:
+    """The faster of the two ways for this *window* (n,) [1]; the other arguments as for SegmentProducts."""
+    if window.size >= LONG_BLOCK:
+        return PackedProducts(window, lines, n_channel, trend)
+    return LineProducts(window, lines, n_channel, trend)
+
+
+class LineProducts(SegmentProducts):
+    """Products of real matrices [re_0 im_0 re_1 im_1 ...] line by line, for blocks of few lines."""
+
+    def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
+        super().__init__(window, lines, n_channel, trend, max(SEGMENTS_AT_ONCE, CACHED_SAMPLES // (window.size * n_channel)))
+        self._taper = np.repeat(window, n_channel).reshape(self._n, n_channel)
+        self._tapered = np.empty((self._room, self._n, n_channel))
+        self._sum = np.zeros((len(lines), 2 * n_channel, 2 * n_channel + 1))
+        self._product = np.empty_like(self._sum)
+
+    def _taper_into(self, place: slice, segments: FloatArray) -> None:
+        np.multiply(segments, self._taper, out=self._tapered[place])
+
+    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
+        amplitude, first, n_line = fft.rfft(self._tapered[:n_segment], axis=1), self._lines[0], len(self._lines)
+        disturbed = slice(first, first + self._trend.shape[1])
+        for number, trend in enumerate(self._trend):
+            amplitude[:, disturbed] -= trend[None, :, None] * coefficients[:, number, None, :]
+        n_row = 2 * self._n_channel
+        flat = amplitude.reshape(n_segment, -1).view(np.float64)[:, (first - 1) * n_row :]
+        current = flat[:, n_row : (n_line + 1) * n_row].reshape(n_segment, n_line, n_row)
+        # One column more than needed, the last one of the line before: BLAS multiplies a small matrix with its own transpose
+        # at half the speed of two that differ.
+        wide = np.lib.stride_tricks.sliding_window_view(flat, n_row + 1, axis=1)[:, n_row - 1 :: n_row][:, :n_line]
+        np.matmul(current.transpose(1, 2, 0), wide.swapaxes(0, 1), out=self._product)
+        self._sum += self._product
+
+    def matrix(self) -> ComplexArray:
+        """sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit."""
+        n_line, n = len(self._lines), self._n_channel
+        parts = self._sum[:, :, 1:].reshape(n_line, n, 2, n, 2).transpose(1, 2, 3, 4, 0)
+        matrix = np.empty((n, n, n_line), np.complex128)
+        matrix.real = parts[:, 0, :, 0] + parts[:, 1, :, 1]
+        matrix.imag = parts[:, 1, :, 0] - parts[:, 0, :, 1]
+        return _hermitian_lines(matrix)
+
+
+class PackedProducts(SegmentProducts):
+    """Products of Z = FFT(z) of channels packed in pairs, z_k = x_2k + i x_2k+1, for blocks of many lines.
+
+    X_2k(f) = (Z_k(f) + Z_k(-f)*) / 2 and X_2k+1(f) = (Z_k(f) - Z_k(-f)*) / 2i, so that the sums of Z_k(f) Z_m(f)*, Z_k(-f) Z_m(-f)*
+    and Z_k(f) Z_m(-f) tell all of X_a X_b*, and nothing is unpacked before the end.
+    """
+
+    def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
+        super().__init__(window, lines, n_channel, trend, LONG_SEGMENTS_AT_ONCE)
+        n_pair, n_line = (n_channel + 1) // 2, len(lines)
+        self._taper = window.astype(np.complex128)
+        # An odd channel's partner stays zero.
+        self._tapered = np.zeros((self._room, n_pair, self._n), np.complex128)
+        # Products with the conjugates of the pairs up to the same one, of positive and of negative frequencies in rising order.
+        self._positive = [np.zeros((pair + 1, n_line), np.complex128) for pair in range(n_pair)]
+        self._negative = [np.zeros((pair + 1, n_line), np.complex128) for pair in range(n_pair)]
+        self._crossed = np.zeros((n_pair, n_pair, n_line), np.complex128)
+
+    def _taper_into(self, place: slice, segments: FloatArray) -> None:
+        even = self._n_channel // 2 * 2
+        if segments[:1].flags.c_contiguous and self._n_channel == even:
+            np.multiply(segments.view(np.complex128).swapaxes(1, 2), self._taper, out=self._tapered[place])
+            return
+        for channel in range(self._n_channel):
+            half = self._tapered.imag if channel % 2 else self._tapered.real
+            np.multiply(segments[:, :, channel], self._taper.real, out=half[place, channel // 2])
+
+    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
+        transformed = fft.fft(self._tapered[:n_segment], axis=2, overwrite_x=True)
+        n_line, n = len(self._lines), self._n
+        positive = transformed[:, :, self._lines[0] : self._lines[-1] + 1]
+        negative = transformed[:, :, n - self._lines[-1] : n - self._lines[0] + 1]
+        for number, trend in enumerate(self._trend):
+            weight = coefficients[:, number, 0::2, None].astype(np.complex128)
+            weight[:, : self._n_channel // 2] += 1j * coefficients[:, number, 1::2, None]
+            positive[:, :, : trend.size] -= weight * trend
+            negative[:, :, n_line - trend.size :] -= weight * trend[::-1].conj()
+        n_chunk = max(4096, CACHED_PRODUCTS // transformed.shape[1])
+        for start in range(0, n_line, n_chunk):
+            lines = slice(start, min(start + n_chunk, n_line))
+            mirrored = slice(n_line - lines.stop, n_line - lines.start)
+            product = np.empty((transformed.shape[1], lines.stop - lines.start), np.complex128)
+            for above, below in zip(positive[:, :, lines], negative[:, :, mirrored], strict=True):
+                _add_products(above, above.conj(), self._positive, lines, product)
+                _add_products(below, below.conj(), self._negative, mirrored, product)
+                _add_products(above, below[:, ::-1], tuple(self._crossed), lines, product)
+        if self._n_channel % 2:
+            self._tapered[:n_segment, -1].imag = 0.0
+
+    def matrix(self) -> ComplexArray:
+        """sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit."""
+        n = self._n_channel
+        matrix = np.empty((n + n % 2, n + n % 2, len(self._lines)), np.complex128)
+        for k in range(len(self._positive)):
+            for m in range(k + 1):
+                positive, negative = self._positive[k][m], self._negative[k][m, ::-1].conj()
+                left, right = self._crossed[k, m], self._crossed[m, k].conj()
+                even, cross, odd, turned = positive + negative, left + right, positive - negative, left - right
+                matrix[2 * k, 2 * m] = (even + cross) * 0.25
+                matrix[2 * k + 1, 2 * m + 1] = (even - cross) * 0.25
+                matrix[2 * k + 1, 2 * m] = (odd + turned) * -0.25j
+                matrix[2 * k, 2 * m + 1] = (odd - turned) * 0.25j
+        return _hermitian_lines(matrix[:n, :n])
+
+
+def _add_products(left: ComplexArray, right: ComplexArray, sums: Sequence[ComplexArray], lines: slice, product: ComplexArray) -> None:
+    """Add to *sums* of pair k, (n_other, n_line), left[k] times the first n_other rows of *right*; left, right (n_pair, n_line)."""
+    for row, into in zip(left, sums, strict=True):
+        into[:, lines] += np.multiply(row, right[: into.shape[0]], out=product[: into.shape[0]])
+
+
+def _hermitian_lines(matrix: ComplexArray) -> ComplexArray:
+    """Matrices (n, n, n_line), of which the lower triangle is right, as (n_line, n, n); lines stay last in memory."""
+    for row in range(matrix.shape[0]):
+        matrix[row, row].imag = 0.0
+        for column in range(row):
+            np.conjugate(matrix[row, column], out=matrix[column, row])
+    return matrix.transpose(2, 0, 1)
