@@ -13,7 +13,7 @@ def hermitian(matrix: ComplexArray) -> ComplexArray:
 
 
 def lines_last(n_line: int, n_row: int, n_column: int) -> ComplexArray:
-    """An empty array (n_line, n_row, n_column) [any unit] that stands in memory with the lines last: work on elements then runs over long rows."""
+    """An empty array (n_line, n_row, n_column) [any unit], lines last in memory: work on its elements then runs over long rows."""
     return np.empty((n_row, n_column, n_line), np.complex128).transpose(2, 0, 1)
 
 
