@@ -16,6 +16,10 @@ from pathlib import Path
 DOCS = Path(__file__).parent
 ROOT = DOCS.parent
 sys.path.insert(0, str(DOCS))
+
+import api
+from maths import Equations, labels_of, with_maths
+
 WORK = ROOT / "out/docs"
 PAGES = WORK / "pages"
 FIGURE = re.compile(r"^\{\{ figure ([\w.-]+) \| (.+) \}\}$", re.MULTILINE)
@@ -81,13 +85,16 @@ def write_pages(target: Path, figure: Callable[[str, str, str], str]) -> None:
     from reference import reference_pages
 
     shutil.copytree(DOCS / "pages", target)
-    for path in sorted(target.rglob("*.md")):
-        up = "../" * (len(path.relative_to(target).parts) - 1)
-        text = FIGURE.sub(lambda found, up=up: figure(found[1], found[2], up), path.read_text(encoding="utf-8"))
-        path.write_text(SOURCE.sub(source_block, text), encoding="utf-8")
-    (target / "reference").mkdir()
-    for name, text in reference_pages().items():
-        (target / "reference" / f"{name}.md").write_text(text, encoding="utf-8")
+    read = api.modules()
+    written = {path.relative_to(target).as_posix(): path.read_text(encoding="utf-8") for path in sorted(target.rglob("*.md"))}
+    known = Equations(labels_of(written), api.places(read))
+    for page, text in written.items():
+        text = FIGURE.sub(lambda found, page=page: figure(found[1], found[2], "../" * page.count("/")), with_maths(page, text, known))
+        written[page] = SOURCE.sub(source_block, text)
+    written |= {f"reference/{name}.md": text for name, text in reference_pages().items()} | api.api_pages(read, known.labels)
+    for page, text in written.items():
+        (target / page).parent.mkdir(parents=True, exist_ok=True)
+        (target / page).write_text(text, encoding="utf-8")
 
 
 def main() -> int:
