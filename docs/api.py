@@ -19,6 +19,8 @@ from maths import CITATION, linked, way
 ROOT = Path(__file__).parent.parent
 FOLDER = "reference/python"
 WIDE = 100
+# The search shows prose before entries with the same words: a word of a title counts a thousand times as much as one of a text.
+HEAD = "---\nsearch:\n  boost: 0.001\n---\n\n"
 # Calls that make a field of a dataclass: their defaults are within.
 FIELDS = ("setting", "field")
 
@@ -92,29 +94,31 @@ def function_of(node: ast.FunctionDef | ast.AsyncFunctionDef, owner: str, of_cla
     if any(one.endswith("property") for one in decorators):
         signature = f"{node.name}: {ast.unparse(node.returns)}" if node.returns else node.name
         return Name(f"{owner}.{node.name}", "property", signature, ast.get_docstring(node) or "")
-    arguments = [ast.unparse(one) for one in _split(node.args)]
-    if of_class and arguments and arguments[0] in ("self", "cls"):
+    arguments = _split(node.args)
+    if of_class and arguments[:1] in (["self"], ["cls"]):
         arguments = arguments[1:]
     returned = f" -> {ast.unparse(node.returns)}" if node.returns else ""
-    return Name(
-        f"{owner}.{node.name}", "method" if of_class else "function", called(node.name, arguments, returned), ast.get_docstring(node) or ""
-    )
+    kind = "method" if of_class else "function"
+    return Name(f"{owner}.{node.name}", kind, called(node.name, arguments, returned), ast.get_docstring(node) or "")
 
 
-def _split(arguments: ast.arguments) -> list[ast.arguments]:
+def _split(arguments: ast.arguments) -> list[str]:
     """Each argument by itself, with its annotation and default, and the marks `/` and `*` where they stand."""
     positional = [*arguments.posonlyargs, *arguments.args]
-    defaults = [None] * (len(positional) - len(arguments.defaults)) + list(arguments.defaults)
-    none: dict[str, list] = {"posonlyargs": [], "args": [], "kwonlyargs": [], "kw_defaults": [], "defaults": []}
-    split = [ast.arguments(**{**none, "args": [one], "defaults": [d] if d else []}) for one, d in zip(positional, defaults, strict=True)]
+    without = [None] * (len(positional) - len(arguments.defaults))
+    split = [_argument(one, default) for one, default in zip(positional, [*without, *arguments.defaults], strict=True)]
     if arguments.posonlyargs:
-        split.insert(len(arguments.posonlyargs), ast.arguments(**{**none, "args": [ast.arg("/")]}))
+        split.insert(len(arguments.posonlyargs), "/")
     if arguments.vararg or arguments.kwonlyargs:
-        star = arguments.vararg or ast.arg("")
-        split.append(ast.arguments(**none, vararg=star))
-    for one, default in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True):
-        split.append(ast.arguments(**{**none, "args": [one], "defaults": [default] if default else []}))
-    return [*split, *([ast.arguments(**none, kwarg=arguments.kwarg)] if arguments.kwarg else [])]
+        split.append("*" + (_argument(arguments.vararg) if arguments.vararg else ""))
+    split += [_argument(one, default) for one, default in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True)]
+    return [*split, *(["**" + _argument(arguments.kwarg)] if arguments.kwarg else [])]
+
+
+def _argument(one: ast.arg, default: ast.expr | None = None) -> str:
+    kind = f": {ast.unparse(one.annotation)}" if one.annotation else ""
+    value = ast.unparse(default) if default is not None else ""
+    return one.arg + kind + ((f" = {value}" if kind else f"={value}") if value else "")
 
 
 def called(name: str, arguments: list[str], returned: str) -> str:
@@ -205,17 +209,18 @@ class Entries:
         shown = ".".join(name.path.split(".")[-2:]) if name.kind in ("method", "property") else own
         level = "####" if name.kind in ("method", "property") else "###"
         body = self.html(name.text, page, f"{place}: {own}")
-        return f"{level} {shown} {{: #{name.path} .{name.kind} }}\n\n<pre><code>{_flat(escape(name.signature))}</code></pre>\n\n{body}"
+        return f"{level} {shown} {{: #{name.path} .{name.kind} }}\n\n{signature(name.signature)}\n\n{body}"
 
     def html(self, text: str, page: str, place: str) -> str:
         """A docstring as HTML on lines that Markdown leaves alone."""
-        made = []
+        blocks: list[str] = []
         for block in re.split(r"\n\s*\n", text.strip("\n")):
-            if block.startswith("    "):
-                made.append(f"<pre><code>{_flat(escape(_dedented(block)))}</code></pre>")
-            elif block:
-                made += self._block(block, page, place)
-        return f'<div class="docstring">{"".join(made)}</div>' if made else ""
+            if blocks and block.startswith("    ") and blocks[-1].splitlines()[-1].startswith("    "):
+                blocks[-1] += f"\n\n{block}"
+            else:
+                blocks.append(block)
+        made = [part for block in blocks for part in self._block(block, page, place)]
+        return f'<div class="docstring">{"".join(made)}</div>' if text else ""
 
     def _block(self, block: str, page: str, place: str) -> Iterator[str]:
         """A paragraph, and what is indented below its first lines as code."""
@@ -223,7 +228,8 @@ class Entries:
         cut = next((n for n, line in enumerate(lines) if line.startswith("    ")), len(lines))
         words = "\n".join(lines[:cut])
         words = words.removesuffix(":") if words.endswith("::") else words
-        yield f"<p>{self._inline(words, page, place)}</p>"
+        if words:
+            yield f"<p>{self._inline(words, page, place)}</p>"
         if cut < len(lines):
             yield f"<pre><code>{_flat(escape(_dedented(chr(10).join(lines[cut:]))))}</code></pre>"
 
@@ -231,6 +237,7 @@ class Entries:
         """Words with code between backticks and links to the equations they name."""
         text = " ".join(words.split())
         made = re.sub(r"(`+)(.+?)\1", lambda found: f"<code>{found[2]}</code>", escape(text, quote=False))
+        made = re.sub(r"(?<![\w*])\*(\w+)\*(?![\w*])", r"<em>\1</em>", made)
         return re.sub(CITATION, lambda found: linked(found[0], lambda label: self._link(label, page, place)), made)
 
     def _link(self, label: str, page: str, place: str) -> str:
@@ -238,6 +245,10 @@ class Entries:
             raise SystemExit(f"{place}: no page has an equation '{label}'")
         target = way(page, self.labels[label]).removesuffix(".md") + ".html"
         return f'<a href="{target}#{label}">({label})</a>'
+
+
+def signature(text: str) -> str:
+    return f'<pre class="signature"><code>{_flat(escape(text))}</code></pre>'
 
 
 def _dedented(block: str) -> str:
@@ -259,9 +270,8 @@ def layers() -> list[list[str]]:
 
 
 def first_sentence(text: str) -> str:
-    line = " ".join(text.split("\n\n")[0].split())
-    found = re.match(r"(.+?[.:])(?:\s|$)", line)
-    return found[1].rstrip(":") if found else line
+    found = re.match(r".+?\.(?=\s|$)", " ".join(text.split("\n\n")[0].split()))
+    return found[0] if found else text
 
 
 def api_pages(read: list[Module], labels: Mapping[str, str]) -> dict[str, str]:
@@ -273,7 +283,7 @@ def api_pages(read: list[Module], labels: Mapping[str, str]) -> dict[str, str]:
     pages = {f"{FOLDER}/index.md": overview(read), f"{FOLDER}/scripts.md": scripts(read, write)}
     for package, own in by_package.items():
         title = "labpipe" if package == "labpipe" else f"labpipe.{package}"
-        pages[f"{FOLDER}/{package}.md"] = "\n\n".join([f"# {title}", *(write.module(module) for module in own)]) + "\n"
+        pages[f"{FOLDER}/{package}.md"] = HEAD + "\n\n".join([f"# {title}", *(write.module(module) for module in own)]) + "\n"
     return pages
 
 
@@ -281,17 +291,18 @@ def overview(read: list[Module]) -> str:
     """Which layer is what: a row per layer, its packages with the first sentence of their docstrings."""
     said = {module.path: module for module in read}
     rows = []
-    for layer in layers():
-        owners = [said[f"labpipe.{one}"] for one in layer]
-        words = [f"[`{one.path}`]({way(FOLDER + '/index.md', page_of(one))}#{one.path}) {first_sentence(one.text)}" for one in owners]
-        rows.append("| " + "<br>".join(words).replace("|", "\\|") + " |")
+    for number, layer in enumerate(layers(), 1):
+        for one in (said[f"labpipe.{name}"] for name in layer):
+            target = f"{one.package}.md" if one.package != "labpipe" else f"labpipe.md#{one.path}"
+            rows.append(f"| {number} | [`{one.path}`]({target}) | {first_sentence(one.text)} |")
     return (
         "# Python\n\nNotebooks and scripts need the [names of `labpipe` itself](scripts.md); "
         "[Notebooks](../../how-to/notebook.md) shows them at work. Plug-ins and contributors find every public name below.\n\n"
         "Arrays are numpy's, in SI units unless a docstring says otherwise; frequencies in Hz, angles in rad. `(n_line, n_output)` is a "
         "shape, `[N/m]` a unit. Bad input raises `labpipe.LabpipeError`, whose message says what is wrong and where.\n\n"
-        "## Layers\n\nA package imports from those below it and from none above; CI holds that.\n\n"
-        "| from the uppermost to the lowest |\n|---|\n" + "\n".join(rows) + "\n"
+        "## Layers\n\nLayer 1 is the uppermost. A package imports from the layers below its own, not from its neighbours and "
+        "not from above; CI holds that.\n\n"
+        "| layer | package | what it is |\n|---|---|---|\n" + "\n".join(rows) + "\n"
     )
 
 
@@ -305,8 +316,8 @@ def scripts(read: list[Module], write: Entries) -> str:
     for name in (one for one in labpipe.__all__ if public(one)):
         offered = getattr(labpipe, name)
         one, module = by_path[f"{offered.__module__}.{offered.__qualname__}"]
-        signature = re.sub(rf"\b{offered.__name__}\b", name, one.signature, count=1)
+        shown = re.sub(rf"\b{offered.__name__}\b", name, one.signature, count=1)
         where = f"[`{one.path}`]({way(page, page_of(module))}#{one.path})"
-        parts.append(f"## labpipe.{name} {{: #labpipe.{name} }}\n\n<pre><code>{_flat(escape(signature))}</code></pre>")
+        parts.append(f"## labpipe.{name} {{: #labpipe.{name} }}\n\n{signature(shown)}")
         parts += [write.html(one.text, page, f"{module.place}: {name}"), f"Home: {where}\n{{: .computed }}"]
     return "\n\n".join(parts) + "\n"

@@ -5,6 +5,7 @@ python docs/build.py            all; what is up to date in out/docs is not compu
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -12,14 +13,17 @@ import sys
 from collections.abc import Callable
 from html import escape
 from pathlib import Path
+from typing import Any
 
-DOCS = Path(__file__).parent
-ROOT = DOCS.parent
-sys.path.insert(0, str(DOCS))
+import yaml
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 import api
 from maths import Equations, labels_of, with_maths
 
+DOCS = Path(__file__).parent
+ROOT = DOCS.parent
 WORK = ROOT / "out/docs"
 PAGES = WORK / "pages"
 FIGURE = re.compile(r"^\{\{ figure ([\w.-]+) \| (.+) \}\}$", re.MULTILINE)
@@ -97,11 +101,40 @@ def write_pages(target: Path, figure: Callable[[str, str, str], str]) -> None:
         (target / page).write_text(text, encoding="utf-8")
 
 
+def build_site(pages: Path, site: Path) -> int:
+    """The pages as a site: mkdocs's exit code; its configuration, with the folders of the navigation as lists of pages, beside *pages*."""
+    config = yaml.safe_load((DOCS / "mkdocs.yml").read_text(encoding="utf-8"))
+    config |= {"docs_dir": str(pages), "site_dir": str(site), "nav": [one for entry in config["nav"] for one in in_full(entry, pages)]}
+    config["theme"]["custom_dir"] = str(DOCS / "theme")
+    written = pages.parent / "mkdocs.yml"
+    written.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--clean", "-f", str(written)]
+    return subprocess.run(command, check=False, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"}).returncode
+
+
+def in_full(entry: dict[str, Any], pages: Path) -> list[dict[str, Any]]:
+    """An entry of the navigation with its folders as lists of pages; none for a folder without pages."""
+    ((title, value),) = entry.items()
+    if isinstance(value, list):
+        return [{title: [one for inner in value for one in in_full(inner, pages)]}]
+    if not value.endswith("/"):
+        return [entry]
+    return [{title: listed}] if (listed := pages_in(pages / value, pages)) else []
+
+
+def pages_in(folder: Path, pages: Path) -> list[str]:
+    """The pages of a folder: its index first, the others in the order in which the index links to them, those it leaves out last."""
+    index = folder / "index.md"
+    linked = re.findall(r"\]\(([\w-]+\.md)\)", index.read_text(encoding="utf-8")) if index.exists() else []
+    order = {name: n for n, name in reversed(list(enumerate(["index.md", *linked])))}
+    found = sorted(folder.glob("*.md"), key=lambda path: (order.get(path.name, len(order)), path.name))
+    return [path.relative_to(pages).as_posix() for path in found]
+
+
 def main() -> int:
     shutil.rmtree(PAGES, ignore_errors=True)
     write_pages(PAGES, Results().html)
-    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--clean", "-f", str(DOCS / "mkdocs.yml")]
-    return subprocess.run(command, check=False).returncode
+    return build_site(PAGES, DOCS / "site")
 
 
 if __name__ == "__main__":

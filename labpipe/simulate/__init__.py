@@ -1,0 +1,1 @@
+"""Virtual rigs: recordings and frequency responses of rigs whose coefficients are known."""

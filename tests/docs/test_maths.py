@@ -2,29 +2,17 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 pytest.importorskip("math_core")
-DOCS = Path(__file__).parents[2] / "docs"
+sys.path.insert(0, str(Path(__file__).parents[2] / "docs"))
 
+import api
+import maths
 
-def _module(name: str) -> ModuleType:
-    """A module of docs, which is no package; its neighbours import it by its bare name."""
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
-        assert spec is not None and spec.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
-maths = _module("maths")
-api = _module("api")
 H1 = "labpipe.spectra.estimators.h1"
 KNOWN = maths.Equations({"frf-h1": "theory/frf.md"}, {H1: "reference/python/spectra.md", "labpipe.spectra.estimators.h2": "reference/a.md"})
 

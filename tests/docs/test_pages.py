@@ -7,8 +7,8 @@ Runs whose report no page shows are made without one, the study of minutes with 
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -34,6 +34,15 @@ SHELL = {
     "source .venv/bin/activate": "the README's first command, by .ci/run",
     "labpipe check -j 0 pipelines/*.yaml": ".ci/run",
 }
+
+# Opens the search and puts words into its field.
+TYPE = """(() => {
+  document.querySelector("#__search").checked || document.querySelector("label[for=__search]").click();
+  const field = document.querySelector("[data-md-component=search-query]");
+  field.focus();
+  field.value = "%s";
+  field.dispatchEvent(new Event("keyup", { bubbles: true }));
+})()"""
 
 
 def module(name: str) -> ModuleType:
@@ -173,12 +182,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("docs")
     build = module("build")
     build.write_pages(folder / "pages", lambda name, words, up: f"<figure><figcaption>{words}</figcaption></figure>")
-    config = (DOCS / "mkdocs.yml").read_text(encoding="utf-8").replace("../out/docs/pages", str(folder / "pages"))
-    config = config.replace("custom_dir: theme", f"custom_dir: {DOCS / 'theme'}")
-    (folder / "mkdocs.yml").write_text(config.replace("site_dir: site", f"site_dir: {folder / 'site'}"), encoding="utf-8")
-    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "-f", str(folder / "mkdocs.yml")]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert ended.returncode == 0, ended.stderr
+    assert build.build_site(folder / "pages", folder / "site") == 0
     return folder / "site"
 
 
@@ -189,6 +193,29 @@ def test_all_pages_are_built_and_linked(site: Path) -> None:
     packages = {path.parent.name for path in (DOCS.parent / "labpipe").glob("*/__init__.py")}
     python = {f"reference/python/{name}" for name in packages | {"index", "scripts", "labpipe"}}
     assert built == written | python | {f"reference/{name}" for name in module("reference").reference_pages()}
+
+
+def test_the_search_of_a_page_opened_as_a_file_finds_and_fetches_nothing(site: Path) -> None:
+    """Typed into a headless browser: a page and the entry of a function, found in the index that lies beside the pages."""
+    spec = importlib.util.spec_from_file_location("labpipe_browser", Path(__file__).parents[1] / "browser/browser.py")
+    assert spec is not None and spec.loader is not None
+    driver = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(driver)
+    path = driver.binary()
+    if path is None or os.name != "posix":
+        pytest.skip("no browser found on the path")
+    browser = driver.Browser(path)
+    try:
+        page = browser.open(site / "index.html")
+        for words, there in {"crest factor": "recordings.html", "adjusted_forces_as_instruments": "spectra.html"}.items():
+            page.run(TYPE % words)
+            found = "[...document.querySelectorAll('.md-search-result__item a')].map((link) => link.href)"
+            page.until(lambda there=there, found=found: any(there in link for link in page.run(found)))
+        asked = {event["request"]["url"] for event in page.said("Network.requestWillBeSent")}
+        assert not [address for address in asked if not address.startswith(("file:", "data:"))]
+        assert not page.said("Runtime.exceptionThrown")
+    finally:
+        browser.close()
 
 
 def test_the_pages_fetch_nothing_from_elsewhere(site: Path) -> None:
