@@ -28,7 +28,12 @@ WORK = ROOT / "out/docs"
 PAGES = WORK / "pages"
 FIGURE = re.compile(r"^\{\{ figure ([\w.-]+) \| (.+) \}\}$", re.MULTILINE)
 SOURCE = re.compile(r"^\{\{ source ([\w./-]+) \}\}$", re.MULTILINE)
+PIPELINE = re.compile(r"^\{\{ pipeline ([\w-]+) \| ([\w., -]+) \}\}$", re.MULTILINE)
+# What stands in pages between such braces and was none of these, nor an equation, is a slip.
+LEFT = re.compile(r"^\{\{ .*", re.MULTILINE)
 LANGUAGES = {".py": "python", ".yaml": "yaml"}
+# The pages draw their figures from the result: the reports of the runs would take as long as the runs.
+FIGURES_ONLY = ["--set", "report.formats=[]"]
 # Where a page shows figures of less work than the pipeline as it is shipped, it says so; rules about the statistics go with the work.
 OPTIONS = {"three-dof": ["--set", "study.repeats=40", "--set", "study.thresholds=false", "--set", "expect={}"]}
 
@@ -72,7 +77,7 @@ def ran(name: str) -> Path:
 
     folder = WORK / "runs" / name
     print(f"run {name}", flush=True)
-    code = run_command(["run", str(ROOT / "pipelines" / f"{name}.yaml"), "-o", str(folder), "-q", *OPTIONS.get(name, [])])
+    code = run_command(["run", str(ROOT / "pipelines" / f"{name}.yaml"), "-o", str(folder), "-q", *FIGURES_ONLY, *OPTIONS.get(name, [])])
     if code:
         raise SystemExit(f"pipelines/{name}.yaml ended with {code}")
     return folder
@@ -82,6 +87,38 @@ def source_block(found: re.Match[str]) -> str:
     """A file of docs as a block of code, under its name."""
     path = DOCS / found[1]
     return f"`docs/{found[1]}`:\n\n```{LANGUAGES[path.suffix]}\n{path.read_text(encoding='utf-8')}```"
+
+
+def pipeline_block(found: re.Match[str]) -> str:
+    """Sections of a shipped pipeline as they stand in its file, under its name: `frf`, or `identify.pedestal` for one entry."""
+    place = f"pipelines/{found[1]}.yaml"
+    text = (ROOT / place).read_text(encoding="utf-8")
+    shown: list[str] = []
+    for path in (one.strip() for one in found[2].split(",")):
+        lines = cut_out(text, *path.split("."))
+        if not lines:
+            raise SystemExit(f"{place} has no '{path}'")
+        shown += lines[1:] if lines[0] in shown else lines
+    return f"`{place}`:\n\n```yaml\n" + "\n".join(shown) + "\n```"
+
+
+def cut_out(text: str, section: str, entry: str = "") -> list[str]:
+    """The lines of a section of a YAML file, or its head and one entry."""
+    block = _block(text.splitlines(), f"{section}:")
+    if not entry or not block:
+        return block
+    inner = _block(block[1:], f"  {entry}:")
+    return [block[0], *inner] if inner else []
+
+
+def _block(lines: list[str], head: str) -> list[str]:
+    """The line that begins with *head*, and those below it that are indented more."""
+    start = next((n for n, line in enumerate(lines) if line.startswith(head)), None)
+    if start is None:
+        return []
+    deeper = " " * (len(head) - len(head.lstrip()) + 1)
+    end = next((n for n in range(start + 1, len(lines)) if not lines[n].startswith(deeper)), len(lines))
+    return lines[start:end]
 
 
 def write_pages(target: Path, figure: Callable[[str, str, str], str]) -> None:
@@ -94,7 +131,10 @@ def write_pages(target: Path, figure: Callable[[str, str, str], str]) -> None:
     known = Equations(labels_of(written), api.places(read))
     for page, text in written.items():
         text = FIGURE.sub(lambda found, page=page: figure(found[1], found[2], "../" * page.count("/")), with_maths(page, text, known))
-        written[page] = SOURCE.sub(source_block, text)
+        text = PIPELINE.sub(pipeline_block, SOURCE.sub(source_block, text))
+        if slip := LEFT.search(text):
+            raise SystemExit(f"docs/pages/{page}: '{slip[0]}' is no figure, source, pipeline or equation")
+        written[page] = text
     written |= {f"reference/{name}.md": text for name, text in reference_pages().items()} | api.api_pages(read, known.labels)
     for page, text in written.items():
         (target / page).parent.mkdir(parents=True, exist_ok=True)
