@@ -134,7 +134,7 @@ def class_of(node: ast.ClassDef, owner: str, lines: list[str]) -> Name:
     fields = [field_of(one, lines) for one in node.body if isinstance(one, ast.AnnAssign) and public(ast.unparse(one.target))]
     own = [one for one in node.body if isinstance(one, (ast.FunctionDef, ast.AsyncFunctionDef))]
     starts = [function_of(one, path, of_class=True).signature for one in own if one.name == "__init__"]
-    head = starts[0].replace("__init__", head, 1).removesuffix(" -> None") if starts and not bases else head
+    fields += [one.replace("__init__", node.name, 1).removesuffix(" -> None").replace("\n", "\n    ") for one in starts]
     members = tuple(function_of(one, path, of_class=True) for one in own if public(one.name))
     return Name(path, "class", "\n".join([head, *(f"    {one}" for one in fields)]), ast.get_docstring(node) or "", members)
 
@@ -248,7 +248,9 @@ class Entries:
 
 
 def signature(text: str) -> str:
-    return f'<pre class="signature"><code>{_flat(escape(text))}</code></pre>'
+    """A signature, each line by itself, so that what is too wide goes on below its beginning."""
+    lines = "".join(f"<span>{escape(line)}&#10;</span>" for line in text.splitlines())
+    return f'<pre class="signature"><code>{lines}</code></pre>'
 
 
 def _dedented(block: str) -> str:
