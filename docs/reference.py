@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+import functools
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,7 @@ KINDS = {
 BELOW = {"section": "", "sections": " one entry per name", "entries": " a list; each entry holds"}
 
 
+@functools.cache
 def reference_pages() -> dict[str, str]:
     """Name -> Markdown of every page of the reference."""
     return {

@@ -6,6 +6,7 @@ Runs whose report no page shows are made without one, the study of minutes with 
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import os
 import re
@@ -17,6 +18,7 @@ import pytest
 import yaml
 
 DOCS = Path(__file__).parents[2] / "docs"
+sys.path.insert(0, str(DOCS))
 PAGES = sorted((DOCS / "pages").rglob("*.md"))
 # Commands for a shell, and where they are run.
 SHELL = {
@@ -47,12 +49,7 @@ TYPE = """(() => {
 
 def module(name: str) -> ModuleType:
     """A module of docs, which is no package."""
-    if f"docs_{name}" not in sys.modules:
-        spec = importlib.util.spec_from_file_location(f"docs_{name}", DOCS / f"{name}.py")
-        assert spec is not None and spec.loader is not None
-        sys.modules[f"docs_{name}"] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[f"docs_{name}"])
-    return sys.modules[f"docs_{name}"]
+    return importlib.import_module(name)
 
 
 def blocks(text: str, language: str) -> list[str]:
