@@ -30,7 +30,7 @@ TOKEN = re.compile(
     r"|(?P<dollar>\\\$)"
     rf"|(?P<display>(?:^\{{\{{ equation (?P<label>{LABEL}) \| (?P<by>[\w., ]+?) \}}\}}[ \t]*\n)?\$\$(?P<block>{FORMULA})\$\$)"
     rf"|(?P<cited>{CITATION})"
-    rf"|(?P<inline>\$(?=\S)(?P<within>{FORMULA})(?<=\S)\$(?!\d))"
+    rf"|(?P<inline>\$(?=\S)(?P<within>{FORMULA})(?<=\S)\$(?!\d)(?P<behind>[.,;:)]*))"
     r"|(?P<wrong>\$|^\{\{ equation\b[^\n]*)",
     re.DOTALL | re.MULTILINE,
 )
@@ -121,7 +121,8 @@ def _rendered(page: str, start: int, block: str, token: re.Match[str], known: Eq
     except FormulaError as error:
         stop(page, start, block, token, f"{error} in the formula {' '.join(formula.split())}")
     if token["inline"]:
-        return made
+        # Within a span, as Markdown takes <math> at the beginning of a line for a block; with what must not begin the next line.
+        return f'<span class="math">{made}{token["behind"]}</span>'
     if token["label"]:
         return _equation(token["label"], made, _computed(page, start, block, token, known))
     alone = token.start() == 0 or block[token.start() - 1] == "\n"

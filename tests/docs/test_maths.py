@@ -24,7 +24,7 @@ def page(text: str, name: str = "theory/frf.md") -> str:
 def test_a_formula_within_a_line_and_one_by_itself() -> None:
     """MathML 3, 3.4.1 and 3.3.2: a subscript and a fraction."""
     made = page("The mass $m_1$ is\n\n$$\n\\frac{k}{w}\n$$\n\nheavy.\n")
-    assert made.startswith("The mass <math><msub><mi>m</mi><mn>1</mn></msub></math> is\n")
+    assert made.startswith('The mass <span class="math"><math><msub><mi>m</mi><mn>1</mn></msub></math></span> is\n')
     assert '<div class="equation"><math display="block"><mfrac><mi>k</mi><mi>w</mi></mfrac></math></div>' in made
     assert made.endswith("heavy.\n")
 
@@ -58,6 +58,15 @@ def test_markdown_reads_nothing_in_a_formula() -> None:
     """Two products in a line would be emphasis, two bars cells of a table."""
     made = page("| $a*b$ | $c*d$ | $|x|$ |")
     assert made.count("|") == 4 and "*" not in made
+
+
+def test_a_formula_at_the_beginning_of_a_line_stays_in_its_paragraph() -> None:
+    """Python-Markdown takes <math> there for a block; what is behind a formula does not begin the next line."""
+    from markdown import markdown
+
+    made = markdown(page("with the factors\n$b_x$, $b_y$, and\n$m$.\n"), extensions=["md_in_html", "attr_list", "tables"])
+    assert made.count("<p>") == 1 and made.count("<math>") == 3
+    assert "</math>,</span>" in made and made.endswith("</math>.</span></p>")
 
 
 def test_an_equation_has_an_anchor_a_number_and_the_names_that_compute_it() -> None:
