@@ -18,7 +18,7 @@ from labpipe.identify.measured import Measured
 from labpipe.identify.settings import Support
 from labpipe.identify.statistics import student_limit
 from labpipe.identify.weights import has_noise, weight_doubt, whitened, whitener
-from labpipe.optimise.levenberg import Minimum, linearised_by_qr, minimise
+from labpipe.optimise.levenberg import Minimum, linearised, minimise
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Parameter
 
@@ -150,7 +150,7 @@ def _settled(problem: _Problem, minimum: Minimum) -> Minimum:
     """
     if minimum.converged:
         return minimum
-    linear = linearised_by_qr(problem, minimum.values)
+    linear = linearised(problem, minimum.values)
     left = float(np.linalg.norm(linear.projected)) / np.sqrt(linear.chi2 / linear.n_equation)
     return Minimum(minimum.values, left < SETTLED, minimum.steps)
 

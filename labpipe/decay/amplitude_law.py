@@ -11,7 +11,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.decay.likelihood import Decayed
 from labpipe.decay.pieces import Piece
 from labpipe.decay.residual_test import portmanteau
-from labpipe.optimise.levenberg import linearised_by_qr, minimise, sum_of_squares
+from labpipe.optimise.levenberg import linearised, minimise, sum_of_squares
 from labpipe.records.ring_down import AmplitudeLaw
 
 SHARED = 4
@@ -126,7 +126,7 @@ def fitted_law(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int)
     """The law of a mode from all pieces of one output, from the exponential fit on; standard errors from the residual it leaves."""
     problem = _Problem(pieces, fitted, mode, output)
     minimum = minimise(problem, problem.start, near=1e-4)
-    linear = linearised_by_qr(problem, minimum.values)
+    linear = linearised(problem, minimum.values)
     inverse = np.linalg.pinv(linear.triangle * linear.scale, rcond=1e-15)
     nuisance = sum(range_.shape[1] for range_ in problem.ranges)
     noise = linear.chi2 / max(linear.n_equation - minimum.values.size - nuisance, 1)

@@ -10,8 +10,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
+
+# Complex numbers of the derivatives that are made together: few enough to stay in the cache.
+CACHED_ELEMENTS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -151,14 +154,41 @@ class DynamicModel:
         return _solved(_dynamic_stiffness(whole, omega), whole.force.astype(np.complex128))
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
-        return self.filtered(parameters, -self.equation_terms(self.receptance(parameters, omega), omega), omega)
+        """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]; parameters last in memory.
+
+        Every element e_a e_b^T of a Z_j gives the outer product of column a of Z^-1 and row b of H, which all terms share.
+        """
+        whole = self.whole(parameters)
+        n_line, (n_dof, n_input), n_parameter = omega.size, whole.force.shape, len(self.terms)
+        slopes = np.zeros((n_line, n_dof, n_input, n_parameter), np.complex128)
+        n_chunk = max(16, CACHED_ELEMENTS // (n_dof**3 * n_input))
+        for start in range(0, n_line, n_chunk):
+            lines = slice(start, start + n_chunk)
+            self._add_slopes(whole, omega[lines], slopes[lines])
+        return slopes.transpose(3, 0, 1, 2)
+
+    def _add_slopes(self, whole: Matrices, omega: FloatArray, slopes: ComplexArray) -> None:
+        """Add dH/dp of a few lines to *slopes* (n_line, n_dof, n_input, n_parameter)."""
+        n_line, n_dof, n_input = slopes.shape[:3]
+        inverse = _solved(_dynamic_stiffness(whole, omega), np.eye(n_dof, dtype=np.complex128))
+        by_input = (inverse @ whole.force).swapaxes(1, 2)
+        outer = (inverse[:, :, None, :, None] * by_input[:, None, :, None, :]).reshape(n_line, n_dof, n_input, n_dof**2)
+        for kind, factor in _line_factors(omega).items():
+            acting, stack = self._acting[kind]
+            if stack.size:
+                slopes[..., acting] -= _combined(outer, stack) * factor[:, None, None, None]
+        acting, stack = self._acting["force"]
+        if stack.size:
+            slopes[..., acting] += np.einsum("loa,pai->loip", inverse, stack.reshape(-1, n_dof, n_input))
 
     def filtered(self, parameters: FloatArray, sides: ComplexArray, omega: FloatArray) -> ComplexArray:
-        """Z^-1 times all *sides* (n_side, n_line, n_dof, n_input) [N], one factorisation per line."""
+        """Z^-1 times all *sides* (n_side, n_line, n_dof, n_input) [N], one inverse per line.
+
+        There are many sides, and a product with the small inverse costs a fraction of solving for them.
+        """
         n_side, n_line, n_dof, n_input = sides.shape
         joined = sides.transpose(1, 2, 0, 3).reshape(n_line, n_dof, n_side * n_input)
-        solved = _solved(self.dynamic_stiffness(parameters, omega), joined)
+        solved = _solved(self.dynamic_stiffness(parameters, omega), np.eye(n_dof, dtype=np.complex128)) @ joined
         return solved.reshape(n_line, n_dof, n_side, n_input).transpose(2, 0, 1, 3)
 
     def equation_terms(self, h: ComplexArray, omega: FloatArray) -> ComplexArray:
@@ -167,8 +197,7 @@ class DynamicModel:
         # Lines in the last axis but one: every product below is one contiguous matrix product.
         terms = np.zeros((len(self.terms), n_dof, n_line, n_input), np.complex128)
         by_dof = np.ascontiguousarray(h.transpose(1, 0, 2))
-        factors: dict[str, NDArray[np.inexact]] = {"stiffness": np.ones_like(omega), "damping": 1j * omega, "mass": -(omega**2)}
-        for kind, factor in factors.items():
+        for kind, factor in _line_factors(omega).items():
             stack = self._stacks[kind]
             acting = np.flatnonzero(np.any(stack != 0, axis=(1, 2)))
             if acting.size:
@@ -191,6 +220,18 @@ class DynamicModel:
         return np.array([np.concatenate([matrix.reshape(-1) for matrix in row]) for row in parts])
 
     @cached_property
+    def _acting(self) -> dict[str, tuple[IntArray | slice, FloatArray]]:
+        """Of each kind of matrix, the terms that have one, and these matrices as rows (n_acting, n_element)."""
+        acting = {}
+        for kind, stack in self._stacks.items():
+            rows = stack.reshape(len(self.terms), -1)
+            there = np.flatnonzero(np.any(rows != 0, axis=1))
+            # Neighbours as a slice: picking by numbers copies.
+            are_neighbours = there.size > 0 and there[-1] - there[0] == there.size - 1
+            acting[kind] = (slice(int(there[0]), int(there[-1]) + 1) if are_neighbours else there, rows[there])
+        return acting
+
+    @cached_property
     def _stacks(self) -> dict[str, FloatArray]:
         """Each kind of matrix of all terms, (n_parameter, n_dof, n_dof or n_input)."""
         stacks = {}
@@ -198,6 +239,20 @@ class DynamicModel:
             matrices = [getattr(term.matrices, kind) for term in self.terms]
             stacks[kind] = np.stack(matrices) if matrices else np.zeros((0, *getattr(self.constant, kind).shape))
         return stacks
+
+
+def _line_factors(omega: FloatArray) -> dict[str, NDArray[np.inexact]]:
+    """By what a matrix of each kind stands in Z(w), (n_line,)."""
+    return {"stiffness": np.ones_like(omega), "damping": 1j * omega, "mass": -(omega**2)}
+
+
+def _combined(elements: ComplexArray, stack: FloatArray) -> ComplexArray:
+    """sum_e elements[..., e] stack[p, e], (..., n_parameter), of elements (..., n_element); picked where every parameter has only one."""
+    if np.all(np.count_nonzero(stack, axis=1) == 1):
+        number = np.argmax(stack != 0, axis=1)
+        picked = elements if np.array_equal(number, np.arange(elements.shape[-1])) else elements[..., number]
+        return np.asarray(picked * stack[np.arange(number.size), number])
+    return np.asarray(elements @ stack.T.astype(np.complex128))
 
 
 def _dynamic_stiffness(matrices: Matrices, omega: FloatArray) -> ComplexArray:

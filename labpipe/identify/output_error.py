@@ -10,7 +10,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import ReceptanceModel
-from labpipe.identify.weights import whitened
+from labpipe.identify.weights import whitened, whitened_columns
 from labpipe.optimise.levenberg import sum_of_squares
 
 Model = TypeVar("Model", bound=ReceptanceModel, covariant=True)
@@ -43,4 +43,4 @@ class OutputError(Generic[Model]):
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """d residual / d p, (n_equation, n_parameter) [1 per parameter unit]."""
-        return -self.whitened(self.model.jacobian(parameters, self.measured.omega)).T
+        return -whitened_columns(self.whitener, self.model.jacobian(parameters, self.measured.omega))

@@ -10,7 +10,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.identify.measured import Measured
 from labpipe.identify.weights import whitened
-from labpipe.optimise.levenberg import Linearisation, linearised_by_qr, minimise, sum_of_squares
+from labpipe.optimise.levenberg import Linearisation, linearised, minimise, sum_of_squares
 
 PASSES = 8
 # The descent ends where a further full step would lower chi-square by a small part of its expectation per equation only: differences
@@ -93,7 +93,7 @@ class RationalFit:
         try:
             triangle = np.linalg.cholesky(normal / (scale[:, None] * scale)).T
         except np.linalg.LinAlgError:
-            return linearised_by_qr(self, parameters)
+            return linearised(self, parameters)
         projected = -np.linalg.solve(triangle.T, right_side / scale)
         return Linearisation(triangle, projected, scale, self.chi2(parameters), 2 * residual.size)
 

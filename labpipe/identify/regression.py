@@ -14,10 +14,9 @@ from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.statistics import Estimate, condition_number, determination, inflation_factors, stacked, stacked_terms
 from labpipe.identify.weights import has_noise, weight_doubt, whitened, whitener
+from labpipe.optimise.triangle import scaled_triangle
 from labpipe.records.identification import Goodness
 
-# Condition number up to which products of columns have at least eight digits.
-WELL_CONDITIONED = 1e4
 BIAS_NOTE = (
     "ls: the standard errors come from the equation's residual; they do not include the bias caused by noise of the measured FRF "
     "(the FRF is among the regressors). The estimator ml has no such bias."
@@ -142,32 +141,14 @@ def equation_design(terms: ComplexArray, model: DynamicModel, values: FloatArray
 
     An error dH adds Z dH to the equation of motion, which is as large as Z H = B for dH as large as H.
     """
-    lengths, triangle, _ = _factorised(stacked_terms(terms).T)
+    lengths, triangle, _ = scaled_triangle(stacked_terms(terms).T)
     forces = np.sqrt(terms.shape[1]) * np.linalg.norm(model.whole(values).force)
     return triangle, forces * np.sqrt(inflation_factors(triangle)) / lengths
 
 
 def triangle_of(columns: FloatArray) -> FloatArray:
     """Triangular factor R (n_parameter, n_parameter) [1] of *columns* (n_equation, n_parameter) scaled to length 1."""
-    return _factorised(columns)[1]
-
-
-def _factorised(columns: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
-    """(lengths of the columns, R of the scaled columns, True if R comes from their products).
-
-    Products of columns (Cholesky) cost a fraction of Householder's QR and are as accurate while the condition number is far below
-    1 / sqrt(rounding); QR is used beyond that.
-    """
-    products = columns.T @ columns
-    scale = np.sqrt(np.diag(products))
-    scale = np.where(scale > 0, scale, 1.0)
-    try:
-        triangle: FloatArray = np.linalg.cholesky(products / np.outer(scale, scale)).T
-        if np.linalg.cond(triangle) < WELL_CONDITIONED:
-            return scale, triangle, True
-    except np.linalg.LinAlgError:
-        pass
-    return scale, np.asarray(np.linalg.qr(columns / scale, mode="r")), False
+    return scaled_triangle(columns)[1]
 
 
 def solve_scaled(columns: FloatArray, right_side: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -177,7 +158,7 @@ def solve_scaled(columns: FloatArray, right_side: FloatArray) -> tuple[FloatArra
     FitError for linearly dependent columns.
     """
     n = columns.shape[1]
-    scale, triangle, by_products = _factorised(columns)
+    scale, triangle, by_products = scaled_triangle(columns)
     left_vectors, singular, right_vectors = linalg.svd(triangle)
     if singular[-1] <= singular[0] * np.finfo(float).eps * max(columns.shape):
         raise FitError(

@@ -22,6 +22,8 @@ from labpipe.identify.statistics import stacked
 NOISE_FREE = 1e-10
 # A covariance of normalised FRFs is rank deficient if its smallest eigenvalue is below this many roundings.
 SINGULAR_ROUNDINGS = 100
+# Complex numbers that are whitened together: few enough to stay in the cache.
+CACHED_TERMS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -166,9 +168,37 @@ def whitened(whitener: ComplexArray, values: ComplexArray) -> FloatArray:
     *whitener* (n_line, n, n) [N/m].
     """
     flat = values.reshape(*values.shape[:-2], -1)
+    diagonal = _diagonal_of(whitener)
+    if diagonal is not None:
+        return np.sqrt(2.0) * stacked((flat * diagonal).reshape(*values.shape[:-3], -1))
     white = np.matmul(whitener, np.moveaxis(flat, -2, 0).reshape(flat.shape[-2], -1, flat.shape[-1]).swapaxes(1, 2))
     lines = np.moveaxis(white, 2, 0).reshape(*values.shape[:-3], -1)
     return np.sqrt(2.0) * stacked(lines)
+
+
+def whitened_columns(whitener: ComplexArray, terms: ComplexArray) -> FloatArray:
+    """Terms (n_term, n_line, n_output, n_input) [m/N per unit of the term] whitened as `whitened` does, as columns (n_equation, n_term).
+
+    *whitener* (n_line, n, n) [N/m].
+    """
+    n_term, n_line, n = terms.shape[0], terms.shape[1], terms.shape[2] * terms.shape[3]
+    by_line = terms.transpose(1, 2, 3, 0)
+    diagonal = _diagonal_of(whitener)
+    stacked_columns = np.empty((2, n_line, n, n_term))
+    n_chunk = max(16, CACHED_TERMS // (n * n_term))
+    for start in range(0, n_line, n_chunk):
+        lines = slice(start, start + n_chunk)
+        columns = by_line[lines].reshape(-1, n, n_term)
+        white = whitener[lines] @ columns if diagonal is None else columns * diagonal[lines, :, None]
+        np.multiply(white.real, np.sqrt(2.0), out=stacked_columns[0, lines])
+        np.multiply(white.imag, np.sqrt(2.0), out=stacked_columns[1, lines])
+    return stacked_columns.reshape(2 * n_line * n, n_term)
+
+
+def _diagonal_of(whitener: ComplexArray) -> ComplexArray | None:
+    """The diagonals (n_line, n) of weights (n_line, n, n) where all else is zero: FRFs with independent noise. None otherwise."""
+    diagonal: ComplexArray = np.einsum("lnn->ln", whitener)
+    return diagonal if np.count_nonzero(whitener) == np.count_nonzero(diagonal) else None
 
 
 def _first(measured: Measured, at: BoolArray) -> str:

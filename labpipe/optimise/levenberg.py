@@ -10,6 +10,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
+from labpipe.optimise.triangle import scaled_triangle
 
 MAX_ITERATIONS = 100
 MAX_DAMPING_STEPS = 20
@@ -64,7 +65,7 @@ class Minimum:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """What the steps of one iteration need of J = Q R S and r: all in the triangle of [J S^-1, r], S the lengths of the columns of J.
+    """What the steps of one iteration need of J = Q R S and r, S the lengths of the columns of J.
 
     *triangle* R (n_parameter, n_parameter) [-], *projected* Q^T r (n_parameter,) [-], *scale* S (n_parameter,) [1/parameter unit],
     *chi2* r^T r [-] of *n_equation* residuals.
@@ -77,15 +78,18 @@ class Linearisation:
     n_equation: int
 
 
-def linearised_by_qr(problem: SquareSum, parameters: FloatArray) -> Linearisation:
+def linearised(problem: SquareSum, parameters: FloatArray) -> Linearisation:
     """The linearisation at *parameters* (n_parameter,) [parameter units] from residual and Jacobian."""
     residual, jacobian = problem.residual(parameters), problem.jacobian(parameters)
-    scale = np.linalg.norm(jacobian, axis=0)
-    # A parameter that has run off to where nothing depends on it: damping keeps the step finite.
-    scale[scale == 0] = 1.0
-    joint = np.asarray(np.linalg.qr(np.column_stack([jacobian / scale, residual]), mode="r"))
-    n = scale.size
-    return Linearisation(joint[:n, :n], joint[:n, -1], scale, float(residual @ residual), residual.size)
+    # A parameter that has run off to where nothing depends on it has the length 1: damping keeps the step finite.
+    scale, triangle, by_products = scaled_triangle(jacobian)
+    if by_products:
+        projected = np.linalg.solve(triangle.T, (jacobian.T @ residual) / scale)
+    else:
+        n = scale.size
+        joint = np.asarray(np.linalg.qr(np.column_stack([jacobian / scale, residual]), mode="r"))
+        triangle, projected = joint[:n, :n], joint[:n, -1]
+    return Linearisation(triangle, projected, scale, float(residual @ residual), residual.size)
 
 
 def minimise(
@@ -98,12 +102,12 @@ def minimise(
     """Levenberg-Marquardt from *start* (n_parameter,) [parameter units].
 
     *near*: distance to the minimum in standard errors (residual per equation) at which the descent stops. Not converged after
-    *most_steps*. *linearise* replaces `linearised_by_qr` for a problem that knows a shorter way.
+    *most_steps*. *linearise* replaces `linearised` for a problem that knows a shorter way.
     """
     values, damping = start, 1e-3
     rounding = ROUNDING * problem.size
     for steps in range(most_steps):
-        linear = linearise(values) if linearise else linearised_by_qr(problem, values)
+        linear = linearise(values) if linearise else linearised(problem, values)
         # Unlike the length of the last step, the gain of a further full step does not become small through large damping.
         gain, size = float(np.linalg.norm(linear.projected)), float(np.sqrt(linear.chi2))
         standard_error = size / np.sqrt(linear.n_equation)

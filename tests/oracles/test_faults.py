@@ -23,7 +23,7 @@ from tests.oracles.four_dof_rig import MASS, RATE, FourDofRig, recordings, true_
 
 FRF = FrfSettings(excitation="random", block=4.0, band=(5.0, 50.0))
 # Runs side by side: the integration in time takes about as long for ten as for one.
-TOGETHER = 20
+TOGETHER = 60
 
 FIT = FitSettings("mdof", mass=tuple(MASS), name="four")
 
