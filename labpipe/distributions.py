@@ -41,7 +41,10 @@ def student_quantile(p: Value, dof: Value) -> float:
 
 
 def coverage_factor(coverage: float, dof: float) -> float:
-    """t with P(|T| <= t) = *coverage* [1] for effective degrees of freedom, of the normal distribution where they are infinite."""
+    """t with P(|T| <= t) = *coverage* [1] for effective degrees of freedom, of the normal distribution where they are infinite.
+
+    Equation (unc-coverage).
+    """
     p = (1 + coverage) / 2
     return student_quantile(p, dof) if math.isfinite(dof) else normal_quantile(p)
 

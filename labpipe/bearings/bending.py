@@ -42,6 +42,7 @@ class BendingShaft:
         """k = 48 E I / (3 l^2 s - 4 s^3) [N/m], the load s from a support, the deflection at mid span; 48 E I / l^3 for mid span.
 
         *load_point* s in (0, l/2] [m]: the contact angle of an angular-contact bearing moves the load off the middle.
+        Equation (roll-bending).
         """
         s = self.span / 2 if load_point is None else load_point
         if not 0 < s <= self.span / 2 * (1 + 1e-12):
@@ -49,11 +50,17 @@ class BendingShaft:
         return 48 * self.rigidity / (3 * self.span**2 * s - 4 * s**3)
 
     def energy_stiffness(self) -> float:
-        """k = int E I y''^2 dx = pi^4 E I / (2 l^3) [N/m] for the first mode y = cos(pi x / l), 1.5 % above the static one."""
+        """k = int E I y''^2 dx = pi^4 E I / (2 l^3) [N/m] for the first mode y = cos(pi x / l), 1.5 % above the static one.
+
+        Equation (roll-bending-energy).
+        """
         return float(np.pi**4 * self.rigidity / (2 * self.span**3))
 
     def equivalent_mass(self) -> float:
-        """m = int rho A y^2 dx = rho A l / 2 [kg] for y = cos(pi x / l), without the ends: mass that moves with mid span."""
+        """m = int rho A y^2 dx = rho A l / 2 [kg] for y = cos(pi x / l), without the ends: mass that moves with mid span.
+
+        Equation (roll-bending-mass).
+        """
         return self.density * np.pi * self.diameter**2 / 4 * self.span / 2
 
     def total_mass(self) -> float:
@@ -75,6 +82,7 @@ def without_shaft(total: Uncertain, shaft: Uncertain) -> SeriesCorrection:
 
     The interval is formed on the compliance, which is nearly linear in the measured stiffness, and inverted: it is wider upwards, and
     open (infinite) where the measurement is compatible with a rigid bearing. Raises FitError for k_total >= k_shaft.
+    Equation (roll-series-shaft).
     """
     if not (total.value > 0 and shaft.value > 0):
         raise FitError("a stiffness in series must be above zero", hint="check the fit and the shaft")
@@ -95,6 +103,7 @@ def damping_without_shaft(damping: Uncertain, total: Uncertain, shaft: Uncertain
     """c_b = c_total (k_b / k_total)^2 [N s/m] for w c << k and a shaft without losses; all three uncertainties to first order.
 
     The damper is in the bearing, whose motion is k_total / k_b of the measured one: (k_total + j w c_total) in series.
+    Equation (roll-series-damping).
     """
     stiffness = without_shaft(total, shaft).bearing.value
     factor = (stiffness / total.value) ** 2

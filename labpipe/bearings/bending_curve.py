@@ -16,7 +16,7 @@ def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
     """K_total = (K^-1 + S)^-1, S = diag(1, 1, 0, 0, 0) / k_s: the bending shaft k_s [N/m] in series in x and y, (..., 5, 5).
 
     By Woodbury's identity K - K E (E^T K E + k_s)^-1 E^T K, so that K may be singular. An uncoupled radial coefficient becomes
-    k k_s / (k + k_s), the series formula. Infinite k_s has no effect. ConfigError for k_s not above zero.
+    k k_s / (k + k_s), the series formula. Infinite k_s has no effect. ConfigError for k_s not above zero. Equation (roll-series-matrix).
     """
     if not bending > 0:
         raise ConfigError(f"the bending stiffness of the shaft is {bending:g} N/m", hint="it must be above zero")

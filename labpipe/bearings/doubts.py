@@ -50,6 +50,7 @@ def bearing_doubts(sources: Sequence[Doubt], ends: Sequence[tuple[BearingCoeffic
     """Half the difference of the coefficients with every number one standard uncertainty above and below its value (GUM 5.1.3, note 2).
 
     *ends*: those two for each of *sources*; numbers of one source change together, so that their changes add up with their signs.
+    Equation (unc-bearing).
     """
     names = list(dict.fromkeys(source.source for source in sources))
     first = {source.source: source for source in reversed(sources)}

@@ -56,17 +56,17 @@ class BallGeometry:
 
     @property
     def groove_distance(self) -> float:
-        """A0 = (f_i + f_o - 1) D [m]: distance of the groove centres at zero contact load."""
+        """A0 = (f_i + f_o - 1) D [m]: distance of the groove centres at zero contact load. Equation (roll-groove-distance)."""
         return (self.inner_conformity + self.outer_conformity - 1) * self.ball_diameter
 
     @property
     def groove_centre_radius(self) -> float:
-        """r = d/2 + (f_i - 1/2) D cos a0 [m]: radius on which the inner groove's centres lie."""
+        """r = d/2 + (f_i - 1/2) D cos a0 [m]: radius on which the inner groove's centres lie. Equation (roll-groove-radius)."""
         return self.pitch_diameter / 2 + (self.inner_conformity - 0.5) * self.ball_diameter * float(np.cos(self.contact_angle))
 
     @lru_cache(maxsize=64)  # noqa: B019 (frozen and small; a sweep uses one geometry thousands of times)
     def stiffness_constant(self, rings: Material = STEEL, balls: Material = STEEL) -> float:
-        """K_n [N/m^1.5] of inner and outer contact in series: K_n = (K_i^(-2/3) + K_o^(-2/3))^(-3/2)."""
+        """K_n [N/m^1.5] of inner and outer contact in series: K_n = (K_i^(-2/3) + K_o^(-2/3))^(-3/2). Equation (roll-ball-constant)."""
         contacts = (self._contact(1, self.inner_conformity, rings, balls), self._contact(-1, self.outer_conformity, rings, balls))
         return in_series(contacts, 3 / 2)
 
@@ -83,6 +83,7 @@ def point_contact(along: float, across: float, first: Material = STEEL, second: 
 
     With k = b/a of the contact ellipse, K and E the complete elliptic integrals of modulus sqrt(1 - k^2), rho their summed curvatures:
     delta = 3 k K / (2 pi E*) (pi E* rho / (3 k E))^(1/3) Q^(2/3), 1/E* = sum (1 - nu^2)/E. Raises ConfigError for other bodies.
+    Equation (roll-point-contact).
     """
     if not (along > 0 and across > 0):
         raise ConfigError("the bodies do not touch in a point", hint="both summed curvatures must be positive")
@@ -94,7 +95,10 @@ def point_contact(along: float, across: float, first: Material = STEEL, second: 
 
 
 def ellipse_ratio(curvature_ratio: float) -> float:
-    """k = b/a of the contact ellipse from the ratio A/B <= 1 of the curvatures: A/B = R_D(0, k^2, 1) / R_D(0, 1, k^2) (Carlson)."""
+    """k = b/a of the contact ellipse from the ratio A/B <= 1 of the curvatures: A/B = R_D(0, k^2, 1) / R_D(0, 1, k^2) (Carlson).
+
+    Equation (roll-ellipse).
+    """
     if curvature_ratio >= 1:
         return 1.0
 
@@ -108,7 +112,7 @@ def ellipse_ratio(curvature_ratio: float) -> float:
 def line_contact(length: float) -> float:
     """K of Q = K delta^(10/9) [N/m^(10/9)] for a steel roller of the *length* l [m] on one track: delta = 3.84e-5 Q^0.9 / l^0.8 in N, mm.
 
-    Palmgren's measured formula, Harris eq. 6.53; it holds for steel only.
+    Palmgren's measured formula, Harris eq. 6.53; it holds for steel only. Equation (roll-line-contact).
     """
     if not length > 0:
         raise ConfigError(f"the roller length must be above zero, found {length:g}")
@@ -122,5 +126,5 @@ def roller_stiffness_constant(length: float) -> float:
 
 
 def in_series(constants: tuple[float, ...], exponent: float) -> float:
-    """K_n of contacts that carry the same load and add their deflections: K_n = (sum K^(-1/n))^(-n)."""
+    """K_n of contacts that carry the same load and add their deflections: K_n = (sum K^(-1/n))^(-n). Equation (roll-series)."""
     return float(sum(constant ** (-1 / exponent) for constant in constants) ** -exponent)

@@ -61,13 +61,13 @@ class JournalBearing:
             raise ConfigError(f"a groove of {np.degrees(self.groove_width):g} deg is none", hint="from 0 to 120 deg, one on either side")
 
     def pressure_scale(self, speed: float) -> float:
-        """6 mu Omega (R / c)^2 [Pa]; *speed* [rad/s]."""
+        """6 mu Omega (R / c)^2 [Pa]; *speed* [rad/s]. Equation (jour-pressure-scale)."""
         if not 0 < speed < np.inf:
             raise ConfigError(f"an oil film needs a speed above zero, not {speed:g} rad/s")
         return 6 * self.viscosity * speed * (self.diameter / (2 * self.clearance)) ** 2
 
     def force_scale(self, speed: float) -> float:
-        """6 mu Omega (R / c)^2 R L [N]: unit of the dimensionless film force."""
+        """6 mu Omega (R / c)^2 R L [N]: unit of the dimensionless film force. Equation (jour-force-scale)."""
         return self.pressure_scale(speed) * self.diameter / 2 * self.length
 
     def at(self, point: OperatingPoint) -> BearingCoefficients:
@@ -108,23 +108,23 @@ class JournalEquilibrium:
 
     @property
     def attitude(self) -> float:
-        """Angle from the load to the displacement of the journal, positive with the spin [rad]."""
+        """Angle from the load to the displacement of the journal, positive with the spin [rad]. Equation (jour-attitude)."""
         turned = complex(*self.state.displacement) * complex(*self.load).conjugate()
         return float(np.angle(turned))
 
     @property
     def sommerfeld(self) -> float:
-        """S = mu N L D / W (R / c)^2 with N in revolutions per second [-]."""
+        """S = mu N L D / W (R / c)^2 with N in revolutions per second [-]. Equation (jour-sommerfeld)."""
         return self.bearing.force_scale(self.speed) / (6 * np.pi * float(np.hypot(*self.load)))
 
     @property
     def stiffness(self) -> FloatArray:
-        """K = -dF/dx [N/m], (2, 2)."""
+        """K = -dF/dx [N/m], (2, 2). Equation (jour-stiffness)."""
         return self.state.stiffness * (self.bearing.force_scale(self.speed) / self.bearing.clearance)
 
     @property
     def damping(self) -> FloatArray:
-        """C = -dF/dx' [N s/m], (2, 2), symmetric."""
+        """C = -dF/dx' [N s/m], (2, 2), symmetric. Equation (jour-damping)."""
         return self.state.damping * (self.bearing.force_scale(self.speed) / (self.bearing.clearance * self.speed))
 
     @property
@@ -184,7 +184,7 @@ def converged_equilibrium(
     """The equilibrium on the coarsest mesh, starting from *mesh* and doubling, with a coefficient error below *tolerance*.
 
     The error, relative to the largest coefficient, is estimated as a third of the change from half the cells each way (second order).
-    FitError when the finest mesh is not sufficient, ConfigError for a first mesh that cannot be halved.
+    FitError when the finest mesh is not sufficient, ConfigError for a first mesh that cannot be halved. Equation (jour-mesh).
     """
     half = mesh.halved()
     if half is None:

@@ -82,7 +82,7 @@ def sommerfeld_number(bearing: JournalBearing, load: FloatArray, speed: FloatArr
 def journal_curve(length_over_diameter: float, groove_width: float = 0.0, mesh: FilmMesh = CURVE_MESH, nodes: int = NODES) -> JournalCurve:
     """The curve of a bearing by its *length_over_diameter* and *groove_width* [rad]; cached, since it takes a second.
 
-    *mesh*: the finer of the two; ConfigError where it cannot be halved.
+    *mesh*: the finer of the two; ConfigError where it cannot be halved. Equation (jour-richardson).
     """
     half = mesh.halved()
     if half is None:

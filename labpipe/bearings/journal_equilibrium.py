@@ -46,6 +46,7 @@ def film_equilibrium(film: Film, load: FloatArray, near: FilmState | None = None
     """Equilibrium with a *load* (2,) [-] over 6 mu Omega (R/c)^2 R L; *near*: state of a similar film on the same mesh.
 
     Without *near*, or where Newton's method fails from it, coarser meshes give the start value. FitError when there is no equilibrium.
+    Equation (jour-equilibrium).
     """
     if near is not None:
         try:

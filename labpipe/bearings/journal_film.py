@@ -86,12 +86,18 @@ class Film:
         return None if mesh is None else Film.of(mesh, self.slenderness, self.depth, self.angle, self.cavitation, self.groove)
 
     def thickness(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Film thickness h [-] at cell centres and at faces, (n_theta,); *displacement* (2,) [-] of the journal in y and z."""
+        """Film thickness h [-] at cell centres and at faces, (n_theta,); *displacement* (2,) [-] of the journal in y and z.
+
+        Equation (jour-thickness).
+        """
         return 1 + self.worn_centre + displacement @ self.grid.at_centre, 1 + self.worn_face + displacement @ self.grid.at_face
 
     @property
     def force_weights(self) -> FloatArray:
-        """Weights (2, n_theta) [-]: force on the journal = weights @ axial sums of pressure, over 6 mu Omega (R/c)^2 R L."""
+        """Weights (2, n_theta) [-]: force on the journal = weights @ axial sums of pressure, over 6 mu Omega (R/c)^2 R L.
+
+        Equation (jour-force).
+        """
         return self.grid.at_centre * (self.mesh.arc * self.mesh.strip)
 
 
@@ -112,7 +118,10 @@ class FilmEquations:
 
 
 def film_equations(film: Film, displacement: FloatArray, velocity: FloatArray, pressure: FloatArray) -> FilmEquations:
-    """The equations linearised at a pressure field (n_theta, n_half), a displacement (2,) and a velocity (2,) over c Omega [-]."""
+    """The equations linearised at a pressure field (n_theta, n_half), a displacement (2,) and a velocity (2,) over c Omega [-].
+
+    Equation (jour-reynolds).
+    """
     grid, arc = film.grid, film.mesh.arc
     centre, face = film.thickness(displacement)
     around, across = film.opening * face**3 / arc**2, film.slenderness**2 * centre**3
@@ -168,6 +177,7 @@ def rounded_maximum(x: FloatArray, width: FloatArray) -> tuple[FloatArray, Float
     """max(0, x) [-], exact outside +-*width* and twice continuously differentiable; its derivatives by x (>= LEAST_SLOPE) and by width.
 
     x (n_theta, n_half), *width* (n_theta, 1) [-]. With t = (x + width) / (2 width): 2 width (t^3 - t^4 / 2), slope t^2 (3 - 2 t).
+    Equation (jour-rounded).
     """
     t = np.clip((x + width) / (2 * width), 0, 1)
     area, slope = t**3 * (1 - t / 2), t * t * (3 - 2 * t)

@@ -16,7 +16,7 @@ from labpipe.errors import ConfigError
 def short_bearing_load(bearing: JournalBearing, eccentricity_ratio: float, speed: float) -> float:
     """Load [N] carried at an eccentricity ratio; f = pi D Omega mu L^3 e / (8 c^2 (1 - e^2)^2) sqrt((16/pi^2 - 1) e^2 + 1).
 
-    Friswell et al., Dynamics of Rotating Machines (2010), chapter 5.
+    Friswell et al., Dynamics of Rotating Machines (2010), chapter 5. Equation (jour-short-load).
     """
     e = eccentricity_ratio
     scale = np.pi * bearing.diameter * speed * bearing.viscosity * bearing.length**3 / (8 * bearing.clearance**2)
@@ -24,7 +24,10 @@ def short_bearing_load(bearing: JournalBearing, eccentricity_ratio: float, speed
 
 
 def short_bearing_equilibrium(bearing: JournalBearing, load: float, speed: float) -> tuple[float, float]:
-    """Eccentricity ratio [-] and attitude angle [rad] under a *load* [N] at *speed* [rad/s]; tan = pi sqrt(1 - e^2) / (4 e)."""
+    """Eccentricity ratio [-] and attitude angle [rad] under a *load* [N] at *speed* [rad/s]; tan = pi sqrt(1 - e^2) / (4 e).
+
+    Equation (jour-short-attitude).
+    """
     if not load > 0:
         raise ConfigError("a journal bearing needs a load for its equilibrium", hint="give the static load in newtons")
     e = float(brentq(lambda ratio: short_bearing_load(bearing, ratio, speed) / load - 1, 1e-9, 1 - 1e-9, xtol=1e-14))
@@ -34,7 +37,7 @@ def short_bearing_equilibrium(bearing: JournalBearing, load: float, speed: float
 def short_bearing_coefficients(bearing: JournalBearing, load: float, speed: float) -> tuple[FloatArray, FloatArray]:
     """Stiffness [N/m] and damping [N s/m], (2, 2) in the order yy yz; zy zz, under a *load* [N] along -z.
 
-    Friswell et al., Dynamics of Rotating Machines (2010), chapter 5.
+    Friswell et al., Dynamics of Rotating Machines (2010), chapter 5. Equation (jour-short-coefficients).
     """
     e, _ = short_bearing_equilibrium(bearing, load, speed)
     p, rest = np.pi, 1 - e**2

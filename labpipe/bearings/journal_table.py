@@ -88,6 +88,7 @@ class JournalTable:
         """Coefficients of a bearing whose wear, viscosity, clearance or cavitation pressure differ from the table's.
 
         *size* [N] of the load, in the table's direction, by default the table's; *speed* [rad/s]. FitError outside the table.
+        Equation (jour-table).
         """
         weight = float(np.hypot(*self.load)) if size is None else size
         point, slopes = _place(bearing, weight, speed)

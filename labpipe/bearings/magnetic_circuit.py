@@ -74,7 +74,7 @@ def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> FloatArr
     """Flux of the four poles of one ring with the rotor at *displacement* [m] in x and the control *current* [A], (4,) [Wb].
 
     Both rings are equal, so each has half of the permanent magnet: phi_j = P_j (U + N i_j), P_j = mu_0 A / (g_j + l_iron), and
-    H_c l_m = R_m sum_j phi_j + 2 U.
+    H_c l_m = R_m sum_j phi_j + 2 U. Equation (mag-fluxes).
     """
     permeance = MU_0 * magnet.pole_area / (magnet.gap + magnet.iron_length - ALONG_X * displacement)
     coils = magnet.turns * (magnet.bias_current + ALONG_X * current)
@@ -85,7 +85,7 @@ def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> FloatArr
 
 
 def magnet_force(magnet: Magnet, displacement: float, current: float) -> float:
-    """Force on the rotor in x of both rings, F = 2 sum_j (+-) phi_j^2 / (2 mu_0 A) [N]."""
+    """Force on the rotor in x of both rings, F = 2 sum_j (+-) phi_j^2 / (2 mu_0 A) [N]. Equation (mag-force)."""
     fluxes = pole_fluxes(magnet, displacement, current)
     return float(RINGS * (ALONG_X @ fluxes**2) / (2 * MU_0 * magnet.pole_area))
 
@@ -94,6 +94,7 @@ def magnet_factors(magnet: Magnet) -> MagnetFactors:
     """k_i = 4 phi_0 N / g', k_n = 4 phi_0^2 / (mu_0 A g') of the centred rotor; g' = g + l_iron, phi_0 the bias flux of a pole.
 
     Neither x nor i changes the total flux of the ring to first order, so the permanent magnet acts through phi_0 alone.
+    Equation (mag-factors).
     """
     length = magnet.gap + magnet.iron_length
     bias = float(pole_fluxes(magnet, 0.0, 0.0)[0])
@@ -110,5 +111,8 @@ def static_stiffness(factors: MagnetFactors, current_per_displacement: float) ->
 
 
 def inferred_pole_area(turns: int, gap: float, force_per_current: float, negative_stiffness: float) -> float:
-    """A = k_i^2 g / (4 N^2 mu_0 k_n), the pole area at which the geometry has both factors, iron without reluctance [m^2]."""
+    """A = k_i^2 g / (4 N^2 mu_0 k_n), the pole area at which the geometry has both factors, iron without reluctance [m^2].
+
+    Equation (mag-area).
+    """
     return force_per_current**2 * gap / (2 * RINGS * turns**2 * MU_0 * negative_stiffness)

@@ -116,7 +116,7 @@ def chain_factors(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArra
 
 
 def controller(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
-    """G(jw) of controller (x by x), delay, amplifier and probe, (n_line,) [1]; see ControlLoop."""
+    """G(jw) of controller (x by x), delay, amplifier and probe, (n_line,) [1]; see ControlLoop. Equation (mag-controller)."""
     total: ComplexArray = np.sum(list(controller_terms(loop, omega).values()), axis=0)
     for factor in chain_factors(loop, omega).values():
         total = total * factor
@@ -142,7 +142,10 @@ def loop_stiffness(loop: ControlLoop) -> float:
 
 
 def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
-    """Negative stiffness of the bias field from the *static* stiffness, k_n = K G(0) - k_0 [N/m]; ConfigError for an integrator."""
+    """Negative stiffness of the bias field from the *static* stiffness, k_n = K G(0) - k_0 [N/m]; ConfigError for an integrator.
+
+    Equation (mag-static).
+    """
     if not np.isfinite(loop.at_rest):
         hint = "give negative_stiffness"
         raise ConfigError("static_stiffness: the controller integrates, so the loop is rigid at rest", hint=hint, field="static_stiffness")
@@ -150,7 +153,7 @@ def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
 
 
 def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
-    """K_eq(w) + j w C_eq(w) = K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m]."""
+    """K_eq(w) + j w C_eq(w) = K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m]. Equation (mag-stiffness)."""
     return loop_stiffness(loop) * controller(loop, omega) - negative_stiffness
 
 
@@ -164,7 +167,7 @@ def stiffness_shares(loop: ControlLoop, negative_stiffness: float, omega: FloatA
     """Contribution of each element to K_eq + j w C_eq, by name, each (n_line,) [N/m]; their sum is dynamic_stiffness.
 
     The terms of the PID with an ideal chain; then the change by each element of the chain, in the order delay, amplifier, probe; the
-    negative stiffness of the bias field, -k_n.
+    negative stiffness of the bias field, -k_n. Equation (mag-shares).
     """
     shares = {name: loop_stiffness(loop) * term for name, term in controller_terms(loop, omega).items()}
     total: ComplexArray = np.sum(list(shares.values()), axis=0)

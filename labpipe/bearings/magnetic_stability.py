@@ -45,7 +45,10 @@ class SensitivityPeak:
 
 
 def pade(delay: float, order: int = PADE_ORDER) -> tuple[Polynomial, Polynomial]:
-    """Numerator and denominator of the Pade approximation [n/n] of e^{-s tau}: Q(s) = sum_k (2n-k)! n! / ((2n)! k! (n-k)!) (s tau)^k."""
+    """Numerator and denominator of the Pade approximation [n/n] of e^{-s tau}: Q(s) = sum_k (2n-k)! n! / ((2n)! k! (n-k)!) (s tau)^k.
+
+    Equation (mag-pade).
+    """
     terms = [
         factorial(2 * order - k) * factorial(order) / (factorial(2 * order) * factorial(k) * factorial(order - k)) * delay**k
         for k in range(order + 1)
@@ -56,7 +59,7 @@ def pade(delay: float, order: int = PADE_ORDER) -> tuple[Polynomial, Polynomial]
 def characteristic_polynomial(plant: Levitated, time: float, order: int = PADE_ORDER) -> Polynomial:
     """det((m s^2 - k_n) I + K G) times all denominators, the delay by Pade, in s * *time* so that the coefficients are of equal magnitude.
 
-    Of one direction unless the controller is a matrix.
+    Of one direction unless the controller is a matrix. Equation (mag-characteristic).
     """
     loop = plant.loop
     ahead, behind = pade(loop.delay / time, order if loop.delay > 0 else 0)
@@ -117,7 +120,10 @@ def closed_loop_poles(plant: Levitated, order: int = PADE_ORDER) -> ComplexArray
 
 
 def sampled_poles(matrix: FloatArray, rate: float) -> ComplexArray:
-    """s = f_s ln z [rad/s] of the eigenvalues z of *matrix* (n_state, n_state) [1]; those at z = 0, empty memory, are left out."""
+    """s = f_s ln z [rad/s] of the eigenvalues z of *matrix* (n_state, n_state) [1]; those at z = 0, empty memory, are left out.
+
+    Equation (mag-sampled).
+    """
     z = np.asarray(np.linalg.eigvals(matrix), np.complex128)
     return np.asarray(rate * np.log(z[np.abs(z) > EMPTY]), np.complex128)
 
@@ -133,6 +139,7 @@ def unstable_poles(plant: Levitated) -> int:
 
     Argument principle for D(s) = det((m s^2 - k_n) I + K G(s)) times the denominator of degree d of the controller, n = 2 + d per
     direction (the lags of amplifier and probe are stable and cancel). Of discrete blocks the eigenvalues z beyond the unit circle.
+    Equation (mag-unstable).
     """
     loop = plant.loop
     if loop.rate is not None:
@@ -173,7 +180,10 @@ def sensitivity(plant: Levitated, omega: FloatArray) -> ComplexArray:
 
 
 def sensitivity_matrix(plant: Levitated, omega: FloatArray) -> ComplexArray:
-    """S(jw) = (I + L)^-1 of both directions, L = K G / (-m w^2 - k_n), (n_line, 2, 2) [1]; ISO 14839-3 takes the largest |S_ii|."""
+    """S(jw) = (I + L)^-1 of both directions, L = K G / (-m w^2 - k_n), (n_line, 2, 2) [1]; ISO 14839-3 takes the largest |S_ii|.
+
+    Equation (mag-sensitivity).
+    """
     rotor: ComplexArray = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
     ratio: ComplexArray = rotor[:, None, None] * np.linalg.inv(
         rotor[:, None, None] * np.eye(2) + loop_stiffness(plant.loop) * controller_matrix(plant.loop, omega)
@@ -182,7 +192,7 @@ def sensitivity_matrix(plant: Levitated, omega: FloatArray) -> ComplexArray:
 
 
 def zone_of(peak: float) -> str:
-    """Zone of ISO 14839-3 of a sensitivity's peak: A below 3 (9.5 dB), B below 4, C below 5, D above."""
+    """Zone of ISO 14839-3 of a sensitivity's peak: A below 3 (9.5 dB), B below 4, C below 5, D above. Equation (mag-zone)."""
     return next((zone for zone, end in ZONES if peak < end), "D")
 
 

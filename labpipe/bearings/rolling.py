@@ -83,6 +83,7 @@ class ElementFrame:
     """Directions of the elements: dr_j = e_r . q, dz_j = e_z . q, e_r = (cos, sin, 0, 0, 0), e_z = (0, 0, 1, l sin, -l cos) of psi_j.
 
     radial, axial: (z, 5) [-] for all load cases, or (n_case, z, 5). l is the pitch radius, or 1 where tilts are multiplied by it.
+    Equation (roll-kinematics).
     """
 
     radial: FloatArray
@@ -142,7 +143,7 @@ def contacts(bearing: RollingBearing, q: FloatArray, frame: ElementFrame) -> Con
     """Deflections and loads of the elements at displacements *q* (n_case, 5) [m, rad] or, with tilts times the pitch radius, [m].
 
     Balls: delta = A - A0 with A^2 = (A0 sin a0 + dz)^2 + (A0 cos a0 + dr)^2, written without the difference of nearly equal lengths:
-    A - A0 = (2 A0 (dz sin a0 + dr cos a0) + dz^2 + dr^2) / (A + A0). Rollers: delta = dr cos a0 + dz sin a0.
+    A - A0 = (2 A0 (dz sin a0 + dr cos a0) + dz^2 + dr^2) / (A + A0). Rollers: delta = dr cos a0 + dz sin a0. Equation (roll-deflection).
     """
     dz, dr = _along(frame.axial, q), _along(frame.radial, q) - bearing.clearance
     sin0, cos0 = np.sin(bearing.contact_angle), np.cos(bearing.contact_angle)
@@ -169,14 +170,14 @@ def _hertz(delta: FloatArray, bearing: RollingBearing) -> tuple[FloatArray, Floa
 
 
 def load_sum(at: Contacts, frame: ElementFrame) -> FloatArray:
-    """f = sum_j Q_j (cos a_j e_r + sin a_j e_z), (n_case, 5) [N, N m]."""
+    """f = sum_j Q_j (cos a_j e_r + sin a_j e_z), (n_case, 5) [N, N m]. Equation (roll-loads)."""
     return weighted_sum(at.load * at.cos, frame.radial) + weighted_sum(at.load * at.sin, frame.axial)
 
 
 def stiffness_sum(at: Contacts, frame: ElementFrame) -> FloatArray:
     """K = df/dq = sum_j dQ/ddelta n n^T + Q/A t t^T, (n_case, 5, 5) [N/m, N/rad, N m/rad].
 
-    n = cos a e_r + sin a e_z, t = cos a e_z - sin a e_r.
+    n = cos a e_r + sin a e_z, t = cos a e_z - sin a e_r. Equation (roll-stiffness).
     """
     if frame.radial.ndim == 3:
         along = at.cos[..., None] * frame.radial + at.sin[..., None] * frame.axial

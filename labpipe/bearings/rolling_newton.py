@@ -36,7 +36,7 @@ class Problem:
         return Problem(self.bearing, self.frame.of_cases(cases), self.load[cases], self.free)
 
     def at(self, u: FloatArray) -> Trial:
-        """The state at displacements u (n_case, 5) [m]."""
+        """The state at displacements u (n_case, 5) [m]. Equation (roll-potential)."""
         state = contacts(self.bearing, u, self.frame)
         residual = (self.load - load_sum(state, self.frame))[:, self.free]
         strain = np.einsum("nj,nj->n", state.load, state.deflection) / (self.bearing.exponent + 1)
@@ -88,7 +88,10 @@ def solve(problem: Problem, fixed: FloatArray) -> tuple[FloatArray, BoolArray]:
 
 
 def newton_step(problem: Problem, trial: Trial) -> FloatArray:
-    """(K + |f - F| / R) p = f - F, (n_case, 5) [m]: limited to the bearing's reach R without stiffness, converging quadratically."""
+    """(K + |f - F| / R) p = f - F, (n_case, 5) [m]: limited to the bearing's reach R without stiffness, converging quadratically.
+
+    Equation (roll-newton).
+    """
     k = stiffness_sum(trial.state, problem.frame)[:, problem.free[:, None], problem.free]
     floor = 1e-15 * np.trace(k, axis1=1, axis2=2) + np.finfo(np.float64).tiny
     restraint = np.linalg.norm(trial.residual, axis=1) / problem.bearing.reach + floor

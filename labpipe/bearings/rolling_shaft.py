@@ -58,6 +58,7 @@ def modes(shaft: RigidShaft, stiffness: FloatArray) -> Modes:
     """Eigenvalues of K phi = w^2 M phi; *stiffness* (5, 5) [N/m, N/rad, N m/rad], a dof without stiffness gives 0 Hz.
 
     Raises FitError for a stiffness that is not positive semidefinite (beyond rounding): such an equilibrium is unstable.
+    Equation (roll-modes).
     """
     scale = 1 / np.sqrt(shaft.inertias)
     squares, vectors = np.linalg.eigh((stiffness + stiffness.T) / 2 * np.outer(scale, scale))
@@ -71,7 +72,7 @@ def transfer_matrix(shaft: RigidShaft, stiffness: FloatArray, frequency: FloatAr
     """Receptance H(w) = (-w^2 M + j w beta K + K)^-1, (n_frequency, 5, 5) [m/N, rad/N, rad/(N m)]; *frequency* [Hz], *beta* [s].
 
     *stiffness* (5, 5) [N/m, N/rad, N m/rad]. FitError where the dynamic stiffness is singular: at 0 Hz with a dof without stiffness, or on
-    an undamped resonance.
+    an undamped resonance. Equation (roll-transfer).
     """
     w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
     dynamic: ComplexArray = -(w**2) * np.diag(shaft.inertias) + (1 + 1j * w * beta) * stiffness
@@ -99,6 +100,7 @@ def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray, known_inertia: bool
     With *known_inertia* the fit's mass is M_ii instead of the modal 1/phi_ir^2: k_i = M_ii w_r^2. Neither equals K_ii: at the peak the
     coupled dofs move as well, M_ii w_r^2 = K_ii + sum_j K_ij phi_jr / phi_ir, which makes the lower mode of a coupled pair appear softer
     and the upper one stiffer. A measured fit is therefore to be compared with the fit of the theoretical curve, not with K_ii.
+    Equation (roll-sdof).
     """
     shaft_modes = modes(shaft, stiffness)
     main = [shaft_modes.main_mode(dof) for dof in DOFS]

@@ -217,7 +217,10 @@ def _step(loop: ControlLoop, plant: SampledPlant, law: SampledLaw, state: FloatA
 
 
 def tustin(derivative: float, constant: float, time: float, interval: float) -> tuple[float, float, float]:
-    """(b0, b1, a1) [unit of *constant*] of (constant + derivative s) / (1 + s time) by the bilinear transform; *time*, *interval* [s]."""
+    """(b0, b1, a1) [unit of *constant*] of (constant + derivative s) / (1 + s time) by the bilinear transform; *time*, *interval* [s].
+
+    Equation (mag-tustin).
+    """
     fast = 2 / interval
     whole = 1 + fast * time
     return (constant + fast * derivative) / whole, (constant - fast * derivative) / whole, (1 - fast * time) / whole

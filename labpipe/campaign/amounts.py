@@ -17,7 +17,7 @@ def with_error(name: str, unit: str, value: float, std_error: float, quantile: f
 
 
 def from_log(name: str, unit: str, log: float, log_error: float, quantile: float) -> Parameter:
-    """exp(log) with the interval exp(log +- quantile log_error), wider upwards; its standard error to first order."""
+    """exp(log) with the interval exp(log +- quantile log_error), wider upwards; its standard error to first order. Equation (comp-log)."""
     value = math.exp(log)
     interval = (math.exp(log - quantile * log_error), math.exp(log + quantile * log_error))
     return Parameter(name, value, unit, std_error=value * log_error, ci95=interval)

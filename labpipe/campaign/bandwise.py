@@ -31,7 +31,10 @@ class TwoTests:
 
 
 def holm(p_values: FloatArray) -> FloatArray:
-    """Holm's corrected p-values (n,) [1]: the i-th smallest times n - i + 1, not below those before it; valid under any dependence."""
+    """Holm's corrected p-values (n,) [1]: the i-th smallest times n - i + 1, not below those before it; valid under any dependence.
+
+    Equation (comp-holm).
+    """
     order = np.argsort(p_values)
     steps = np.maximum.accumulate(p_values[order] * np.arange(p_values.size, 0, -1))
     corrected = np.empty_like(p_values)
@@ -43,7 +46,7 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
     """Comparison of all coefficients in the bands common to both tests, second group against first.
 
     t = (b - a) / sqrt(s_a^2 + s_b^2) by Welch and Satterthwaite; the uncertainty of the support is common to both tests and therefore
-    excluded. ConfigError for an unknown parameter, FitError without a common band.
+    excluded. ConfigError for an unknown parameter, FitError without a common band. Equation (comp-bands).
     """
     names = _parameters(settings, tests)
     pairs = [(a, b, name) for name in names for a in tests.fits[0] for b in tests.fits[1] if a.band_hz == b.band_hz]

@@ -57,7 +57,10 @@ class ClosedLoop:
 
 
 def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mode: float) -> ClosedLoop:
-    """The closed loop of the file with its fitted unknowns; modes up to *highest_mode* [Hz], first order in the unknowns' errors."""
+    """The closed loop of the file with its fitted unknowns; modes up to *highest_mode* [Hz], first order in the unknowns' errors.
+
+    Equation (comp-closed-loop).
+    """
     values = fit.values()
     plant = with_unknowns(file, values).levitated()
     unstable = unstable_of(plant, rate)

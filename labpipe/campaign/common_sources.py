@@ -47,6 +47,6 @@ def matrix_of(changes: Sequence[Mapping[str, float]]) -> FloatArray:
 def joint_errors(errors: FloatArray, changes: FloatArray) -> FloatArray:
     """Standard errors (n,) of independent values, or the covariance (n, n) where *changes* (n_source, n) are common to them.
 
-    V = diag(s^2) + sum over sources of c c^T [unit^2 of the values].
+    V = diag(s^2) + sum over sources of c c^T [unit^2 of the values]. Equations (unc-common) and (comp-covariance).
     """
     return errors if not np.any(changes) else np.diag(errors**2) + changes.T @ changes

@@ -43,6 +43,7 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
     within^2 = MSW; between^2 = (MSB - MSW) / n_0, n_0 = (N - sum n_i^2 / N) / (a - 1). Interval of within^2 by chi-square, of
     between^2 after Tukey (1951) and Williams (1962): SSB (1 - F_q / F) / (n_0 chi2_q) at both ends, exact to first order for equal n_i.
     Searle, Casella and McCulloch, Variance Components (1992), sec. 3.5-3.6. FitError for fewer than two settings or no repeats.
+    Equation (comp-components).
     """
     names = np.unique(groups)
     counts = np.array([np.sum(groups == name) for name in names])
@@ -80,7 +81,10 @@ def _tail(f: float, a: int, n: int) -> float:
 
 
 def repeatability(campaign: Campaign) -> Comparison:
-    """Variance components of the parameter, and a test of the scatter within settings against the fits' standard errors."""
+    """Variance components of the parameter, and a test of the scatter within settings against the fits' standard errors.
+
+    Equation (comp-repeatability).
+    """
     values, settings = campaign.value, campaign.settings
     scatter = components(values, np.array([observation.group for observation in campaign.observations]))
     noise = float(np.sqrt(np.mean(campaign.std_error**2)))

@@ -37,7 +37,7 @@ def control_limits(values: FloatArray) -> ControlLimits:
     """Control limits of values (n,) [any unit] in order of time, from the ranges of neighbours: a shift does not widen them.
 
     sigma = mean |y_i - y_(i-1)| / d_2, d_2 = 2 / sqrt(pi). Montgomery, Introduction to Statistical Quality Control, sec. 6.4.
-    FitError for fewer than three values.
+    FitError for fewer than three values. Equation (comp-control).
     """
     if values.size < 3:
         raise FitError(f"{values.size} value(s) give no control limits", hint="at least three are needed")
@@ -51,7 +51,7 @@ def control_limits(values: FloatArray) -> ControlLimits:
 def straight_trend(condition: FloatArray, values: FloatArray, errors: FloatArray) -> WeightedFit:
     """value = level + slope (x - mean x), weighted by the standard errors (n,) [unit of the values]; parameters (level, slope).
 
-    *errors* may be the covariance (n, n) of values with errors in common. FitError for fewer than three values.
+    *errors* may be the covariance (n, n) of values with errors in common. FitError for fewer than three values. Equation (comp-straight).
     """
     if values.size < 3:
         raise FitError(f"{values.size} value(s) show no trend", hint="at least three are needed")
@@ -63,7 +63,7 @@ def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, F
 
     z_i = (y_i - m_i) / sqrt(s_i^2 + s_m^2); where the others scatter more than their errors, these are enlarged (Birge). Two values give
     one test with one result for both. *errors* (n,), or the covariance (n, n) of values with errors in common, which cancel here as far
-    as they are alike. FitError for fewer than two.
+    as they are alike. FitError for fewer than two. Equation (comp-outlier).
     """
     if values.size < 2:
         raise FitError(f"{values.size} value(s) cannot be compared", hint="at least two are needed")

@@ -20,7 +20,10 @@ RATIO, DECREMENT = "zeta", "log_decrement"
 
 
 def decrement_certificate(settings: CompareSettings, fits: Sequence[Fit]) -> Comparison:
-    """The probability that every mode of the fits has its decrement; ConfigError for fits without damping ratios."""
+    """The probability that every mode of the fits has its decrement; ConfigError for fits without damping ratios.
+
+    Equation (comp-decrement).
+    """
     own = settings.certificate or CertificateSettings()
     amounts = [amount for fit in fits for amount in _decrements(fit, len(fits) > 1)]
     if not amounts:

@@ -19,7 +19,7 @@ def difference(campaign: Campaign) -> Comparison:
     """Weighted mean of ln(second / first) over the conditions common to both groups, and its p-value.
 
     The error of each logarithm is the fit's relative error combined with n s_x / x, the error of setting each condition (n: exponent of
-    the trend of all tests). ConfigError for groups without a common condition.
+    the trend of all tests). ConfigError for groups without a common condition. Equation (comp-difference).
     """
     first, second = campaign.settings.groups
     logs, errors, common = _paired(campaign, first, second)

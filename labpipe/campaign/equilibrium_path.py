@@ -20,7 +20,7 @@ STIFFNESS = ("k_xx", "k_xy", "k_yx", "k_yy")
 def equilibrium_paths(settings: EquilibriumSettings, matrix: ConditionMatrix, fits: Sequence[Fit]) -> tuple[EquilibriumPath, ...]:
     """One path for every level of the other conditions that has two loads or more; *fits*: those of all tests of the matrix.
 
-    ConfigError where x or y is no displacement.
+    ConfigError where x or y is no displacement. Equation (comp-path).
     """
     number = [axis.name for axis in matrix.axes].index(settings.load)
     groups: dict[tuple[int, ...], list[MatrixPoint]] = {}

@@ -11,6 +11,7 @@ def levels_of(values: FloatArray, tolerance: float) -> tuple[FloatArray, IntArra
     """Levels (n_level,) [as the values], the means of their members, and the level of every value, (n,).
 
     In ascending order a value begins a new level where it exceeds the one before by more than *tolerance* [1] of the largest magnitude.
+    Equation (comp-levels).
     """
     order = np.argsort(values, kind="stable")
     step = np.diff(values[order], prepend=values[order[:1]])

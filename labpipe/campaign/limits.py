@@ -20,7 +20,7 @@ class Limit:
 
 
 def below(value: float, error: float, limit: float) -> float:
-    """Probability that the truth of a normal estimate lies below a limit."""
+    """Probability that the truth of a normal estimate lies below a limit. Equation (mag-limit)."""
     if error <= 0:
         return float(value < limit)
     distance = abs(limit - value) / error

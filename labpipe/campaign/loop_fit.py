@@ -128,7 +128,7 @@ def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> L
     """Output-error fit of all responses weighted by their noise; the support is fitted as well, within its uncertainty.
 
     Without *names* only the goodness of fit of the loop as it is. ConfigError for unknown names, FitError for responses without noise
-    estimate.
+    estimate. Equation (comp-loop).
     """
     if not all(has_noise(observation.measured) for observation in observations):
         hint = "average several periods or blocks"

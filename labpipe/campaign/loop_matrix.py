@@ -47,7 +47,10 @@ class SensitivityMatrix:
         return singular[:, 0], np.sqrt(np.maximum(variance / 2, 0.0))
 
     def loop_transfer(self, loop: int) -> tuple[ComplexArray, FloatArray]:
-        """L = 1 / S_ii - 1 of a loop that is cut alone, the others closed, and its variance |S_ii|^-4 var S_ii, (n_line,) each [1]."""
+        """L = 1 / S_ii - 1 of a loop that is cut alone, the others closed, and its variance |S_ii|^-4 var S_ii, (n_line,) each [1].
+
+        Equation (mag-loop-transfer).
+        """
         size, error = self.size(loop)
         return np.asarray(1 / self.values[:, loop, loop] - 1), 2 * error**2 / size**4
 
@@ -56,6 +59,7 @@ def sensitivity_matrix(response: FrequencyResponse, before: Sequence[str], after
     """S = H_after (H_after - H_before)^-1; without *before* the responses behind the sums are per excitation themselves, S = H_after.
 
     ConfigError where there is not one excitation per loop, FitError without a covariance or where both sides are one signal.
+    Equation (mag-sensitivity-matrix).
     """
     rows = [chosen_ports(response.outputs, (name,), "response")[0] for name in after]
     ahead = [chosen_ports(response.outputs, (name,), "response")[0] for name in before]

@@ -23,7 +23,7 @@ def measured_margins(
     """Gain margins to either side, phase and delay margin of L (n_line,) [1] with its variance (n_line,) [1], as far as it crosses.
 
     L follows a parabola over LOCAL lines, since noise makes it cross several times; intervals of 95 %, *quantile* standard errors to
-    either side, hold the noise of these lines. *frequency* (n_line,) [Hz].
+    either side, hold the noise of these lines. *frequency* (n_line,) [Hz]. Equation (comp-margins).
     """
     plain, variance = transfer
     if frequency.size < LOCAL:

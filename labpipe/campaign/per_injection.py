@@ -17,7 +17,7 @@ ONE_INJECTION = 1e6
 def per_injection(spectra: ChannelSpectra) -> FrequencyResponse:
     """H = Y R^-1 of the runs, Y the channels of role output and R those of role input, dH = (dY - H dR) R^-1.
 
-    ConfigError where there is not one run per injection, or where the runs do not tell them apart.
+    ConfigError where there is not one run per injection, or where the runs do not tell them apart. Equation (comp-injection).
     """
     inputs, outputs = ([n for n, channel in enumerate(spectra.channels) if channel.role == role] for role in ("input", "output"))
     if len(spectra.runs) != len(inputs):

@@ -24,7 +24,7 @@ SERIES = "; corrected for the bending shaft"
 def stiffness_ratio(campaign: Campaign, matched: Sequence[Matched], overlays: tuple[Overlay, ...], bending_error: float) -> Comparison:
     """Mean of ln(measured / theory) over the tests by generalised least squares with `joint_covariance`.
 
-    *bending_error*: relative standard error of the shaft's stiffness.
+    *bending_error*: relative standard error of the shaft's stiffness. Equation (comp-ratio).
     """
     logs = np.array([test.log[0] for test in matched])
     covariance = joint_covariance(matched, 0, campaign.settings.setting_error, bending_error)
@@ -54,6 +54,7 @@ def joint_covariance(matched: Sequence[Matched], number: int, setting_error: flo
 
     V = diag(s_fit^2 + (d ln / d ln x  s_x)^2) + b b^T + sum c c^T, b = d ln / d ln k_s  s_ks: noise and the setting of the condition are
     independent between tests, the errors of the shaft's stiffness and of sensors (c) are common to all that have them.
+    Equation (comp-joint).
     """
     fits = np.array([test.covariance[number, number] for test in matched])
     setting = np.array([test.to_condition[number] for test in matched]) * setting_error
@@ -89,7 +90,7 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
     """Test of Rayleigh damping c = beta k: chi-square of the tests' beta = c / k about one value, and exponent of c over k.
 
     With a theory (*matched*), beta is the factor by which the theory's curve has the measured damping, without the influence of
-    neighbouring modes and of the bending shaft; without, the fit's c / k.
+    neighbouring modes and of the bending shaft; without, the fit's c / k. Equation (comp-rayleigh).
     """
     if matched is None:
         logs, covariance = _log_betas([observation.fit for observation in campaign.observations])

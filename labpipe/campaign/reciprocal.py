@@ -19,7 +19,7 @@ UNCOUPLED = 0.7
 def reciprocal(settings: CompareSettings, responses: Sequence[FrequencyResponse]) -> Comparison:
     """Every pair of dofs in every test with its p-value; the verdict takes the smallest one times their number (Bonferroni).
 
-    The largest relative difference is that of coupled pairs. DataError without a response that can be tested.
+    The largest relative difference is that of coupled pairs. DataError without a response that can be tested. Equation (comp-reciprocity).
     """
     points = [
         ComparedPoint(response.name, pair.difference, group=f"{pair.first}-{pair.second}", p_value=pair.p_value)

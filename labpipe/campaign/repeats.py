@@ -19,6 +19,7 @@ def repeated(parameters: Sequence[Parameter]) -> Repeated:
     Standard error: s^2 = s_mean^2 + u^2. s_mean is that of the weighted mean of the errors by noise, enlarged where the repeats scatter
     more than these say; u, the mean of what stands in the full errors beyond noise, is common to all repeats and does not shrink.
     Where a repeat has no error, the plain mean with the standard error of the repeats' scatter, or none for one repeat.
+    Equation (comp-repeats).
     """
     values = np.array([parameter.value for parameter in parameters])
     scatter = float(np.std(values, ddof=1)) if values.size > 1 else None

@@ -77,7 +77,7 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
 
     after = before + e and before = -L after give S = 1 / (1 + L) = after / e; the quotient needs neither gain nor delay of the recorded
     excitation. To first order dS = (H_after dH_before - H_before dH_after) / (H_after - H_before)^2; half of E|dS|^2 is along |S|.
-    ConfigError for unknown points, FitError without a covariance or where both points are the same.
+    ConfigError for unknown points, FitError without a covariance or where both points are the same. Equation (mag-measured-sensitivity).
     """
     rows, columns = select_ports(response, (), (before, after))
     if len(rows) != 2 or len(columns) != 1:
@@ -102,6 +102,7 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
     """The maximum of a weighted parabola around the highest line; at an edge of the band the line itself.
 
     The highest line alone would be biased upwards by its noise. Errors are enlarged where the parabola's residual exceeds the noise.
+    Equation (comp-peak).
     """
     frequency, size, error = measured.frequency, measured.size, measured.error
     top = int(np.argmax(size))

@@ -85,6 +85,7 @@ def match(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: 
     """Solve ln(k, c)(ratio, beta) = ln(k, c) measured by Newton's method with numerical slopes.
 
     Raises ConfigError for a response whose dofs are not the bearing's, FitError where no ratio gives the measured fit.
+    Equation (comp-match).
     """
     curve = _curve(fit, response, settings, rig)
     bending = rig.bending.value

@@ -23,7 +23,7 @@ def trend(campaign: Campaign) -> Comparison:
     """value = level + slope (x - x_0), or value = level (x / x_0)^exponent; x_0 is the mean (geometric mean) of the conditions.
 
     Over two conditions: level + slope (x - x_0) + second_slope (y - y_0), or level (x / x_0)^exponent (y / y_0)^second_exponent; the
-    verdict is that of the first. FitError where conditions or values do not allow it.
+    verdict is that of the first. FitError where conditions or values do not allow it. Equation (comp-trend).
     """
     return _power(campaign) if campaign.settings.law == "power" else _line(campaign)
 
@@ -31,7 +31,7 @@ def trend(campaign: Campaign) -> Comparison:
 def power_fit(campaign: Campaign) -> WeightedFit:
     """(ln level, exponent) over ln(x / x_0), and over ln(y / y_0) of a second condition.
 
-    With the propagated error of setting the conditions: s^2 = s_fit^2 + (n s_x / x)^2 + (m s_y / y)^2.
+    With the propagated error of setting the conditions: s^2 = s_fit^2 + (n s_x / x)^2 + (m s_y / y)^2. Equation (comp-power).
     """
     for values, name in zip(_conditions(campaign), campaign.settings.over, strict=True):
         if np.any(values <= 0):

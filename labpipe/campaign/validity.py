@@ -19,7 +19,7 @@ def amplitude_statement(matrix: ConditionMatrix, level: float) -> str:
     """The largest amplitude whose coefficients do not differ from those at the smallest, as a sentence; empty where none is tested.
 
     Each coefficient at each amplitude against that at the smallest, at equal other conditions: z = (v - v_0) / sqrt(s^2 + s_0^2) of the
-    errors by noise, Holm's correction over all of them, at *level* [1].
+    errors by noise, Holm's correction over all of them, at *level* [1]. Equation (comp-validity).
     """
     place = next((n for n, axis in enumerate(matrix.axes) if axis.unit == "m" and axis.name.lower().startswith(AMPLITUDES)), None)
     if place is None or len(matrix.axes[place].levels) < 2:

@@ -20,7 +20,7 @@ class WeightedFit:
     """Least squares weighted by the covariance of the values: parameters (n_parameter,) [any unit], covariance (n_parameter, n_parameter).
 
     chi-square of the residual; where the scatter exceeds the errors (p_value below SCATTER_LEVEL), *covariance* is enlarged by the square
-    of Birge's ratio sqrt(chi2 / dof), and intervals use Student's t instead of the normal distribution.
+    of Birge's ratio sqrt(chi2 / dof), and intervals use Student's t instead of the normal distribution. Equation (comp-birge).
     """
 
     values: FloatArray
@@ -32,7 +32,7 @@ class WeightedFit:
 
     @property
     def quantile(self) -> float:
-        """Standard errors to either side of a 95 % interval."""
+        """Standard errors to either side of a 95 % interval. Equation (comp-quantile)."""
         return student_quantile(0.975, self.dof) if self.inflated else normal_quantile(0.975)
 
     def std_error(self, number: int) -> float:
@@ -48,6 +48,7 @@ def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) ->
     """Generalised least squares of values (n,) [any unit] = columns (n, n_parameter) p.
 
     *errors*: standard errors (n,), or the covariance (n, n) of correlated values. FitError where p is not determined.
+    Equation (comp-weighted).
     """
     if values.size < columns.shape[1]:
         raise FitError(f"{values.size} tests cannot determine {columns.shape[1]} parameters")

@@ -35,7 +35,7 @@ class FittedLaw:
 def amplitude(time: FloatArray, first: float, omega: float, rest: float, slope: float) -> FloatArray:
     """A(t) (n_sample,) [unit of *first*] of A' = -w (z0 + z1 A) A from A(0) = *first* at *time* (n_sample,) [s].
 
-    A = z0 A0 E / (z0 + z1 A0 (1 - E)), E = exp(-z0 w t): the solution of a Bernoulli equation.
+    A = z0 A0 E / (z0 + z1 A0 (1 - E)), E = exp(-z0 w t): the solution of a Bernoulli equation. Equation (decay-law).
     """
     decay = np.exp(-rest * omega * time)
     return np.asarray(first * decay / (1 + slope * first * omega * time * _relative(rest * omega * time)))
@@ -48,7 +48,7 @@ def _relative(x: FloatArray) -> FloatArray:
 
 
 def travelled(time: FloatArray, first: float, omega: float, rest: float, slope: float) -> FloatArray:
-    """The integral of A over *time* (n_sample,) [unit of *first* times s]: ln(1 + z1 A0 (1 - E) / z0) / (w z1)."""
+    """The integral of A over *time* (n_sample,) [unit of *first* times s]: ln(1 + z1 A0 (1 - E) / z0) / (w z1). Equation (decay-phase)."""
     linear = first * time * _relative(rest * omega * time)
     bent = slope * omega * linear
     safe = np.where(np.abs(bent) < 1e-9, 1.0, bent)

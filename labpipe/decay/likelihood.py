@@ -35,7 +35,7 @@ class Solved:
 
 
 def solve(piece: Piece, poles: ComplexArray) -> Solved:
-    """Amplitudes and residual of a piece at *poles* (n_mode,) [rad/s]."""
+    """Amplitudes and residual of a piece at *poles* (n_mode,) [rad/s]. Equation (decay-model)."""
     # Poles far from any solution may grow beyond all numbers on the way.
     course = np.exp(np.minimum((piece.time[:, None] * poles.real), 50.0) + 1j * piece.time[:, None] * poles.imag)
     n_mode = poles.size
@@ -82,7 +82,7 @@ def maximum_likelihood(pieces: Sequence[Piece], start: ComplexArray) -> Decayed:
 
     Gauss-Newton on the residual that is left when amplitudes and offsets are eliminated (Golub and Pereyra 1973, with the Jacobian of
     Kaufman 1975): the Schur complement of the poles in the Fisher information. The noise of each decay and output is that of its residual.
-    FitError where two modes become one.
+    FitError where two modes become one. Equation (decay-likelihood).
     """
     poles, solved = start, [solve(piece, start) for piece in pieces]
     converged, steps = False, 0

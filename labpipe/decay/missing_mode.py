@@ -47,7 +47,7 @@ def missing_mode(
     *white*: whether it leaves white noise; otherwise it must leave less than the share LEFT of what the law leaves.
 
     N ln(S) + p ln(N) of both, S the squares left in the output in which the mode is strongest: a law has two parameters more than an
-    exponential, a mode two more and two in every piece.
+    exponential, a mode two more and two in every piece. Equation (decay-missing).
     """
     if not richer.converged or np.any(richer.poles.real >= 0):
         return None

@@ -67,7 +67,7 @@ def _in_time(piece: Piece, residual: FloatArray) -> FloatArray:
 def over_amplitude(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int) -> OverAmplitude:
     """Damping ratio and frequency between neighbouring stretches of all pieces, in ascending amplitude.
 
-    ln(A_1 / A_2) / (w dt) and the turn of the phase between them; first-order standard errors.
+    ln(A_1 / A_2) / (w dt) and the turn of the phase between them; first-order standard errors. Equation (decay-stretches).
     """
     pole = fitted.poles[mode]
     omega = abs(pole)

@@ -16,7 +16,7 @@ def peak_decrement(samples: FloatArray, rate: float, frequency: float) -> float 
     """Slope of the logarithm of the peaks of *samples* (n_sample,) [any unit] per period [1]; None with less than three peaks.
 
     rate, frequency [Hz]. The largest value of every period is sought, down to a tenth of the first: noise makes small peaks too large, and
-    the decrement too small.
+    the decrement too small. Equation (decay-peaks).
     """
     period = rate / frequency
     count = int(samples.size / period)

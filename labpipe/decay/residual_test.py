@@ -80,7 +80,7 @@ def portmanteau(residuals: Sequence[ComplexArray], real: bool) -> float:
     """Chance [1] of so much likeness of neighbours in white noise, of series (n, n_output) [any unit]; *real* or complex ones.
 
     Q = n (n + 2) sum |r_d|^2 / (n - d) over lags d is chi-square with one degree of freedom per lag (Ljung and Box 1978), of complex
-    circular series 2 Q with two.
+    circular series 2 Q with two. Equation (decay-portmanteau).
     """
     statistic, dof = 0.0, 0
     for series in residuals:

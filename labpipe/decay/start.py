@@ -66,7 +66,7 @@ def pencil_poles(
     """The *n_mode* strongest oscillating poles (n_mode,) [rad/s] of series (n_sample,) [any unit] at *rate* [Hz]; None without so many.
 
     Matrix pencil (Hua and Sarkar 1990) in the form of a shift-invariant subspace: the first *rank* left singular vectors of the Hankel
-    matrix of all series.
+    matrix of all series. Equation (decay-pencil).
     """
     rows = min(samples.size for samples in series) // 3
     if rows <= rank + 1:

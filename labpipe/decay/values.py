@@ -17,6 +17,7 @@ def mode_parameters(fitted: Decayed, mass: float | None) -> tuple[Parameter, ...
     """f_n, zeta and logarithmic decrement of every mode in ascending frequency; with a *mass* [kg] k = m w_n^2 and c = 2 zeta w_n m.
 
     w_n = |lambda|, zeta = -Re lambda / |lambda|, log decrement = -2 pi Re lambda / Im lambda; standard errors of first order.
+    Equation (decay-values).
     """
     parameters: list[Parameter] = []
     for mode, pole in enumerate(fitted.poles):

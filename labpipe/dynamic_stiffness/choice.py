@@ -30,7 +30,7 @@ def compared(
     known: Estimate | None = None,
     doubtful: GivenErrors | None = None,
 ) -> tuple[tuple[Candidate, ...], dict[str, Estimate]]:
-    """Candidates in ascending BIC, and the estimates by form; forms that the lines cannot determine are left out."""
+    """Candidates in ascending BIC, and the estimates by form; forms that the lines cannot determine are left out. Equation (ds-bic)."""
     found: dict[str, Estimate] = {}
     for form in dict.fromkeys((*forms, *([known.model.form.name] if known else []))):
         try:

@@ -28,7 +28,10 @@ class Bearing:
 
 
 def dimensionless(coefficients: Sequence[Valued], bearing: Bearing, speed: float | None) -> tuple[Valued, ...]:
-    """k_xx_dimensionless ... at a *speed* [Hz], and the Sommerfeld number; as far as what they need is given."""
+    """k_xx_dimensionless ... at a *speed* [Hz], and the Sommerfeld number; as far as what they need is given.
+
+    Equation (ds-dimensionless).
+    """
     if not bearing.clearance or not bearing.load or not speed:
         return ()
     omega = 2 * np.pi * abs(speed)

@@ -31,13 +31,16 @@ class Course:
 
 
 def forward(stiffness: ComplexArray, sense: float = 1.0) -> ComplexArray:
-    """H_f (...,) [N/m] of H (..., 2, 2); *sense*: 1 for a shaft that turns from x to y, -1 against it."""
+    """H_f (...,) [N/m] of H (..., 2, 2); *sense*: 1 for a shaft that turns from x to y, -1 against it. Equation (ds-forward)."""
     direct = stiffness[..., 0, 0] + stiffness[..., 1, 1]
     return np.asarray((direct - 1j * sense * (stiffness[..., 0, 1] - stiffness[..., 1, 0])) / 2)
 
 
 def effective(model: StiffnessModel, values: FloatArray, covariance: FloatArray, omega: FloatArray, sense: float = 1.0) -> Course:
-    """The course at omega (n_line,) [rad/s] of values (n_parameter,) with their covariance (n_parameter, n_parameter) [parameter units]."""
+    """The course at omega (n_line,) [rad/s] of values (n_parameter,) with their covariance (n_parameter, n_parameter) [parameter units].
+
+    Equation (ds-effective).
+    """
     h = forward(model.stiffness(values, omega), sense)
     slopes = forward(model.jacobian(values, omega), sense)
     errors = [np.sqrt(np.maximum(np.sum(part * (covariance @ part), axis=0), 0.0)) for part in (slopes.real, slopes.imag)]

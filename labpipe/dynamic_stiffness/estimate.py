@@ -76,12 +76,12 @@ class Noise:
 
     @property
     def excess(self) -> float:
-        """E[2 V] over its value for a known covariance."""
+        """E[2 V] over its value for a known covariance. Equation (ds-excess)."""
         return self.dof / (self.dof - self.equations) if np.isfinite(self.dof) else 1.0
 
     @property
     def inflation(self) -> float:
-        """Covariance of the estimates over the inverse of the information matrix."""
+        """Covariance of the estimates over the inverse of the information matrix. Equation (ds-inflation)."""
         if not np.isfinite(self.dof):
             return self.shared
         return self.shared * self.dof**2 / ((self.dof - self.equations) ** 2 - 1)
@@ -96,7 +96,10 @@ class Noise:
         return float(np.sqrt(2 * self.shared_power * self._excess_variance / dof))
 
     def p_value(self, squares: float, dof: int) -> float:
-        """Chance of so large a chi-square (mean *dof*); by the F distribution with its variance where the covariance was estimated."""
+        """Chance of so large a chi-square (mean *dof*); by the F distribution with its variance where the covariance was estimated.
+
+        Equation (ds-p-value).
+        """
         effective = dof / self.shared_power
         if not np.isfinite(self.dof):
             return chi2_tail(squares / self.shared_power, effective)
@@ -124,6 +127,7 @@ def estimate(balance: Balance, model: StiffnessModel, noise: Noise, doubtful: Gi
     """The most likely parameters; FitError for fewer equations than parameters, or a singular covariance.
 
     *doubtful* gives the changes of e by given numbers: chi-square then is that with these numbers moved within their doubt.
+    Equation (ds-explained).
     """
     n = len(model.names)
     dof = balance.n_equation - n
@@ -173,7 +177,10 @@ def _lowest(problem: ErrorsInVariables) -> Minimum:
 
 
 def inverse_information(jacobian: FloatArray) -> FloatArray:
-    """(2 J^T J)^-1 (n, n) [parameter units] of real columns (n_equation, n) of unit complex noise; pseudo-inverse of a singular one."""
+    """(2 J^T J)^-1 (n, n) [parameter units] of real columns (n_equation, n) of unit complex noise; pseudo-inverse of a singular one.
+
+    Equation (ds-covariance).
+    """
     scale = np.linalg.norm(jacobian, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     columns = jacobian / scale

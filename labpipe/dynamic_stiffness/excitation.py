@@ -21,7 +21,10 @@ LETTERS = ("k", "c", "m")
 
 
 def other_excitations(stator: Stator, found: Estimate, columns: FloatArray) -> tuple[OtherExcitation, ...]:
-    """Ratios of standard errors by noise to those of this test; columns (n_equation, n_parameter) [1/parameter unit] of the Jacobian."""
+    """Ratios of standard errors by noise to those of this test; columns (n_equation, n_parameter) [1/parameter unit] of the Jacobian.
+
+    Equation (ds-excitation).
+    """
     n_line, n_run = stator.channels.shape[:2]
     rows = columns.reshape(2, n_line, 2 * n_run, -1).transpose(1, 0, 2, 3).reshape(n_line, 4 * n_run, -1)
     scale = np.linalg.norm(columns, axis=0)

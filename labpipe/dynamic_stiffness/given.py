@@ -53,7 +53,7 @@ class Given:
         return self.mass is not None or self.baseline is not None
 
     def side(self, omega: FloatArray) -> ComplexArray:
-        """What stands before A in the force side: -M_s I + Z_b / w^2 (n_line, 2, 2) [kg]."""
+        """What stands before A in the force side: -M_s I + Z_b / w^2 (n_line, 2, 2) [kg]. Equation (ds-balance)."""
         mass = 0.0 if self.mass is None else self.mass.value
         side = np.broadcast_to(-mass * np.eye(2, dtype=np.complex128), (omega.size, 2, 2))
         return side if self.baseline is None else side + self.baseline.stiffness(omega) / omega[:, None, None] ** 2
@@ -93,7 +93,10 @@ def balance_of(stator: Stator, given: Given) -> Balance:
 
 
 def smoothed_channels(stator: Stator, given: Given, stiffness: ComplexArray, state: Whitened) -> ComplexArray:
-    """All channels (n_line, n_run, n_channel) [SI units] without the noise that the residual tells: z - C_z B^H S^-1 e."""
+    """All channels (n_line, n_run, n_channel) [SI units] without the noise that the residual tells: z - C_z B^H S^-1 e.
+
+    Equation (ds-smoothed).
+    """
     to_balance = projection(stator, given) @ stator.to_axes
     rows = to_balance[:, :2] - stiffness @ to_balance[:, 2:]
     pulled = (rows.conj().swapaxes(-1, -2)[:, None] @ state.weighted()[..., None])[..., 0]
@@ -148,7 +151,10 @@ def given_doubts(errors: Sequence[tuple[Doubt, ComplexArray]], respond: Respond)
 
 
 def response_of(state: Whitened, columns: FloatArray) -> Respond:
-    """dp = -(J^T J)^-1 J^T L^-1 de of the most likely estimates; *columns* J (n_equation, n_parameter) [1/parameter unit]."""
+    """dp = -(J^T J)^-1 J^T L^-1 de of the most likely estimates; *columns* J (n_equation, n_parameter) [1/parameter unit].
+
+    Equation (ds-given).
+    """
     scale = np.linalg.norm(columns, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     gain = -np.linalg.pinv(columns / scale) / scale[:, None]

@@ -25,7 +25,7 @@ REAL_PARTS = {"kc": 1, "kcm": 2}
 def least_squares(balance: Balance, model: StiffnessModel) -> tuple[Estimate, Callable[[ComplexArray], FloatArray]]:
     """The estimate, and how it responds to changes of e (n, n_line, n_run, 2) [N]: (n, n_parameter) [parameter units].
 
-    ConfigError for other forms than kc and kcm, FitError where runs do not give H.
+    ConfigError for other forms than kc and kcm, FitError where runs do not give H. Equation (ds-ls).
     """
     if model.form.name not in REAL_PARTS or model.symmetry == "seal":
         raise ConfigError("least squares is for form kc or kcm without symmetry", hint="estimator: ml", field="estimator")

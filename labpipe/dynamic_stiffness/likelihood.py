@@ -68,7 +68,7 @@ def times(matrix: NDArray[Any], vectors: ComplexArray) -> ComplexArray:
 
 
 def whitened(balance: Balance, stiffness: ComplexArray) -> Whitened:
-    """Residual e = G - H m, its covariance and the smoothed motion for H (n_line, 2, 2) [N/m]."""
+    """Residual e = G - H m, its covariance and the smoothed motion for H (n_line, 2, 2) [N/m]. Equation (ds-residual)."""
     h = stiffness[:, None]
     of_motion = balance.cross - balance.motion_covariance @ h.conj().swapaxes(-1, -2)
     s = balance.right_covariance - balance.cross.conj().swapaxes(-1, -2) @ h.conj().swapaxes(-1, -2) - h @ of_motion
@@ -112,7 +112,10 @@ class ErrorsInVariables:
         return self.columns(parameters)
 
     def columns(self, parameters: FloatArray) -> FloatArray:
-        """-L^-1 (dH/dp) m^ as real columns (n_equation, n_parameter) [1/parameter unit], element by element of the matrices."""
+        """-L^-1 (dH/dp) m^ as real columns (n_equation, n_parameter) [1/parameter unit], element by element of the matrices.
+
+        Equation (ds-jacobian).
+        """
         state, model, omega = self.at(parameters), self.model, self.balance.omega
         theta = parameters[model.n_linear :]
         moved = state.whiten(times(model.elements[:, None, None], state.smoothed))
@@ -126,7 +129,7 @@ class ErrorsInVariables:
         return real_rows(linear).T
 
     def chi2(self, parameters: FloatArray) -> float:
-        """V [1] at *parameters* (n_parameter,); infinite where it is no number."""
+        """V [1] at *parameters* (n_parameter,); infinite where it is no number. Equation (ds-likelihood)."""
         white = self.at(parameters).white
         total = float(np.sum(white.real**2 + white.imag**2))
         return total if np.isfinite(total) else float("inf")

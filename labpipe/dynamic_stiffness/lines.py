@@ -30,7 +30,7 @@ class LineStiffness:
 
 
 def line_stiffness(balance: Balance) -> LineStiffness:
-    """H of every line from two or more runs; FitError where the runs of a line move in one direction."""
+    """H of every line from two or more runs; FitError where the runs of a line move in one direction. Equation (ds-line)."""
     n_run = balance.motion.shape[1]
     if n_run < 2:
         raise FitError(

@@ -40,7 +40,10 @@ class Whirl:
 
 
 def whirl(model: StiffnessModel, values: FloatArray, covariance: FloatArray) -> Whirl | None:
-    """The whirl of K, C and M of values (n_parameter,) with their covariance [parameter units]; None where there is no real solution."""
+    """The whirl of K, C and M of values (n_parameter,) with their covariance [parameter units]; None where there is no real solution.
+
+    Equation (ds-whirl).
+    """
     polynomial = _polynomial(model, values)[0].real
     square = _root(polynomial)
     if square is None:

@@ -54,7 +54,7 @@ def amplitude_fit(measured: Measured, model: DynamicModel, weight: str = "none")
     """|H|^2 [(w_0^2 - w^2)^2 + (c w / m)^2] = 1 / m^2, linear in (w_0^4, c^2 / m^2 - 2 w_0^2, 1 / m^2) (Knaapen 1997, sec. 4.2).
 
     weight none: linear least squares of the equation times |H|, as in the source; noise: amplitudes weighted by their noise, started
-    from the former. FitError where the amplitudes correspond to no real stiffness or damping.
+    from the former. FitError where the amplitudes correspond to no real stiffness or damping. Equation (est-amplitude).
     """
     if model.names not in (("k", "c"), ("k", "c", "m")):
         raise ConfigError("the amplitude fit estimates k and c, or k, c and m", hint="leave `fixed` and `eliminate` out")

@@ -42,7 +42,7 @@ def _no_motion(form: str) -> str:
 def base_excited(setup: Setup) -> DynamicModel:
     """(k + j w c - w^2 m) (T - 1) / w^2 = m; without a mass k / m and c / m, since a transmissibility knows no more.
 
-    ConfigError for several responses or bases, or for a mass that is none.
+    ConfigError for several responses or bases, or for a mass that is none. Equation (frf-base).
     """
     if setup.shape != (1, 1):
         what = f"{BASE} takes one response and one base, found {labels(setup.outputs)} and {labels(setup.inputs)}"

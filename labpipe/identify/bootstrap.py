@@ -44,7 +44,7 @@ def bootstrapped(
 
 
 def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) -> Measured:
-    """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance."""
+    """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance. Equation (est-bootstrap)."""
     assert measured.covariance is not None
     n = measured.covariance.shape[1]
     values, vectors = np.linalg.eigh(measured.covariance)

@@ -56,7 +56,7 @@ class Case:
 
 
 def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
-    """The budget of reported *parameters*; None where no number has a doubt, or the fit did not converge."""
+    """The budget of reported *parameters*; None where no number has a doubt, or the fit did not converge. Equation (unc-implicit)."""
     sources = sources_of(case.setup, case.measured)
     if not sources or not case.estimate.converged:
         return None

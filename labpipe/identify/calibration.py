@@ -40,6 +40,7 @@ def fit_line(x: FloatArray, y: FloatArray, *, through_origin: bool = False) -> L
     """Least-squares line through points x, y (n_point,) [any unit]; standard errors from the residual.
 
     R^2 about the mean, or about zero through the origin. Raises FitError with fewer points than parameters + 1, or when x does not vary.
+    Equation (spec-line).
     """
     columns = x[:, None] if through_origin else np.column_stack([x, np.ones_like(x)])
     n_parameter = columns.shape[1]
@@ -57,7 +58,10 @@ def fit_line(x: FloatArray, y: FloatArray, *, through_origin: bool = False) -> L
 
 
 def curvature_p(x: FloatArray, y: FloatArray) -> float | None:
-    """p-value [1] of a quadratic term beside the line (t-test) for points x, y (n_point,); None with too few points."""
+    """p-value [1] of a quadratic term beside the line (t-test) for points x, y (n_point,); None with too few points.
+
+    Equation (spec-curvature).
+    """
     if x.size < 5:
         return None
     centred = (x - x.mean()) / np.ptp(x)

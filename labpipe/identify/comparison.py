@@ -40,7 +40,7 @@ def candidates(measured: Measured, setup: Setup, ml_estimate: Estimate | None = 
     None for an unknown noise. *ml_estimate*: that of the fit itself, where it is by ml; else this model is fitted again. Every descent is
     bounded. Without `compare` only the alternative to proportional damping: independent damping coefficients.
     p_value: probability of an equal or larger decrease of chi-square to the richest variant that contains this one, if this one is true
-    (likelihood ratio, chi-square with as many degrees of freedom as additional parameters).
+    (likelihood ratio, chi-square with as many degrees of freedom as additional parameters). Equation (est-aic).
     """
     if not has_noise(measured):
         return (), ()

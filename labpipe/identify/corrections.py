@@ -44,7 +44,7 @@ def corrected(total: Estimated, settings: FitSettings) -> Estimated:
     """(total - support) / share for stiffness and damping: k_bearing = (k_total - k_support) / n.
 
     The covariance is that of the estimates; the doubt of the support is a source of its own, common to all direct coefficients and to all
-    tests. ConfigError for a share below 1.
+    tests. ConfigError for a share below 1. Equation (est-corrected).
     """
     if settings.share < 1:
         raise ConfigError("share must be at least 1")

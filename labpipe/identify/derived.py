@@ -27,7 +27,7 @@ STEP, SMALLEST_STEP = 1e-3, 1e-7
 
 def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: int) -> list[Parameter]:
     """f_n and zeta (sdof, base), modes (mdof), forcing angle (rotor-2dof, one force), damping coefficients of proportional damping,
-    totals where support or share changed the coefficients, and fixed coefficients.
+    totals where support or share changed the coefficients, and fixed coefficients. Equation (est-resonance).
     """
     settings = setup.settings
     parameters: list[Parameter] = []
@@ -113,6 +113,6 @@ def _forcing_angle(total: Estimated, dof: int) -> Parameter:
 
 
 def propagated(total: Estimated, slopes: dict[str, float]) -> float:
-    """Standard error of a function of the estimates to first order: sqrt(g^T cov g), g its derivatives by name."""
+    """Standard error of a function of the estimates to first order: sqrt(g^T cov g), g its derivatives by name. Equation (est-delta)."""
     gradient = np.array([slopes.get(name, 0.0) for name in total.names])
     return float(np.sqrt(max(gradient @ total.covariance @ gradient, 0.0)))

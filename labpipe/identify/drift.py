@@ -52,6 +52,7 @@ def drift_findings(measured: Measured, model: FittedModel, values: FloatArray, n
 
     Shapes: the gain of every channel, all stiffness or all damping by one factor, each by itself, and all parameters together; p-values
     are for the best of all, in *n_band* bands of one record (Bonferroni). None where the halves or the noise are not known.
+    Equation (est-drift).
     """
     if measured.change is None or not has_noise(measured):
         return []

@@ -58,7 +58,7 @@ def mass_findings(measured: Measured, model: DynamicModel, values: FloatArray, s
 
     Whatever the fit's estimator, the mass is freed in an output-error fit from its values, since least squares would be biased by
     noise. No finding where the mass was not given, or the forces' factors are estimated too: the curve knows ratios only then. Nor in
-    sliding bands, which are for stiffness that changes with frequency: within a band that looks like another mass.
+    sliding bands, which are for stiffness that changes with frequency: within a band that looks like another mass. Equation (est-mass).
     """
     freed = _freed(model, setup)
     if freed is None or setup.settings.sliding is not None:

@@ -32,6 +32,7 @@ def instrumental_variables(measured: Measured, model: DynamicModel, weight: str 
 
     Stops when parameters or FRF change by less than 1e-4, after at most 25 iterations (Knaapen 1997, ch. 4). A fit with weak instruments
     counts as not converged. Standard errors: the sandwich (V^T A)^-1 (V^T Omega V) (A^T V)^-1. FitError for dependent instruments.
+    Equation (est-iv).
     """
     equation = regression(measured, model, weight)
     values, stationary, iterations = _iterate(measured, model, equation, equation_solution(equation, model)[0])
@@ -106,7 +107,7 @@ def _solve(instruments: FloatArray, columns: FloatArray, side: FloatArray, size:
 def weakest_correlation(instruments: FloatArray, columns: FloatArray) -> float:
     """Smallest canonical correlation [1] between the spaces of instruments and of regressors, both (n_parameter, n_equation).
 
-    With V = Q_v R_v and A = Q_a R_a it is the smallest singular value of Q_v^T Q_a = R_v^-T V^T A R_a^-1.
+    With V = Q_v R_v and A = Q_a R_a it is the smallest singular value of Q_v^T Q_a = R_v^-T V^T A R_a^-1. Equation (est-canonical).
     """
     sizes = [np.sqrt(np.einsum("pe,pe->p", rows, rows)) for rows in (instruments, columns)]
     half = np.linalg.solve(triangle_of(instruments.T).T, instruments @ columns.T / np.outer(*sizes))

@@ -104,7 +104,7 @@ class SmearedModel:
         return self.model.from_linear(values)
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002 (the lines are the leakage's)
-        """Expected H1 [m/N] at *parameters* (n_parameter,), (n_line, n_dof, n_input)."""
+        """Expected H1 [m/N] at *parameters* (n_parameter,), (n_line, n_dof, n_input). Equation (frf-smeared)."""
         return self.leakage.averaged(self.model.receptance(parameters, self.leakage.grid[0]))
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002

@@ -36,6 +36,7 @@ def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions
     """The fits of one name, that of the highest level with a finding where it differs from that of the lowest by more than noise.
 
     *conditions* of every test by its name. Tests are compared whose conditions are the same but for the level, bands and terms alike.
+    Equation (est-levels).
     """
     groups: dict[tuple[object, ...], list[_Test]] = {}
     for fit in fits:

@@ -44,7 +44,7 @@ def maximum_likelihood(
 
     Chi-square and covariance are corrected for the estimated weights (weights.py). Without measured noise all lines have equal weight and
     the residual gives the standard errors. *most_steps* bounds the descent from each start. FitError for fewer equations than parameters,
-    or for a covariance that cannot be inverted.
+    or for a covariance that cannot be inverted. Equation (est-ml).
     """
     n_parameter = len(model.names)
     dof = measured.n_equation - n_parameter
@@ -111,7 +111,7 @@ class Assessed:
 def assess(measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], values: FloatArray) -> Assessed:
     """The doubt of the minimum *values* (n,) [parameter units] of *problem*; *model*: that of the data, its parameters first among them.
 
-    Correction for weights from an estimated covariance and for noise that lines share as in `weights`.
+    Correction for weights from an estimated covariance and for noise that lines share as in `weights`. Equation (est-unweighted).
     """
     jacobian, residual = problem.jacobian(values), problem.residual(values)
     _, inverse = solve_scaled(jacobian, residual)

@@ -31,7 +31,7 @@ def line_scatter(jacobian: FloatArray, residual: FloatArray, n_line: int, *, alo
     imaginary parts. (1 - H_ll)^-1 undoes what the line itself takes from its residual (jackknife, MacKinnon and White 1985). The degrees
     of freedom are those of a quadratic form of independent lines (Bell and McCaffrey 2002, Survey Methodology 28:169).
     *alone*: the noise of every line is its own, so that D = 0 and only its size differs (HC3, MacKinnon and White 1985).
-    numpy.linalg.LinAlgError for dependent columns.
+    numpy.linalg.LinAlgError for dependent columns. Equation (est-line-scatter).
     """
     orthogonal, triangle = np.linalg.qr(jacobian)
     by_line = _by_line(orthogonal, n_line)

@@ -22,7 +22,7 @@ def matrix_errors(measured: Measured, *, directions: bool = False) -> tuple[Matr
 
     An error d of an output changes its row by H a w^n d, one of a force its column by -H a w^n d, with a w^n of COURSES. With *directions*
     an error d of an angle changes row or column by -d times that at right angles, where ports of known direction tell it; else
-    directions are left to the models that know them.
+    directions are left to the models that know them. Equation (unc-port).
     """
     doubts: dict[str, Doubt] = {}
     changes: dict[str, ComplexArray] = {}
@@ -52,6 +52,7 @@ def across_ports(ports: Sequence[Port]) -> FloatArray | None:
     """What ports see at right angles to their directions, (n_port, n_port) [1] by what all of them see; None where they do not tell.
 
     Rows of zeros for ports without a direction. A port at a + d sees what one at a sees, and d times that at a + 90 deg.
+    Equation (unc-across).
     """
     known = [number for number, port in enumerate(ports) if port.angle is not None]
     angles = np.array([ports[number].angle for number in known], float)
@@ -66,7 +67,7 @@ def across_ports(ports: Sequence[Port]) -> FloatArray | None:
 def turned(matrix: ComplexArray, number: int, across: FloatArray, *, of_forces: bool) -> ComplexArray:
     """Change of a *matrix* (n_line, n_output, n_input) [m/N] per radian [m/N] by which the direction of one port was written too large.
 
-    *across* (n_port, n_port) [1] of `across_ports`; of_forces: the port is a force, a column.
+    *across* (n_port, n_port) [1] of `across_ports`; of_forces: the port is a force, a column. Equation (unc-direction).
     """
     change = np.zeros_like(matrix)
     if of_forces:

@@ -83,7 +83,7 @@ def measured_part(
 ) -> Measured:
     """The chosen part as receptance; *lines*: mask (n_frequency,) [-] of the lines; *view* of the response's form, its own by default.
 
-    FitError when it is empty, constant zero, or at 0 Hz for a mobility or accelerance.
+    FitError when it is empty, constant zero, or at 0 Hz for a mobility or accelerance. Equation (est-shared).
     """
     frequency = response.frequency[lines]
     if not frequency.size:

@@ -161,7 +161,7 @@ def judge(
 
 
 def excess(estimate: Estimate) -> float | None:
-    """sqrt(chi-square per degree of freedom) [1] where it is significantly above 1, else None."""
+    """sqrt(chi-square per degree of freedom) [1] where it is significantly above 1, else None. Equation (est-excess)."""
     reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
     return float(np.sqrt(reduced)) if reduced is not None and p_value is not None and p_value < MISMATCH_P else None
 

@@ -145,11 +145,11 @@ class DynamicModel:
         return Matrices(square[..., 0, :, :], square[..., 1, :, :], square[..., 2, :, :], force)
 
     def dynamic_stiffness(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s]."""
+        """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s]. Equation (est-stiffness)."""
         return _dynamic_stiffness(self.whole(parameters), omega)
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """H(w) = Z^-1 B [m/N], (n_line, n_dof, n_input); FitError where Z is singular."""
+        """H(w) = Z^-1 B [m/N], (n_line, n_dof, n_input); FitError where Z is singular. Equation (est-receptance)."""
         whole = self.whole(parameters)
         return _solved(_dynamic_stiffness(whole, omega), whole.force.astype(np.complex128))
 
@@ -157,6 +157,7 @@ class DynamicModel:
         """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]; parameters last in memory.
 
         Every element e_a e_b^T of a Z_j gives the outer product of column a of Z^-1 and row b of H, which all terms share.
+        Equation (est-jacobian).
         """
         whole = self.whole(parameters)
         n_line, (n_dof, n_input), n_parameter = omega.size, whole.force.shape, len(self.terms)

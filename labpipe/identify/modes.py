@@ -33,7 +33,7 @@ class Modes:
 def modes(matrices: Matrices) -> Modes | None:
     """Eigenvalues of (lambda^2 M + lambda C + K) x = 0, matrices (n_case, n_dof, n_dof).
 
-    None where in any case the mass is singular, or a mode does not oscillate.
+    None where in any case the mass is singular, or a mode does not oscillate. Equation (est-modes).
     """
     k, c, m = matrices.stiffness, matrices.damping, matrices.mass
     n_case, n = k.shape[0], k.shape[1]

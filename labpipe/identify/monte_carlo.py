@@ -39,7 +39,7 @@ class Drawn:
 def propagated(case: Case, parameters: Sequence[Parameter], budget: Budget, fitted: ComplexArray, refit: Refit, draws: int) -> Drawn:
     """*draws* refits on *fitted* (n_line, n_output, n_input) [m/N] plus noise, every number off by an error of its distribution.
 
-    The seed follows from the fit's name. FitError for an unknown noise, too few draws, or failed refits.
+    The seed follows from the fit's name. FitError for an unknown noise, too few draws, or failed refits. Equation (unc-first-order).
     """
     if draws < FEWEST_DRAWS:
         raise FitError(f"monte_carlo: {draws} draws give no reliable interval", hint=f"at least {FEWEST_DRAWS}, 2000 is usual")
@@ -71,7 +71,10 @@ def _drawn(case: Case, fitted: ComplexArray, refit: Refit, rng: np.random.Genera
 
 
 def drawn_error(doubt: Doubt, rng: np.random.Generator) -> float:
-    """An error [unit of the doubt] by its distribution: limits at sqrt(3) or sqrt(6) standard uncertainties, Student's t, or normal."""
+    """An error [unit of the doubt] by its distribution: limits at sqrt(3) or sqrt(6) standard uncertainties, Student's t, or normal.
+
+    Equation (unc-draw).
+    """
     if doubt.shape == "rectangular":
         return doubt.std_error * float(np.sqrt(3.0) * rng.uniform(-1.0, 1.0))
     if doubt.shape == "triangular":

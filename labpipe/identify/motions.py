@@ -17,7 +17,7 @@ def independent_motions(measured: Measured) -> tuple[FloatArray, int]:
 
     The matrix has outputs as columns, lines and forces as rows. Circular noise of variance 1 has singular values up to sqrt(n_row) +
     sqrt(n_column) (Geman 1980). Only the variance of each output is used, not their covariance: a common factor of the outputs is a
-    motion, whatever its noise.
+    motion, whatever its noise. Equation (est-motions).
     """
     n_line, n_output, n_input = measured.matrix.shape
     assert measured.covariance is not None

@@ -17,6 +17,7 @@ class OutsideModes:
 
     Parameters: the *n_own* ones of *model*, then Re C, then Im C, each (n_term, n_element), in units of *size* (n_element,) [m/N].
     *curves* (n_line, n_term) [1] on the lines of the fit. C is complex since modes outside the band need not be real (Ewins 2000, 4.6).
+    Equation (est-outside).
     """
 
     model: ReceptanceModel

@@ -19,7 +19,7 @@ class ProportionalModel:
     """A model with damping alpha M + beta K; parameters: *free* (all but damping), then alpha, beta.
 
     *linear*: the model with independent damping coefficients, for the start. *expanded*: with terms beta k_j and alpha m_j;
-    *by_stiffness*, *by_mass*: the free parameter of each of them, -1 for the constants.
+    *by_stiffness*, *by_mass*: the free parameter of each of them, -1 for the constants. Equation (est-proportional).
     """
 
     free: DynamicModel

@@ -26,6 +26,7 @@ class RationalFit:
 
     Receptances of n modes have this form. Polynomials are sums over the basis phi_0 ... phi_2n, orthogonal on the lines, phi_k of degree
     k in s = j w; A has 1 at phi_2n. *whitener* (n_line, n_element, n_element) [N/m]. Parameters: 2 n of A, then 2 n - 1 of every element.
+    Equation (est-rational).
     """
 
     measured: Measured

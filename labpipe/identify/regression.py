@@ -27,7 +27,7 @@ def least_squares(measured: Measured, model: DynamicModel, weight: str = "none")
     """Equation-error estimate; rows of the equation of motion without common parameters are separate regressions.
 
     Standard error = sqrt(residual variance * diag((W^T W)^-1)) with n - k real degrees of freedom (Lim et al. 2009, eq. 14-15, 25,
-    with n - k for the printed n - 3). FitError for fewer equations than parameters.
+    with n - k for the printed n - 3). FitError for fewer equations than parameters. Equation (est-ls).
     """
     equation = regression(measured, model, weight)
     n_parameter = len(model.terms)
@@ -96,7 +96,7 @@ def regression(measured: Measured, model: DynamicModel, weight: str) -> Regressi
 def line_weights(measured: Measured, weight: str) -> FloatArray:
     """Weight of every line, (n_line,) [1]; none: 1; noise: |H| / s, since noise s of H becomes s |Z| = s / |H| in the equation of motion.
 
-    FitError for an unknown or zero noise.
+    FitError for an unknown or zero noise. Equation (est-line-weights).
     """
     if weight == "none":
         return np.ones(measured.omega.size)

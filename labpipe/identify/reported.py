@@ -66,7 +66,7 @@ def with_systematic(parameters: Sequence[Parameter], budget: Budget, dof: FloatA
     """The parameters with combined standard uncertainties and expanded intervals, by Student's t with the effective degrees of freedom.
 
     An interval that is lopsided by itself is widened on each side by the square sum of that side and the systematic part's.
-    dof (n_parameter,) [1]: effective ones, by default those of the budget.
+    dof (n_parameter,) [1]: effective ones, by default those of the budget. Equation (unc-interval).
     """
     return tuple(
         _expanded(parameter, float(systematic), float(of_parameter))

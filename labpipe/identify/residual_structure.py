@@ -57,7 +57,7 @@ def residual_structure(residual: FloatArray, jacobian: FloatArray, size: FloatAr
     """The structure of a residual (n_equation,) [1] of a fit with *jacobian* (n_equation, n_parameter) [1 per parameter unit].
 
     *size* (n_line, n_element) [m/N]: amplitude of the response. Both parts are ordered as in `output_error`: real parts line by line, then
-    imaginary parts. None where the lines are too few for any structure.
+    imaginary parts. None where the lines are too few for any structure. Equation (est-structure).
     """
     null, n_line = null or Null(), size.shape[0]
     if n_line <= LAGS + null.n_smooth + DEGREE + 1:

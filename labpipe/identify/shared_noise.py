@@ -156,7 +156,7 @@ def shared_residual(noise: SharedNoise | LineBlocks, jacobian: ComplexArray, inv
 
     *jacobian* (n_line, n_element, n_parameter) complex, whitened to unit variance of real and imaginary part [1 per parameter unit];
     *inverse* A (n_parameter, n_parameter). The residual's mean and variance as of a sum of squares of correlated normal values
-    (Satterthwaite 1946).
+    (Satterthwaite 1946). Equation (est-shared-residual).
     """
     columns = jacobian.reshape(-1, jacobian.shape[2])
     product = noise.times(jacobian).reshape(columns.shape)

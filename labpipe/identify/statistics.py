@@ -46,7 +46,7 @@ def determination(right_side: ComplexArray, residual: ComplexArray, n_parameter:
     """R^2 = 1 - SS_residual / SS_total [1], and its adjusted form 1 - (1 - R^2)(n - 1)/(n - k), n real equations.
 
     right_side, residual (n_line, n_dof, n_input). SS_total is about the mean of the real and imaginary parts in one column, as in the
-    regression (Lim et al. 2009, eq. 23).
+    regression (Lim et al. 2009, eq. 23). Equation (est-r2).
     """
     side = stacked(right_side.reshape(-1))
     n = side.size
@@ -62,7 +62,7 @@ def student_limit(dof: int) -> float:
 
 
 def estimated(name: str, unit: str, value: float, std_error: float, dof: int, vif: float | None) -> Parameter:
-    """An estimated parameter with t-ratio, 95 % interval and significance."""
+    """An estimated parameter with t-ratio, 95 % interval and significance. Equation (est-interval)."""
     if not np.isfinite(std_error):
         return Parameter(name, value, unit, vif=vif)
     limit = student_limit(dof)
@@ -95,7 +95,7 @@ def derived(name: str, unit: str, value: float, std_error: float, dof: int) -> P
 def inflation_factors(scaled_design: FloatArray) -> FloatArray:
     """Variance inflation of each parameter, (n_parameter,) [1]: diag((W^T W)^-1) of columns of length 1; 1 for an orthogonal column.
 
-    *scaled_design* (n_parameter, n_parameter).
+    *scaled_design* (n_parameter, n_parameter). Equation (est-vif).
     """
     _, singular, vectors = np.linalg.svd(scaled_design, full_matrices=False)
     with np.errstate(divide="ignore"):
@@ -104,13 +104,16 @@ def inflation_factors(scaled_design: FloatArray) -> FloatArray:
 
 
 def condition_number(scaled_design: FloatArray) -> float:
-    """Largest over smallest singular value [1] of the design (n_parameter, n_parameter) of unit columns (Belsley, Kuh and Welsch 1980)."""
+    """Largest over smallest singular value [1] of the design (n_parameter, n_parameter) of unit columns (Belsley, Kuh and Welsch 1980).
+
+    Equation (est-condition).
+    """
     singular = np.linalg.svd(scaled_design, compute_uv=False)
     return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
 
 
 def correlation(covariance: FloatArray) -> FloatArray:
-    """The correlation matrix (n, n) [1] of a covariance."""
+    """The correlation matrix (n, n) [1] of a covariance. Equation (est-correlation)."""
     std = np.sqrt(np.diag(covariance))
     scale = np.where(std > 0, std, 1.0)
     matrix: FloatArray = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)

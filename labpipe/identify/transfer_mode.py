@@ -28,6 +28,7 @@ class TransferMode:
 
     Parameters: f_n [Hz], zeta [1], the modal constant A [1/kg] = psi_o psi_i / m with its sign, B [1/kg] its part in quadrature, C and D
     [m/N]. A delay or a gain that changes evenly with frequency turns the residue and leaves a constant: w_n and zeta stay what they are.
+    Equation (est-transfer-mode).
     """
 
     name: str = "sdof"

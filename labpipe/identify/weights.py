@@ -42,7 +42,10 @@ class WeightDoubt:
     shared: float = 1.0
 
     def p_value(self, reduced: float, dof: int) -> float:
-        """Probability of a reduced chi-square at least this large for a correct model; chi-square, or F scaled to the mean 1."""
+        """Probability of a reduced chi-square at least this large for a correct model; chi-square, or F scaled to the mean 1.
+
+        Equation (est-chi2).
+        """
         effective_dof = dof / self.shared
         if not np.isfinite(self.residual_dof):
             return chi2_tail(reduced * effective_dof, effective_dof)
@@ -54,7 +57,7 @@ def weight_doubt(measured: Measured, dof: int) -> WeightDoubt:
 
     s = sum of the correlation of a line's noise with all lines' (Hann: 1.9): exact where the model varies little from line to line.
     The inflation is exact for independent noise estimates of the lines, and slightly too large when neighbouring lines have a common
-    one. FitError for nu <= n + 1: the weighted residual then has no variance, or no mean.
+    one. FitError for nu <= n + 1: the weighted residual then has no variance, or no mean. Equation (est-weights).
     """
     nu, n = measured.noise_dof, measured.matrix.shape[1]
     if not np.isfinite(nu):
@@ -77,7 +80,7 @@ def fitted_doubt(
     *jacobian* (n_equation, n_parameter) of the whitened residual and *inverse* = (J^T J)^-1; *doubt* of weight_doubt. Where the noise
     of lines is correlated as only a matrix can say, that matrix *noise* gives both instead of the factors *inflation* and *shared*.
     Estimates of the noise under an exponential window are as correlated as the noise: their errors are a common factor of a
-    resonance's weights and cost no efficiency.
+    resonance's weights and cost no efficiency. Equation (est-ml-covariance).
     """
     if noise is None:
         return doubt.inflation * inverse, doubt
@@ -165,7 +168,7 @@ def _singular(scaled: ComplexArray) -> BoolArray:
 def whitened(whitener: ComplexArray, values: ComplexArray) -> FloatArray:
     """FRFs (..., n_line, n_output, n_input) [m/N] as uncorrelated real equations (..., n_equation) [1] of variance 1.
 
-    *whitener* (n_line, n, n) [N/m].
+    *whitener* (n_line, n, n) [N/m]. Equation (est-whitened).
     """
     flat = values.reshape(*values.shape[:-2], -1)
     diagonal = _diagonal_of(whitener)

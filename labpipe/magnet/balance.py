@@ -30,7 +30,10 @@ class Between:
     bandwidth: float | None = None
 
     def moments(self, omega: FloatArray) -> ComplexArray:
-        """n_j(w), (n_power, n_line) [s^(2 j)]: (1/T^2) integral of (T - |t|)^(2 j + 1) / (2 j + 1)! i(t) / i_0 over -T ... T."""
+        """n_j(w), (n_power, n_line) [s^(2 j)]: (1/T^2) integral of (T - |t|)^(2 j + 1) / (2 j + 1)! i(t) / i_0 over -T ... T.
+
+        Equation (mag-moments).
+        """
         interval = 1 / self.rate
         nodes, weights = np.polynomial.legendre.leggauss(NODES)
         t, weights = interval * (nodes + 1) / 2, interval * weights / 2
@@ -72,7 +75,10 @@ class MagnetModel:
         return found
 
     def rows(self, values: FloatArray, omega: FloatArray, mass: FloatArray | None = None) -> ComplexArray:
-        """B (n_line, n, 2 n) [N/A, N/m] of values (n_parameter,) at omega (n_line,) [rad/s]; another *mass* (n, n) [kg] in its place."""
+        """B (n_line, n, 2 n) [N/A, N/m] of values (n_parameter,) at omega (n_line,) [rad/s]; another *mass* (n, n) [kg] in its place.
+
+        Equation (mag-balance).
+        """
         mass = self.mass if mass is None else mass
         found, w = self.matrices(values), np.asarray(omega)[:, None, None]
         if self.between is None:

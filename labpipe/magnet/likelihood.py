@@ -77,7 +77,10 @@ class MagnetLikelihood:
 
 
 def residual(rotor: Levitation, rows: ComplexArray) -> Residual:
-    """The residual of B = *rows* (n_line, n, n_channel) [N per SI unit of the channel]; LinAlgError where its covariance is singular."""
+    """The residual of B = *rows* (n_line, n, n_channel) [N per SI unit of the channel]; LinAlgError where its covariance is singular.
+
+    Equation (mag-likelihood).
+    """
     b = rows[:, None]
     e = (b @ rotor.channels[..., None])[..., 0]
     of_channels = rotor.covariance @ b.conj().swapaxes(-1, -2)

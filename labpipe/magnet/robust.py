@@ -45,7 +45,10 @@ def robust_plant(best: MagnetEstimate, curve: FittedCurve, dof: float, confidenc
 
 
 def scatter_radius(dof: float, count: int, confidence: float) -> float:
-    """sqrt of the quantile of |e|^2 / var of *count* independent complex values together [1]; closed form of F with 2 and 2 nu."""
+    """sqrt of the quantile of |e|^2 / var of *count* independent complex values together [1]; closed form of F with 2 and 2 nu.
+
+    Equation (mag-radius).
+    """
     beyond = -np.expm1(np.log(confidence) / count)
     return float(np.sqrt(-np.log(beyond) if not np.isfinite(dof) else dof * np.expm1(-np.log(beyond) / dof)))
 
@@ -61,7 +64,10 @@ def state_space(model: MagnetModel, values: FloatArray) -> tuple[FloatArray, Flo
 
 
 def overbound(frequency: FloatArray, weight: FloatArray) -> tuple[float, float, float]:
-    """k [1], zero and pole [Hz] of the weight of first order with the least mean logarithm that is nowhere below *weight* (n_line,) [1]."""
+    """k [1], zero and pole [Hz] of the weight of first order with the least mean logarithm that is nowhere below *weight* (n_line,) [1].
+
+    Equation (mag-overbound).
+    """
     low, high = np.log10(frequency[0]) - BEYOND, np.log10(frequency[-1]) + BEYOND
     corners = np.logspace(low, high, int(PER_DECADE * (high - low)) + 1)
     shapes = np.log(np.abs(1 + 1j * frequency / corners[:, None]))

@@ -34,7 +34,10 @@ def refine_with_terms(lines: Lines, poles: ComplexArray, participation: ComplexA
 
 
 def criterion(lines: Lines, refined: Refined, terms: ResidualTerms) -> float:
-    """AIC [1]: a term has a complex factor in every FRF; a mode a pole, a shape, and a participation of which one entry is given."""
+    """AIC [1]: a term has a complex factor in every FRF; a mode a pole, a shape, and a participation of which one entry is given.
+
+    Equation (modal-aic).
+    """
     _, n_output, n_input = lines.matrix.shape
     n_complex = lines.n_element * terms.count + refined.poles.size * (n_output + n_input)
     return refined.information + 4 * n_complex

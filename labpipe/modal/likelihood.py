@@ -35,6 +35,7 @@ class Refined:
     covariance (n, n) of the parameters: Re and Im of the poles in turn, then those of the participation other than the largest entry.
     shape_covariance (n_output, 2 n_mode, 2 n_mode) of Re and Im of psi in turn; crossed (n_output, 2 n_mode, n) of both.
     noise (n_output, n_input): variance E|n|^2 of an element. information: 2 n_line times the sum of ln(residual) over the elements.
+    Equation (modal-likelihood).
     """
 
     poles: ComplexArray
@@ -77,7 +78,7 @@ def refine(
 ) -> Refined:
     """Gauss-Newton from *poles* (n_mode,) [rad/s] and *participation* (n_mode, n_input) [1]; *real*: real modes.
 
-    The noise of every element, the same at all lines, is estimated from its residual after each step.
+    The noise of every element, the same at all lines, is estimated from its residual after each step. Equation (modal-model).
     """
     start = _normalised(participation)
     state = _State.at(lines, terms, poles, start.real + 0j if real else start, real)

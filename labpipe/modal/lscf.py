@@ -1,7 +1,7 @@
 """Polyreference least-squares complex frequency-domain estimator (p-LSCF): poles of all orders from one set of sums over the lines.
 
 H A(z) = B(z) with real polynomials of z = e^(-s T) and a common right denominator A of size (n_input, n_input): Guillaume, Verboven,
-Vanlanduit, Van der Auweraer and Peeters, ISMA 2003. All normal equations are Toeplitz in the powers of z, so that the sums of z^m, z^m H
+Vanlanduit, Van der Auweraer and Peeters, IMAC 2003. All normal equations are Toeplitz in the powers of z, so that the sums of z^m, z^m H
 and z^m H^H H over the lines are all that the data contribute.
 """
 
@@ -51,7 +51,7 @@ class NormalEquations:
         """Poles of a model of *order*; *stable_noise*: constraint A_0 = I in place of A_n = I.
 
         With A_n = I poles of noise are unstable and the poles of the structure biased; with A_0 = I the bias is least, and poles of
-        noise are stable too.
+        noise are stable too. Equation (modal-poles).
         """
         n = self.n_input
         matrix = self.matrices[order - 1]
@@ -72,7 +72,7 @@ def normal_equations(omega: FloatArray, matrix: ComplexArray, highest: int) -> N
     """Normal matrices of all orders up to *highest* from FRFs *matrix* (n_line, n_output, n_input) at *omega* (n_line,) [rad/s].
 
     Every output and every reference has the weight of the reciprocal of its root mean square. With R = L L^T of the highest order, order
-    n is the leading block of T - sum over the first n + 1 rows of L^-1 S, so that one factor serves all orders.
+    n is the leading block of T - sum over the first n + 1 rows of L^-1 S, so that one factor serves all orders. Equation (modal-lscf).
     """
     n_line, _n_output, n_input = matrix.shape
     scale = 1 / np.sqrt(np.mean(np.abs(matrix) ** 2, axis=(0, 1)))

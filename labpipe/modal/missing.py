@@ -82,7 +82,10 @@ def _seen(lines: Lines, refined: Refined) -> BoolArray:
 
 
 def shape_p(refined: Refined) -> FloatArray:
-    """Probability (n_mode,) [1] of so large a shape by noise alone: chi-square of its points, of 2 degrees of freedom each."""
+    """Probability (n_mode,) [1] of so large a shape by noise alone: chi-square of its points, of 2 degrees of freedom each.
+
+    Equation (modal-seen).
+    """
     probabilities = []
     for mode in range(refined.poles.size):
         block = slice(2 * mode, 2 * mode + 2)

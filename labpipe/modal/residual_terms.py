@@ -44,7 +44,7 @@ class ResidualTerms:
     *lower* terms s^-2, s^-4 ... (modes below the band) and *upper* terms 1, s^2, s^4 ... (above), times s^power.
 
     The upper ones are Chebyshev polynomials of omega^2 over the band: the same space, without the powers' likeness. Their error falls
-    like q^-K with K terms, q = x + sqrt(x^2 - 1), x the mode's omega^2 where the band is [-1, 1].
+    like q^-K with K terms, q = x + sqrt(x^2 - 1), x the mode's omega^2 where the band is [-1, 1]. Equation (modal-terms).
     """
 
     lines: Lines

@@ -30,7 +30,7 @@ def whiteness(residual: ComplexArray, noise: LineNoise) -> float:
 
     residual (n_line, n_output, n_input): r_d = sum e_k+d conj(e_k) / sum |e|^2 of circular white noise has the variance 1 / n_line, so
     that 2 n_line sum |r_d|^2 over d = 1 ... 8 is chi-square with 16 degrees of freedom (portmanteau test of Box and Pierce 1970, complex
-    form). Each line counts relative to the noise around it, which need not be the same everywhere.
+    form). Each line counts relative to the noise around it, which need not be the same everywhere. Equation (modal-whiteness).
     """
     n_line = residual.shape[0]
     flat = _even(residual.reshape(n_line, -1))

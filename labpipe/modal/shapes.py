@@ -51,7 +51,7 @@ def shape_record(
 def phase_collinearity(shapes: ComplexArray) -> FloatArray:
     """Modal phase collinearity (n_mode,) [1] of *shapes* (n_point, n_mode): 1 where all points move in one phase, 0 for no phase at all.
 
-    ((S_xx - S_yy)^2 + 4 S_xy^2) / (S_xx + S_yy)^2 of real and imaginary part (Juang and Pappa 1985).
+    ((S_xx - S_yy)^2 + 4 S_xy^2) / (S_xx + S_yy)^2 of real and imaginary part (Juang and Pappa 1985). Equation (modal-collinearity).
     """
     xx, yy = np.sum(shapes.real**2, axis=0), np.sum(shapes.imag**2, axis=0)
     xy = np.sum(shapes.real * shapes.imag, axis=0)

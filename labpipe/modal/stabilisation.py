@@ -36,7 +36,10 @@ class Diagram:
 
 
 def stabilisation(equations: NormalEquations, band: tuple[float, float], highest: int) -> Diagram:
-    """The diagram of the orders up to *highest* and the modes inside *band* [rad/s] that it shows; of many orders every second one."""
+    """The diagram of the orders up to *highest* and the modes inside *band* [rad/s] that it shows; of many orders every second one.
+
+    Equation (modal-stable).
+    """
     orders = range(highest, 1, -(1 + highest // MANY_ORDERS))
     poles = _joined([_inside(equations.poles(order), band) for order in orders])
     counted = [order for order in orders if order >= min(FIRST_ORDER, highest)]
@@ -58,7 +61,10 @@ def damping_ratio(poles: ComplexArray) -> FloatArray:
 
 
 def similarity(a: ComplexArray, b: ComplexArray) -> FloatArray:
-    """Modal assurance criterion |a^H b|^2 / (|a|^2 |b|^2) of rows of *a* (n, k) and *b* (m, k), (n, m) [1] (Allemang and Brown 1982)."""
+    """Modal assurance criterion |a^H b|^2 / (|a|^2 |b|^2) of rows of *a* (n, k) and *b* (m, k), (n, m) [1] (Allemang and Brown 1982).
+
+    Equation (modal-mac).
+    """
     product = np.abs(a.conj() @ b.T) ** 2
     return np.asarray(product / (np.sum(np.abs(a) ** 2, axis=1)[:, None] * np.sum(np.abs(b) ** 2, axis=1)))
 

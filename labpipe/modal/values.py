@@ -40,7 +40,7 @@ def modal_parameters(
 
     k = m w_n^2, c = 2 zeta w_n m. At the driving point of its largest residue the modal mass is that with the shape 1 there: the residue
     is R = 1 / (2 j w_d m) for a real mode, m = Re(1 / (2 j w_d R)) for any.
-    *inflation*: factor on the standard errors where the residual exceeds the noise.
+    *inflation*: factor on the standard errors where the residual exceeds the noise. Equation (modal-frequency).
     """
     weigh: Function = _at_driving_point if mass is None else _given(mass)
     functions: list[tuple[str, str, Function]] = []

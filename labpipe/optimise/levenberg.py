@@ -102,7 +102,7 @@ def minimise(
     """Levenberg-Marquardt from *start* (n_parameter,) [parameter units].
 
     *near*: distance to the minimum in standard errors (residual per equation) at which the descent stops. Not converged after
-    *most_steps*. *linearise* replaces `linearised` for a problem that knows a shorter way.
+    *most_steps*. *linearise* replaces `linearised` for a problem that knows a shorter way. Equation (est-levenberg).
     """
     values, damping = start, 1e-3
     rounding = ROUNDING * problem.size

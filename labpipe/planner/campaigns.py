@@ -132,7 +132,10 @@ class Campaign:
         return self.rate if self.known is None else self.rate + self.known.rate
 
     def errors(self, duration: float) -> FloatArray:
-        """Relative standard errors (n_coefficient,) [1] of *duration* [s] of data and what is known before, the noise being known."""
+        """Relative standard errors (n_coefficient,) [1] of *duration* [s] of data and what is known before, the noise being known.
+
+        Equation (plan-earlier).
+        """
         return relative_errors(self.rate * duration if self.known is None else self.rate * duration + self.known.information)
 
 
@@ -162,7 +165,7 @@ def campaign(rig: Rig, tests: Sequence[Multisines], criterion: str, goals: Float
 def score(information: FloatArray, criterion: str, goals: FloatArray) -> float:
     """How poor information (n, n) [1/s] is: errors over goals (n_coefficient,) [1], infinite where a coefficient is not wanted, at 1 s.
 
-    minimax: the largest; A: the root of the sum of squares; D: det(I)^(-1/2n) of all. Smaller is better.
+    minimax: the largest; A: the root of the sum of squares; D: det(I)^(-1/2n) of all. Smaller is better. Equation (plan-score).
     """
     errors = relative_errors(information)
     if not np.all(np.isfinite(errors)):

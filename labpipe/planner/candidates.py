@@ -40,7 +40,7 @@ def candidates(
     """All *directions* (n_direction, n_dof) [1] on all lines omega (n_line,) [rad/s].
 
     A mean square of 1 N^2 costs (1 - a) + a |H u|^2 / stroke^2, a = *displacement_share* [1], *stroke* [m/N]: the limit of displacement
-    over that of force.
+    over that of force. Equation (plan-cost).
     """
     sensitivity = sensitivities(model, noise, omega)
     receptance = model.receptance(omega)

@@ -37,7 +37,10 @@ class Certificate:
 
 
 def variances(information: FloatArray, wanted: FloatArray | None = None) -> FloatArray:
-    """r I^-1 r^T of combinations *wanted* (n_wanted, n_coefficient) [1], (n_wanted,) [1]; of all coefficients unless given."""
+    """r I^-1 r^T of combinations *wanted* (n_wanted, n_coefficient) [1], (n_wanted,) [1]; of all coefficients unless given.
+
+    Equation (plan-variances).
+    """
     inverse = np.linalg.inv(information)
     if wanted is None:
         return np.asarray(np.diagonal(inverse))
@@ -45,7 +48,10 @@ def variances(information: FloatArray, wanted: FloatArray | None = None) -> Floa
 
 
 def weights_of(inverse: FloatArray, multipliers: FloatArray, wanted: FloatArray) -> FloatArray:
-    """W = I^-1 R^T diag(q) R I^-1 (n, n) [1] of the *inverse* I^-1 (n, n) [1], q (n_wanted,) [1] and combinations R (n_wanted, n) [1]."""
+    """W = I^-1 R^T diag(q) R I^-1 (n, n) [1] of the *inverse* I^-1 (n, n) [1], q (n_wanted,) [1] and combinations R (n_wanted, n) [1].
+
+    Equation (plan-gradient).
+    """
     told = wanted @ inverse
     return np.asarray(told.T @ (multipliers[:, None] * told))
 
@@ -54,7 +60,7 @@ def certificate(criterion: str, information: FloatArray, design: FloatArray, wan
     """That of a design with information *design* (n, n) [1/s] among candidates *information* (n_candidate, n, n) [1/s].
 
     wanted (n_wanted, n) [1]: combinations of coefficients that A and minimax look at; D takes all coefficients. Efficiencies are of
-    variances, of D of det(I)^(1/n).
+    variances, of D of det(I)^(1/n). Equation (plan-certificate).
     """
     inverse = np.linalg.inv(design)
     if criterion == D:

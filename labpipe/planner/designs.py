@@ -35,7 +35,7 @@ def optimum(criterion: str, information: FloatArray, wanted: FloatArray | None =
 
     wanted (n_wanted, n) [1]: combinations of coefficients that A and minimax look at, by default each by itself. *floor* (n_candidate,)
     [1]: shares, of sum below 1, that the design has whatever else; the certificate is then among all designs with that floor. FitError
-    where no design is regular.
+    where no design is regular. Equation (plan-multiplicative).
     """
     n_candidate, n = len(information), information.shape[-1]
     wanted = np.eye(n) if wanted is None else wanted

@@ -67,7 +67,10 @@ class Identifiability:
 
 
 def identifiability(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identifiability:
-    """Rank of what the excitation tells of the model's coefficients, in the expected state of the rig, with remedies tried out."""
+    """Rank of what the excitation tells of the model's coefficients, in the expected state of the rig, with remedies tried out.
+
+    Equation (plan-rank).
+    """
     found = _ranked(model, noise, excitation)
     if found.full:
         return found

@@ -35,7 +35,7 @@ class Noise:
 
     @classmethod
     def of_samples(cls, force: float, displacement: float, acceleration: float, sample_rate: float) -> Noise:
-        """From standard deviations per sample [N, m, m/s^2] at *sample_rate* [Hz]: S = s sqrt(2 / f_s)."""
+        """From standard deviations per sample [N, m, m/s^2] at *sample_rate* [Hz]: S = s sqrt(2 / f_s). Equation (plan-noise)."""
         factor = float(np.sqrt(2 / sample_rate))
         return cls(force * factor, displacement * factor, acceleration * factor)
 
@@ -44,6 +44,7 @@ def sensitivities(model: PlannedModel, noise: Noise, omega: FloatArray) -> Compl
     """L^-1 E_i H theta_i with L L^H = Lambda, (n_line, n_coefficient, n_dof, n_dof) [1/N.sqrt(Hz)], at omega (n_line,) [rad/s].
 
     A relative change of coefficient i changes the residual of a force u by that times u, in units of the residual's noise.
+    Equation (plan-sensitivity).
     """
     stiffness = model.stiffness(omega)
     plain = noise.force**2 + (model.stator_mass * noise.acceleration) ** 2
@@ -55,7 +56,7 @@ def sensitivities(model: PlannedModel, noise: Noise, omega: FloatArray) -> Compl
 def vector_information(sensitivity: ComplexArray, forces: ComplexArray) -> FloatArray:
     """Information per second of force amplitudes *forces* (n_line, n_dof) [N], (n_line, n_coefficient, n_coefficient) [1/s].
 
-    sensitivity (n_line, n_coefficient, n_dof, n_dof) [1/N.sqrt(Hz)]; of relative coefficients.
+    sensitivity (n_line, n_coefficient, n_dof, n_dof) [1/N.sqrt(Hz)]; of relative coefficients. Equation (plan-vector).
     """
     change = np.einsum("lnij,lj->lni", sensitivity, forces)
     return np.asarray(np.einsum("lni,lmi->lnm", change.conj(), change).real)
@@ -65,6 +66,7 @@ def spectrum_information(sensitivity: ComplexArray, spectrum: ComplexArray) -> F
     """Information per second of Hermitian mean-square spectra (n_line, n_dof, n_dof) [N^2], (n_line, n_coefficient, n_coefficient) [1/s].
 
     sensitivity (n_line, n_coefficient, n_dof, n_dof) [1/N.sqrt(Hz)]: 2 Re tr(G_i^H G_j Phi) of relative coefficients.
+    Equation (plan-spectrum).
     """
     return np.asarray(2 * np.einsum("lnki,lmkj,lji->lnm", sensitivity.conj(), sensitivity, spectrum).real)
 
@@ -73,6 +75,7 @@ def relative_errors(information: FloatArray) -> FloatArray:
     """Smallest standard errors sqrt((I^-1)_ii) (n_coefficient,) [1]; infinite where the information (n, n) [1] is singular.
 
     Rows are scaled to unit diagonal before the inverse; a coefficient without information, or a condition beyond 1e13, is not determined.
+    Equation (plan-errors).
     """
     diagonal = np.diagonal(information)
     if np.any(diagonal <= 0):

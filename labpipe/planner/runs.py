@@ -66,7 +66,7 @@ class RunDesign:
 def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: FloatArray) -> RunDesign:
     """The best numbers of runs within *duration* [s] for combinations *wanted* (n_wanted, n) [1]; ConfigError where none or too many fit.
 
-    FitError where no numbers of runs determine what is wanted.
+    FitError where no numbers of runs determine what is wanted. Equation (plan-runs).
     """
     shortest = float(choices.cost.min())
     if shortest > duration:

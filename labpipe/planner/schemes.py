@@ -54,7 +54,7 @@ def together(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tupl
     """One test of two shakers at once, with opposite signs on neighbouring lines; arguments as of one_by_one, power (n_line, 2) [N^2].
 
     Two vectors on ONE line would add up to a single one, which tells four numbers; on neighbouring lines, of equal size and opposite sign,
-    they tell what the powers of both shakers do: h h^H + g g^H is diagonal for h = (a, b), g = (a, -b).
+    they tell what the powers of both shakers do: h h^H + g g^H is diagonal for h = (a, b), g = (a, -b). Equation (plan-together).
     """
     paired, used = _pairs(lines, power)
     forces = np.repeat(np.sqrt(paired), 2, axis=0).astype(complex)

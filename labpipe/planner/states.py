@@ -72,7 +72,10 @@ def _test(settings: StatePlanSettings, state: BearingState) -> StateTest:
 
 
 def question_of(settings: StatePlanSettings, tests: Sequence[StateTest], common: Sequence[Common]) -> RunQuestion:
-    """What is asked of the runs: parameters are the numbers in common, or where there are none the coefficients of every state."""
+    """What is asked of the runs: parameters are the numbers in common, or where there are none the coefficients of every state.
+
+    Equation (plan-states).
+    """
     if common:
         slopes = [test.state.slopes for test in tests]
         parameters = tuple(number.name for number in common)

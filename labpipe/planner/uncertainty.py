@@ -64,6 +64,7 @@ def limits(goals: Goals, budget: Budget | None, scales: FloatArray) -> FloatArra
     """Relative standard errors by noise (n_coefficient,) [1] that meet all goals beside the systematic part; zero where none does.
 
     scales (n_coefficient,) [units of the coefficients]: what errors are relative to. All one where nothing is wanted in particular.
+    Equation (plan-limits).
     """
     if not goals.any:
         return np.ones(len(scales))
@@ -92,7 +93,7 @@ def predicted(budget: Budget, random: FloatArray) -> Budget:
 
 
 def beside_earlier(budget: Budget, earlier: Earlier, campaign: Campaign, model: PlannedModel, duration: float) -> Budget:
-    """The budget of a test of *duration* [s] and the earlier result together."""
+    """The budget of a test of *duration* [s] and the earlier result together. Equation (plan-beside)."""
     assert campaign.known is not None
     own, scales = campaign.rate * duration, model.scales
     weight = np.linalg.inv(own + campaign.known.information)

@@ -30,17 +30,23 @@ class Budget:
 
     @property
     def systematic(self) -> FloatArray:
-        """Standard uncertainty (n_parameter,) [unit of the parameter] of all sources together; they are independent of each other."""
+        """Standard uncertainty (n_parameter,) [unit of the parameter] of all sources together; they are independent of each other.
+
+        Equation (unc-systematic).
+        """
         return np.asarray(np.sqrt(np.sum(self.changes**2, axis=0)))
 
     @property
     def combined(self) -> FloatArray:
-        """Combined standard uncertainty (n_parameter,) [unit of the parameter]."""
+        """Combined standard uncertainty (n_parameter,) [unit of the parameter]. Equation (unc-combined)."""
         return np.hypot(self.random, self.systematic)
 
     @property
     def dof(self) -> FloatArray:
-        """Effective degrees of freedom (n_parameter,) [1]: u_c^4 / sum u_i^4 / nu_i (Welch and Satterthwaite, GUM G.4.1); inf: known."""
+        """Effective degrees of freedom (n_parameter,) [1]: u_c^4 / sum u_i^4 / nu_i (Welch and Satterthwaite, GUM G.4.1); inf: known.
+
+        Equation (unc-dof).
+        """
         known = [self.random**4 / self.random_dof if self.random_dof else np.zeros_like(self.random)]
         known += [change**4 / source.dof for change, source in zip(self.changes, self.sources, strict=True) if source.dof]
         total = np.sum(known, axis=0)
@@ -52,7 +58,10 @@ class Budget:
         return replace(self, sources=(*self.sources, *sources), changes=np.vstack([self.changes, changes]), drawn=None)
 
     def shares(self, name: str) -> dict[str, float]:
-        """Share of every source in the variance of a parameter, noise among them, the largest first; they add up to 1."""
+        """Share of every source in the variance of a parameter, noise among them, the largest first; they add up to 1.
+
+        Equation (unc-share).
+        """
         column = self.names.index(name)
         parts = {"noise": float(self.random[column] ** 2)}
         parts.update({source.source: float(change[column] ** 2) for source, change in zip(self.sources, self.changes, strict=True)})

@@ -48,7 +48,7 @@ class FilmFamily:
         return sommerfeld_number(self.bearing, load, speed) * np.exp(change)
 
     def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table."""
+        """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table. Equation (run-family)."""
         load, speed = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
         curve_values = self.curve.coefficients(self.sommerfeld(values, load, speed))
         return self._joined(curve_values.stiffness, curve_values.damping) * self._scale(values, load, speed)

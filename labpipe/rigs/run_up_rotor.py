@@ -232,7 +232,10 @@ def searched_over(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
 
 
 def largest_displacement(response: ComplexArray) -> FloatArray:
-    """The largest displacement on the orbit, its major semi-axis |X + jY| / 2 + |X - jY| / 2 [m], (...) of phasors (..., 2)."""
+    """The largest displacement on the orbit, its major semi-axis |X + jY| / 2 + |X - jY| / 2 [m], (...) of phasors (..., 2).
+
+    Equation (rotor-largest).
+    """
     return (np.abs(response[..., 0] + 1j * response[..., 1]) + np.abs(response[..., 0] - 1j * response[..., 1])) / 2
 
 

@@ -30,7 +30,7 @@ class RotorMatrices:
 
 
 def free_rotor(rotor: Rotor) -> RotorMatrices:
-    """The rotor without supports; damping alpha M + beta K of the shaft alone, without discs and sleeves."""
+    """The rotor without supports; damping alpha M + beta K of the shaft alone, without discs and sleeves. Equation (rotor-motion)."""
     mass, stiffness, gyroscopic = (np.zeros((4 * rotor.n_node, 4 * rotor.n_node)) for _ in range(3))
     for number, element in enumerate(rotor.elements):
         _add(number, (mass, gyroscopic), inertia_matrices(element))
@@ -69,7 +69,7 @@ def bearing_loads(
 ) -> FloatArray:
     """Static load of the rotor on rigid bearings at *nodes*, (n_bearing, 2) [N] in y and z: weight along -z and *forces* by node.
 
-    More than two bearings share the load by the shaft's stiffness. ConfigError for fewer than two bearings.
+    More than two bearings share the load by the shaft's stiffness. ConfigError for fewer than two bearings. Equation (rotor-loads).
     """
     nodes = list(nodes)
     if len(set(nodes)) < 2:

@@ -20,7 +20,7 @@ GAUSS_POINTS = 4
 
 
 def shape_functions(element: ShaftElement, xi: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """N(xi) and D(xi), (4, n_point) each: deflection [m] and rotation [rad] per end displacement and rotation."""
+    """N(xi) and D(xi), (4, n_point) each: deflection [m] and rotation [rad] per end displacement and rotation. Equation (rotor-shapes)."""
     l, phi = element.length, element.shear_parameter
     deflection = np.stack(
         [
@@ -36,7 +36,7 @@ def shape_functions(element: ShaftElement, xi: FloatArray) -> tuple[FloatArray, 
 
 
 def plane_stiffness(element: ShaftElement) -> FloatArray:
-    """Bending and shear stiffness of one plane, (4, 4) [N/m, N, N m]."""
+    """Bending and shear stiffness of one plane, (4, 4) [N/m, N, N m]. Equation (rotor-stiffness)."""
     l, phi = element.length, element.shear_parameter
     near, far = (4 + phi) * l**2, (2 - phi) * l**2
     matrix = np.array([[12, 6 * l, -12, 6 * l], [6 * l, near, -6 * l, far], [-12, -6 * l, 12, -6 * l], [6 * l, far, -6 * l, near]])
@@ -47,6 +47,7 @@ def plane_inertia(element: ShaftElement, ring: ShaftElement | None = None) -> tu
     """Translational mass rho A l int N N' and rotary inertia rho I l int D D' of one plane, (4, 4) each [kg, kg m, kg m^2].
 
     *ring*: cross-section of a sleeve that follows the deflection of *element*; by default the element's cross-section.
+    Equation (rotor-inertia).
     """
     tube = ring or element
     points, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
@@ -59,6 +60,7 @@ def inertia_matrices(element: ShaftElement, ring: ShaftElement | None = None) ->
     """M and G of an element or its sleeve, (8, 8) [kg, kg m, kg m^2], in the order y, z, rotation about y, about z, left end, right end.
 
     G is multiplied by the spin speed: a rotation rate about z turns the angular momentum towards y, 2 rho I per length.
+    Equation (rotor-gyroscopic).
     """
     translation, rotary = plane_inertia(element, ring)
     coupling = 2 * rotary * SIGNS_Z

@@ -45,18 +45,24 @@ class Modes:
 
     @property
     def damping_ratio(self) -> FloatArray:
-        """zeta = -Re(lambda) / |lambda| [-], (n_mode,); negative for an unstable mode."""
+        """zeta = -Re(lambda) / |lambda| [-], (n_mode,); negative for an unstable mode. Equation (rotor-damping-ratio)."""
         return -self.eigenvalues.real / np.abs(self.eigenvalues)
 
     @property
     def whirl(self) -> FloatArray:
-        """Whirl direction over all nodes, (n_mode,) [-]: -1 circular backward, 0 straight line, +1 circular forward."""
+        """Whirl direction over all nodes, (n_mode,) [-]: -1 circular backward, 0 straight line, +1 circular forward.
+
+        Equation (rotor-whirl).
+        """
         forward, backward = (np.sum(np.abs(self.shapes @ [1, turn]) ** 2, axis=1) for turn in (1j, -1j))
         return (forward - backward) / (forward + backward)
 
 
 def eigenvalues(matrices: RotorMatrices, speed: float) -> tuple[ComplexArray, ComplexArray]:
-    """All eigenvalues (2 n_dof,) [1/s] and displacement shapes (n_dof, 2 n_dof) of M q'' + (C + Omega G) q' + K q = 0."""
+    """All eigenvalues (2 n_dof,) [1/s] and displacement shapes (n_dof, 2 n_dof) of M q'' + (C + Omega G) q' + K q = 0.
+
+    Equation (rotor-eigenvalues).
+    """
     n = matrices.mass.shape[0]
     inverse = linalg.cho_factor(matrices.mass)
     upper = np.concatenate([np.zeros((n, n)), np.eye(n)], axis=1)
@@ -82,7 +88,7 @@ def campbell(rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float]) -
 
 
 def growth_rate(rotor: Rotor, supports: Iterable[Support], speed: float) -> float:
-    """Largest real part of the eigenvalues [1/s]; positive means unstable."""
+    """Largest real part of the eigenvalues [1/s]; positive means unstable. Equation (rotor-onset)."""
     roots, _ = eigenvalues(supported_rotor(rotor, supports), speed)
     return float(np.max(roots.real))
 

@@ -66,13 +66,13 @@ class ShaftElement:
 
     @property
     def shear_coefficient(self) -> float:
-        """kappa of a circular tube (Cowper 1966); 6 (1 + nu) / (7 + 6 nu) for a solid shaft."""
+        """kappa of a circular tube (Cowper 1966); 6 (1 + nu) / (7 + 6 nu) for a solid shaft. Equation (rotor-cowper)."""
         nu, bore = self.material.poisson, (self.inner_diameter / self.outer_diameter) ** 2
         return 6 * (1 + nu) * (1 + bore) ** 2 / ((7 + 6 * nu) * (1 + bore) ** 2 + (20 + 12 * nu) * bore)
 
     @property
     def shear_parameter(self) -> float:
-        """Phi = 12 E I / (kappa G A l^2): zero for a slender (Euler-Bernoulli) element."""
+        """Phi = 12 E I / (kappa G A l^2): zero for a slender (Euler-Bernoulli) element. Equation (rotor-shear)."""
         bending = 12 * self.material.elastic_modulus * self.second_moment
         return bending / (self.shear_coefficient * self.material.shear_modulus * self.area * self.length**2)
 
@@ -93,7 +93,7 @@ class Disc:
 
     @classmethod
     def of_dimensions(cls, node: int, inner_diameter: float, outer_diameter: float, length: float, material: Material) -> Disc:
-        """A hollow cylinder: m = rho pi/4 (D^2 - d^2) l, I_p = m/8 (D^2 + d^2), I_t = I_p/2 + m l^2/12."""
+        """A hollow cylinder: m = rho pi/4 (D^2 - d^2) l, I_p = m/8 (D^2 + d^2), I_t = I_p/2 + m l^2/12. Equation (rotor-disc)."""
         _refuse_bore(f"disc on node {node}", inner_diameter, outer_diameter)
         mass = material.density * np.pi / 4 * (outer_diameter**2 - inner_diameter**2) * length
         polar = mass / 8 * (outer_diameter**2 + inner_diameter**2)

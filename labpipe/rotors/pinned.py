@@ -49,7 +49,10 @@ class PinnedRotor:
 
 
 def pinned_rotor(rotor: Rotor, pins: tuple[int, ...]) -> PinnedRotor:
-    """The rotor between pins; ConfigError for fewer than two, a pin on a node that does not exist, or a disc on a pin."""
+    """The rotor between pins; ConfigError for fewer than two, a pin on a node that does not exist, or a disc on a pin.
+
+    Equation (rotor-pinned).
+    """
     if len(set(pins)) < 2:
         raise ConfigError("a rotor needs pins at two different nodes")
     for pin in pins:
@@ -89,7 +92,10 @@ class CondensedRotor:
         return CondensedRotor(*(getattr(self, name)[chosen] for name in ("speed", "at_bearing", "force", "fixed_journal", "per_journal")))
 
     def journal(self, stiffness: FloatArray, damping: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Motion of the journal x_b (..., n_speed, 2) [m] and the compliance (D + K + j Omega C)^-1 (..., n_speed, 2, 2) [m/N]."""
+        """Motion of the journal x_b (..., n_speed, 2) [m] and the compliance (D + K + j Omega C)^-1 (..., n_speed, 2, 2) [m/N].
+
+        Equation (rotor-journal).
+        """
         compliance = inverse(self.at_bearing + stiffness + 1j * self.speed[:, None, None] * damping)
         return (compliance @ self.force[..., None])[..., 0], compliance
 
@@ -101,7 +107,7 @@ class CondensedRotor:
     def response_and_slopes(self, stiffness: FloatArray, damping: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """`response`, and its derivatives (n_speed, n_output, 8) by K_xx K_xy K_yx K_yy [m^2/N], C_xx C_xy C_yx C_yy [m^2/(N s)].
 
-        d x_b / d K_kl = -(compliance column k) x_b[l], and j Omega times that for C_kl.
+        d x_b / d K_kl = -(compliance column k) x_b[l], and j Omega times that for C_kl. Equation (rotor-journal-slopes).
         """
         motion, compliance = self.journal(stiffness, damping)
         by_force = self.per_journal @ compliance
@@ -134,6 +140,7 @@ def condensed_rotor(
     """The rotor at frequencies *speed* (n_speed,) [rad/s] under *forces* (n_speed, n_dof) [N], condensed to the node *bearing*.
 
     outputs: nodes whose y and z are outputs; *spin* [rad/s] of the shaft, where it differs from the frequency (zero at rest).
+    Equation (rotor-condensed).
     """
     speed = np.asarray(speed, np.float64)
     z = dynamic_stiffness(rotor.matrices, speed, speed if spin is None else spin)

@@ -42,7 +42,7 @@ class ReducedRotor:
         return self.receptance[:, self.dofs(output)][:, :, self.dofs(force)]
 
     def on(self, supports: Iterable[Support]) -> ReducedRotor:
-        """This rotor with bearings added at nodes of the reduced rotor; ConfigError for another node."""
+        """This rotor with bearings added at nodes of the reduced rotor; ConfigError for another node. Equation (rotor-woodbury)."""
         supports = list(supports)
         dofs = [dof for support in supports for dof in self.dofs(support.node)]
         z = np.zeros((self.omega.size, len(dofs), len(dofs)), np.complex128)

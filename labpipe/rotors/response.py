@@ -14,7 +14,10 @@ from labpipe.spectra.directional import FROM_DIRECTIONAL
 
 
 def dynamic_stiffness(matrices: RotorMatrices, omega: FloatArray, speed: float | FloatArray) -> ComplexArray:
-    """Z(w) = K - w^2 M + j w (C + Omega G), (n_line, n_dof, n_dof) [N/m]; *omega* (n_line,) and *speed* in [rad/s]."""
+    """Z(w) = K - w^2 M + j w (C + Omega G), (n_line, n_dof, n_dof) [N/m]; *omega* (n_line,) and *speed* in [rad/s].
+
+    Equation (rotor-dynamic-stiffness).
+    """
     w = np.asarray(omega, np.float64)[:, None, None]
     spin = np.broadcast_to(speed, np.shape(omega))[:, None, None]
     static = matrices.stiffness - w**2 * matrices.mass
@@ -51,7 +54,7 @@ def unbalance_response(
     """Displacements [m], 0-to-peak phasors, (n_speed, n_output), at spin *speed* (n_speed,) [rad/s].
 
     *unbalance* [kg m] by node, its angle from the y axis at time zero: F_y = u Omega^2, F_z = -j u Omega^2, so that the force rotates
-    from y to z. The bearings do not change with speed.
+    from y to z. The bearings do not change with speed. Equation (rotor-unbalance).
     """
     speed = np.asarray(speed, np.float64)
     matrices = supported_rotor(rotor, supports)
@@ -64,6 +67,9 @@ def unbalance_response(
 
 
 def forward_backward_motion(displacements: ComplexArray) -> ComplexArray:
-    """[f, b] = A^-1 [y, z] of phasors (..., 2) in y and z [m]: radii of the forward and the backward circle of an orbit, 0-to-peak."""
+    """[f, b] = A^-1 [y, z] of phasors (..., 2) in y and z [m]: radii of the forward and the backward circle of an orbit, 0-to-peak.
+
+    Equation (rotor-orbit).
+    """
     turned: ComplexArray = displacements @ np.linalg.inv(FROM_DIRECTIONAL).T
     return turned

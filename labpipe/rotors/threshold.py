@@ -84,7 +84,7 @@ class Stability:
     def least_stable(self, speed: float, stiffness: FloatArray, damping: FloatArray) -> LeastStable:
         """The least stable mode at one *speed* [rad/s], with the derivatives (2, 2) of its growth rate by the bearing's coefficients.
 
-        d lambda = y^T (dA) x / (y^T x) with left and right eigenvectors y, x of A.
+        d lambda = y^T (dA) x / (y^T x) with left and right eigenvectors y, x of A. Equation (rotor-least-stable).
         """
         system = self.system(np.array([speed]), stiffness, damping)[0]
         roots, left_vectors, right_vectors = linalg.eig(system, left=True, right=True)

@@ -37,6 +37,7 @@ def response_with_slopes(
     """H (n_line, 2, 2) [m/N] from forces in y and z at a node to displacements at another, and dH/dp (n, n_line, 2, 2).
 
     *bearings* are added to *rotor* and share their parameters; bearings, output and force are nodes of the reduced rotor.
+    Equation (rotor-slopes).
     """
     bearings = list(bearings)
     supported = rotor.on(bearing.support for bearing in bearings)

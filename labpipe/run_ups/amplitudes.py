@@ -154,6 +154,7 @@ def fit_amplitudes(
     """One AmplitudeFit per load; the first of the *starts* is the rotor file's bearing, the others are drawn evenly from the box.
 
     The lowest objective of the starts is kept. ConfigError for a bound outside 0 to 1, no start, or an unknown method.
+    Equation (run-amplitudes).
     """
     if not (0 < bound < 1 and starts >= 1):
         raise ConfigError("the bound of the factors lies between 0 and 100 %, with one start or more", hint="for example 30 %")

@@ -100,7 +100,10 @@ def expected_run(expected: ExpectedRig, candidate: RunCandidate) -> RunUp:
 
 
 def information(expected: ExpectedRig, candidate: RunCandidate) -> FloatArray:
-    """What a run tells of the logarithms of PARAMETERS, (12, 12) [-]; FitError for a threshold that the search does not find."""
+    """What a run tells of the logarithms of PARAMETERS, (12, 12) [-]; FitError for a threshold that the search does not find.
+
+    Equation (plan-run-up).
+    """
     run = expected_run(expected, candidate)
     eight, by_parameter = expected.family.coefficients_and_slopes(expected.values, np.full(run.n_speed, run.load), run.speed)
     _, slopes = ExcitedRun.of(expected.rig, run).residual_and_slopes(eight)

@@ -57,7 +57,10 @@ class Network:
         )
 
     def repeat_predictions(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Coefficients of every repeat, (n_repeat, n_point, 8) [N/m, N s/m], at loads [N] and speeds [rad/s] (n_point,)."""
+        """Coefficients of every repeat, (n_repeat, n_point, 8) [N/m, N s/m], at loads [N] and speeds [rad/s] (n_point,).
+
+        Equation (run-network).
+        """
         coded = self.extent.coded(load, speed)
         scaled = [np.tanh(coded @ first + offset) @ second + last for first, offset, second, last in self.repeats]
         return np.asarray(self.middle + self.deviation * np.array(scaled))

@@ -89,7 +89,10 @@ class GaussianProcess:
 
 
 def fit_process(grid: Grid, seed: int = 0) -> GaussianProcess:  # noqa: ARG001 one signature for all kinds
-    """Deterministic: a simplex search of the four hyperparameters of each coefficient from the medians of their priors."""
+    """Deterministic: a simplex search of the four hyperparameters of each coefficient from the medians of their priors.
+
+    Equation (run-process).
+    """
     coded = Extent.of(grid).coded(grid.load, grid.speed)
     return GaussianProcess.of(grid, np.array([_likeliest(coded, column) for column in _scaled(grid).T]))
 

@@ -37,7 +37,10 @@ class ExcitedRun:
         return 4 * len(self.run.planes)
 
     def residual(self, coefficients: FloatArray) -> FloatArray:
-        """(computed - measured) / standard error, (n_speed, n_equation); *coefficients* (n_speed, 8) [N/m, N s/m]."""
+        """(computed - measured) / standard error, (n_speed, n_equation); *coefficients* (n_speed, 8) [N/m, N s/m].
+
+        Equation (run-weights).
+        """
         return self._weighted(self.condensed.response(*as_matrices(coefficients)) - self._measured)
 
     def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -137,7 +140,7 @@ def _at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
 
 
 def rank_of(slopes: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Rank (...) and condition number (...) [-] within that rank of Jacobians (..., n_equation, n_parameter)."""
+    """Rank (...) and condition number (...) [-] within that rank of Jacobians (..., n_equation, n_parameter). Equation (run-rank)."""
     singular = np.linalg.svd(slopes, compute_uv=False)
     significant = singular > RANK_TOLERANCE * singular[..., :1]
     rank = significant.sum(axis=-1)

@@ -34,7 +34,7 @@ FINE = 1601
 def measured_critical_speed(run: RunUp, plane: str = "") -> Uncertain:
     """Speed [rad/s] of the largest displacement at a plane (the last one unless named), with its standard error.
 
-    DataError when there is no such plane, or no peak with measured speeds on both sides.
+    DataError when there is no such plane, or no peak with measured speeds on both sides. Equation (run-peak).
     """
     if plane and plane not in run.planes:
         raise DataError(f"no plane '{plane}' in run '{run.name}'", hint=nearest(plane, run.planes))

@@ -67,7 +67,10 @@ class PointFit:
 
 
 def fit_points(rig: RunUpRotor, runs: Iterable[RunUp], bound: float = BOUND, ridge: float = RIDGE) -> list[PointFit]:
-    """One PointFit per load; *bound* and *ridge* are parts of the coefficients' sizes (see `scales`). ConfigError unless positive."""
+    """One PointFit per load; *bound* and *ridge* are parts of the coefficients' sizes (see `scales`). ConfigError unless positive.
+
+    Equation (run-points).
+    """
     if not (bound > 0 and ridge > 0):
         raise ConfigError("bound and ridge of the coefficients are positive", hint="for example 30 % and 15 %")
     return [_fit_load(rig, group, bound, ridge) for group in runs_by_load(rig, runs)]

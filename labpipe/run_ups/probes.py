@@ -48,7 +48,10 @@ def turning(doubt: Doubt, n_plane: int) -> tuple[ProbeError, ...]:
 
 
 def steps_by(changes: FloatArray, slopes: FloatArray, covariance: FloatArray) -> FloatArray:
-    """-C J^T dr (n_source, n_parameter) [parameter units] by changes dr (n_source, n_datum) [1] of the residual of slopes J."""
+    """-C J^T dr (n_source, n_parameter) [parameter units] by changes dr (n_source, n_datum) [1] of the residual of slopes J.
+
+    Equation (run-probes).
+    """
     return np.asarray(-changes @ slopes @ covariance)
 
 
@@ -56,6 +59,7 @@ def explained(residual: FloatArray, changes: FloatArray, slopes: FloatArray, cov
     """The part of chi-square [1] that errors of probes explain, each of them 0 +- 1 standard uncertainty.
 
     residual (n_datum,) [1] at the minimum; changes (n_source, n_datum), with what the fit follows of them taken out.
+    Equation (run-explained).
     """
     if not len(changes):
         return 0.0

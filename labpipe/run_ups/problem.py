@@ -84,7 +84,7 @@ class RunUpProblem(Generic[Family]):
         return values
 
     def residual(self, parameters: FloatArray) -> FloatArray:
-        """Residual (n_equation,) [-] of responses, thresholds and priors, of the free parameters (n_free,)."""
+        """Residual (n_equation,) [-] of responses, thresholds and priors, of the free parameters (n_free,). Equation (run-joint)."""
         values = self.values(parameters)
         measured = [self._response(group, values)[0] for group in self.groups]
         return np.concatenate([*measured, self._thresholds(values)[0], values / self.spread])
@@ -131,6 +131,7 @@ def threshold_row(
     """(Omega_th - Omega_meas) / s [-] and its derivatives by the parameters (n_parameter,).
 
     d Omega_th = -d growth / (d growth / d Omega) at the threshold. FitError where the search from the measured speed finds none.
+    Equation (run-threshold).
     """
     speed, by_speed = nearby_threshold(rig, family.at_load(values, load), measured.value)
     eight, by_parameter = family.coefficients_and_slopes(values, np.array([load]), np.array([speed]))

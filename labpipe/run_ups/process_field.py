@@ -31,7 +31,7 @@ class SquaredExponential:
     speed: float
 
     def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """k (n_first, n_second) [-] between places (n, 2) of load [N] and speed [rad/s]."""
+        """k (n_first, n_second) [-] between places (n, 2) of load [N] and speed [rad/s]. Equation (run-field)."""
         difference = (first[:, None, :] - second[None, :, :]) / np.array([self.load, self.speed])
         return np.asarray(self.size**2 * np.exp(-0.5 * np.sum(difference**2, axis=-1)))
 
@@ -56,7 +56,7 @@ class SmoothField:
         return int(self.weights.shape[1])
 
     def basis(self, places: FloatArray) -> FloatArray:
-        """b (n_point, n_mode) [-] at places (n_point, 2) [N, rad/s]."""
+        """b (n_point, n_mode) [-] at places (n_point, 2) [N, rad/s]. Equation (run-field-basis)."""
         return np.asarray(self.kernel.covariance(places, self.places) @ self.weights)
 
     def unexplained(self, places: FloatArray) -> FloatArray:

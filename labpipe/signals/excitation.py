@@ -37,6 +37,7 @@ class Multisine:
         """*periods* periods sampled at *sample_rate* [Hz], (n_sample,) [unit of rms].
 
         ConfigError when a period holds no whole number of samples, or the sampling rate is too low for the highest line.
+        Equation (spec-multisine).
         """
         exact = sample_rate / self.spacing
         n_sample = round(exact)
@@ -90,12 +91,15 @@ def _left_out(n_line: int, group: int, seed: int) -> IntArray:
 
 
 def crest_factor(signal: FloatArray) -> float:
-    """Crest factor max |x| / rms [1] of a signal (n_sample,)."""
+    """Crest factor max |x| / rms [1] of a signal (n_sample,). Equation (spec-crest)."""
     return float(np.max(np.abs(signal)) / np.sqrt(np.mean(signal**2)))
 
 
 def schroeder_phases(lines: IntArray, seed: int = 0) -> FloatArray:  # noqa: ARG001 (one signature for the table)
-    """phi_n = -pi n (n - 1) / N [rad], (n_line,), for the n-th of N lines of a flat spectrum (Schroeder 1970)."""
+    """phi_n = -pi n (n - 1) / N [rad], (n_line,), for the n-th of N lines of a flat spectrum (Schroeder 1970).
+
+    Equation (spec-schroeder).
+    """
     n = np.arange(1, lines.size + 1)
     return -np.pi * n * (n - 1) / lines.size
 

@@ -26,7 +26,10 @@ def peaks(lines: IntArray, amplitudes: ComplexArray, oversampling: int = STATED)
 
 
 def schroeder_phases_of(power: FloatArray) -> FloatArray:
-    """Schroeder's phases [rad] of lines with *power* (n_line,) [any unit]: phi_n = -2 pi sum_{l<n} (n - l) p_l, p summing to 1."""
+    """Schroeder's phases [rad] of lines with *power* (n_line,) [any unit]: phi_n = -2 pi sum_{l<n} (n - l) p_l, p summing to 1.
+
+    Equation (spec-schroeder-power).
+    """
     share = power / power.sum()
     return np.asarray(-2 * np.pi * np.cumsum(np.concatenate([[0.0], np.cumsum(share)[:-1]])))
 
@@ -39,6 +42,7 @@ def least_peak_phases(
     gains (n_line, n_source, n_signal) [1]: amplitudes over the limit of their signal; lines (n_line,) [multiples]. The sources of a line
     differ in phase by as much as on all lines of the same number in *groups* (n_line,), by default of a line alone. Starts from
     Schroeder's phases and from *random_starts* random ones; never worse than Schroeder's. *quick*: a first look, a few per cent above.
+    Equation (plan-peak).
     """
     n_line, n_source, _ = gains.shape
     group = np.arange(n_line) if groups is None else np.unique(groups, return_inverse=True)[1]

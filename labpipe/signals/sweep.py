@@ -53,7 +53,7 @@ class Sweep:
     def phase(self, time: FloatArray, falling: bool = False) -> FloatArray:
         """2 pi times the integral of the frequency [rad] at *time* (n,) [s] after the start of one sweep.
 
-        Linear f = f_1 + (f_2 - f_1) t / T; logarithmic f = f_1 (f_2 / f_1)^(t / T) (Farina 2000, eq. 5).
+        Linear f = f_1 + (f_2 - f_1) t / T; logarithmic f = f_1 (f_2 / f_1)^(t / T) (Farina 2000, eq. 5). Equation (spec-sweep).
         """
         first, last = self.band[::-1] if falling else self.band
         if self.law == "linear":

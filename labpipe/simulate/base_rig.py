@@ -61,7 +61,7 @@ class BaseRig(Settings):
 
 
 def relative_transmissibility(rig: BaseRig, frequency: FloatArray) -> ComplexArray:
-    """w^2 m / (k + j w c - w^2 m) [1] at *frequency* (n,) [Hz], (n,); the absolute one is 1 more."""
+    """w^2 m / (k + j w c - w^2 m) [1] at *frequency* (n,) [Hz], (n,); the absolute one is 1 more. Equation (sim-base)."""
     w = 2 * np.pi * frequency
     return np.asarray(w**2 * rig.mass / (rig.stiffness + 1j * w * rig.damping - w**2 * rig.mass))
 

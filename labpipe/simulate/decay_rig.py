@@ -71,7 +71,10 @@ def _run(rig: DecayRig, name: str, rng: np.random.Generator) -> Recording:
 
 
 def motion(rig: DecayRig, name: str, time: FloatArray, strength: float) -> FloatArray:
-    """The motion (n_sample,) over its first amplitude [1] at *time* (n_sample,) [s] after a hit of relative *strength*."""
+    """The motion (n_sample,) over its first amplitude [1] at *time* (n_sample,) [s] after a hit of relative *strength*.
+
+    Equation (sim-decay).
+    """
     if name == "joint":
         return _slipping(rig, time, strength)
     modes = 1 if name == "struck" else len(rig.frequencies)

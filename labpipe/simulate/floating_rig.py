@@ -49,7 +49,10 @@ def coefficients(rig: FloatingRig, condition: Condition) -> tuple[FloatArray, Fl
 
 
 def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> ComplexArray:
-    """H = K + j w C - w^2 M + relaxation + pad at *frequency* (n,) [Hz], (n, 2, 2) [N/m]: force on the stator is -H D."""
+    """H = K + j w C - w^2 M + relaxation + pad at *frequency* (n,) [Hz], (n, 2, 2) [N/m]: force on the stator is -H D.
+
+    Equation (sim-film).
+    """
     jw = 2j * np.pi * np.asarray(frequency, float)[:, None, None]
     stiffness, damping, mass = coefficients(rig, condition)
     dynamic = stiffness + jw * damping + jw**2 * mass
@@ -64,7 +67,7 @@ def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> Compl
 
 
 def motions(rig: FloatingRig, condition: Condition, frequency: FloatArray, forces: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """X_s and X_r (n, 2) [m] under *forces* (n, 4) [N] on the stator and on the shaft at *frequency* (n,) [Hz]."""
+    """X_s and X_r (n, 2) [m] under *forces* (n, 4) [N] on the stator and on the shaft at *frequency* (n,) [Hz]. Equation (sim-floating)."""
     jw = 2j * np.pi * np.asarray(frequency, float)[:, None, None]
     h = film(rig, condition, frequency)
     stator = np.array(rig.baseline_stiffness) + jw * np.array(rig.baseline_damping) + jw**2 * rig.stator_mass * np.eye(2)

@@ -90,7 +90,10 @@ def bearing_stiffness(rig: LevitatedRig) -> FloatArray:
 
 
 def rotor_receptance(rig: LevitatedRig, frequency: FloatArray) -> ComplexArray:
-    """S (-w^2 M + j w C + K + B' k_s B)^-1 B', (n_line, n_axis, n_axis) [m/N] at *frequency* (n_line,) [Hz]: reading per force k_i i."""
+    """S (-w^2 M + j w C + K + B' k_s B)^-1 B', (n_line, n_axis, n_axis) [m/N] at *frequency* (n_line,) [Hz]: reading per force k_i i.
+
+    Equation (sim-rotor).
+    """
     of = mechanics(rig)
     jw = 2j * np.pi * np.asarray(frequency, float)[:, None, None]
     dynamic = jw**2 * of.mass + jw * of.damping + of.stiffness + of.at_bearings.T @ bearing_stiffness(rig) @ of.at_bearings
@@ -116,7 +119,7 @@ class LevitatedLoop:
 
     w: generalised forces [N] at this and at the next sample, what sensors see besides the motion [m], injection at the controller's input
     [m] and output [A]; z: output of the controller [A], then motion [m] and current [A] BETWEEN times in the interval; all but the
-    forces n_axis each. a (n_state, n_state), b (n_state, n_input), c (n_output, n_state), d (n_output, n_input).
+    forces n_axis each. a (n_state, n_state), b (n_state, n_input), c (n_output, n_state), d (n_output, n_input). Equation (sim-step).
     """
 
     a: FloatArray
@@ -128,7 +131,7 @@ class LevitatedLoop:
 
     @property
     def poles(self) -> ComplexArray:
-        """Poles of the closed loop (n_state,) [1/s], s = rate ln z; what a delay holds alone (z = 0) is left out."""
+        """Poles of the closed loop (n_state,) [1/s], s = rate ln z; what a delay holds alone (z = 0) is left out. Equation (sim-poles)."""
         values = np.linalg.eigvals(self.a)
         values = values[np.abs(values) > ROUNDING]
         return np.asarray(self.rate * np.log(values.astype(np.complex128)))

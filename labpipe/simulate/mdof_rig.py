@@ -57,7 +57,7 @@ class VirtualMdofRig(Settings):
 
 
 def exact_receptance(rig: VirtualMdofRig) -> ComplexArray:
-    """(K + j w C - w^2 M)^-1 on the rig's lines, (n_line, n_dof, n_dof) [m/N]."""
+    """(K + j w C - w^2 M)^-1 on the rig's lines, (n_line, n_dof, n_dof) [m/N]. Equation (sim-mdof)."""
     w = 2 * np.pi * rig.frequency[:, None, None]
     mass = np.array(rig.mass, float)
     mass = np.diag(mass) if mass.ndim == 1 else mass
@@ -66,7 +66,10 @@ def exact_receptance(rig: VirtualMdofRig) -> ComplexArray:
 
 
 def simulated_response(rig: VirtualMdofRig, rng: np.random.Generator | None) -> FrequencyResponse:
-    """The FRF with circular white noise of known variance; without noise for no *rng*, its variance stated all the same."""
+    """The FRF with circular white noise of known variance; without noise for no *rng*, its variance stated all the same.
+
+    Equation (sim-mdof-noise).
+    """
     exact = exact_receptance(rig)
     std = rig.noise * float(np.max(np.abs(exact)))
     noise = 0.0 if rng is None else std * (rng.standard_normal(exact.shape) + 1j * rng.standard_normal(exact.shape))

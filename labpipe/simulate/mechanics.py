@@ -41,7 +41,7 @@ class Timing:
 
 
 def relaxation(levitation: Levitation, omega: FloatArray) -> ComplexArray:
-    """k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau) of one bearing at *omega* [rad/s], (n_line,) [N/m]."""
+    """k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau) of one bearing at *omega* [rad/s], (n_line,) [N/m]. Equation (sim-relaxation)."""
     relative: ComplexArray = 1j * omega / (2 * np.pi * levitation.corner)
     return levitation.static + levitation.dynamic * relative / (1 + relative)
 
@@ -71,13 +71,13 @@ def levitation_stiffness(levitation: Levitation, omega: FloatArray) -> ComplexAr
 
 
 def one_dof(mass: float, stiffness: float, damping: float, omega: FloatArray) -> ComplexArray:
-    """Dynamic stiffness k - w^2 m + j w c at *omega* [rad/s], (n_line,) [N/m]."""
+    """Dynamic stiffness k - w^2 m + j w c at *omega* [rad/s], (n_line,) [N/m]. Equation (sim-one-dof)."""
     dynamic: ComplexArray = stiffness - omega**2 * mass + 1j * omega * damping
     return dynamic
 
 
 def levitated(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexArray:
-    """Dynamic stiffness of pedestal and levitated rotor in one direction at *omega* [rad/s], (n_line,) [N/m]."""
+    """Dynamic stiffness of pedestal and levitated rotor in one direction at *omega* [rad/s], (n_line,) [N/m]. Equation (sim-levitated)."""
     pedestal = one_dof(rig.rotor_mass, rig.pedestal_stiffness, rig.pedestal_damping, omega)
     return pedestal + levitation_stiffness(rig.levitation, omega)
 
@@ -95,19 +95,22 @@ def line_frequencies(force: Multisine) -> FloatArray:
 
 
 def line_amplitude(force: Multisine) -> float:
-    """Amplitude of each line of a flat multisine, rms sqrt(2 / n_line) [N]."""
+    """Amplitude of each line of a flat multisine, rms sqrt(2 / n_line) [N]. Equation (sim-line-amplitude)."""
     return float(force.rms * np.sqrt(2 / force.lines.size))
 
 
 def steady_state(force: Multisine, receptance: ComplexArray, n_sample: int, periods: int) -> FloatArray:
-    """Displacement (n_sample periods,) [m] under the multisine, exact line by line: X_k = H(w_k) F_k; *receptance* (n_line,) [m/N]."""
+    """Displacement (n_sample periods,) [m] under the multisine, exact line by line: X_k = H(w_k) F_k; *receptance* (n_line,) [m/N].
+
+    Equation (sim-steady).
+    """
     spectrum = np.zeros(n_sample // 2 + 1, np.complex128)
     spectrum[force.lines] = receptance * line_amplitude(force) * np.exp(1j * force.phases) * (n_sample / 2)
     return np.tile(fft.irfft(spectrum, n_sample), periods)
 
 
 def free_decay(displacement: FloatArray, sample_rate: float, frequency: float, damping_ratio: float) -> FloatArray:
-    """The transient that makes the motion start at rest: -x(0) e^{-zeta w t} cos(w t), (n_sample,) [m]."""
+    """The transient that makes the motion start at rest: -x(0) e^{-zeta w t} cos(w t), (n_sample,) [m]. Equation (sim-transient)."""
     t = np.arange(displacement.size) / sample_rate
     omega = 2 * np.pi * frequency
     decay: FloatArray = -displacement[0] * np.exp(-damping_ratio * omega * t) * np.cos(omega * t)

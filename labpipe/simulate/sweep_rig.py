@@ -79,7 +79,7 @@ def _run(rig: SweepRig, name: str, rng: np.random.Generator) -> Recording:
 def motion(rig: SweepRig, force: FloatArray) -> FloatArray:
     """Displacement (n_sample,) [m] from rest under a band-limited *force* (n_sample,) [N].
 
-    The product with H line by line, over a time after which what comes round has died out.
+    The product with H line by line, over a time after which what comes round has died out. Equation (sim-sweep).
     """
     decay = -np.log(DIED_OUT) * 2 * rig.mass / rig.damping
     n_sample = fft.next_fast_len(force.size + int(decay * rig.sample_rate), real=True)

@@ -70,7 +70,7 @@ class WhiteNoiseRig(Settings):
 
 
 def receptance(rig: WhiteNoiseRig, frequency: FloatArray) -> ComplexArray:
-    """(K + j w C - w^2 m)^-1 at *frequency* (n,) [Hz], (n, 2, 2) [m/N]."""
+    """(K + j w C - w^2 m)^-1 at *frequency* (n,) [Hz], (n, 2, 2) [m/N]. Equation (sim-mdof)."""
     w = 2 * np.pi * frequency[:, None, None]
     h: ComplexArray = np.linalg.inv(np.array(rig.stiffness) + 1j * w * np.array(rig.damping) - w**2 * rig.mass * np.eye(2))
     return h

@@ -45,7 +45,10 @@ class Cleaned:
 
 
 def without_runout(source: SampleSource, settings: FrfSettings) -> Cleaned:
-    """The recording without the harmonics of `remove`; ConfigError and DataError as for the period, the tacho, and a single period."""
+    """The recording without the harmonics of `remove`; ConfigError and DataError as for the period, the tacho, and a single period.
+
+    Equation (spec-runout).
+    """
     lines = settings.remove
     assert lines is not None and settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)

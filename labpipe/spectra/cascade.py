@@ -29,7 +29,7 @@ class CascadeSpectra:
 def cascade_spectra(source: SampleSource, lines: ShaftLines, *, resolution: float = 1.0, orders: float = 4.0) -> CascadeSpectra:
     """Amplitude spectra of blocks of 1 / *resolution* [s], at most MOST_BLOCKS of them (Hann window, scaled to a sine's amplitude).
 
-    Frequencies up to *orders* times the highest speed. DataError when the recording is shorter than two blocks.
+    Frequencies up to *orders* times the highest speed. DataError when the recording is shorter than two blocks. Equation (spec-cascade).
     """
     length = round(source.sample_rate / resolution)
     motion = shaft_motion(source, lines)

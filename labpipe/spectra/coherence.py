@@ -11,6 +11,7 @@ def ordinary_coherence(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArra
     """gamma^2 = |S_yu|^2 / (S_yy S_uu) per output and force, (n_frequency, n_output, n_input) [1].
 
     s_uu (n_frequency, n_input, n_input) [N^2/Hz], s_yu (n_frequency, n_output, n_input), s_yy (n_frequency, n_output, n_output).
+    Equation (frf-coherence).
     """
     power = np.einsum("foo->fo", s_yy).real[:, :, None] * np.einsum("fii->fi", s_uu).real[:, None, :]
     return _clipped(np.abs(s_yu) ** 2, power)
@@ -19,7 +20,7 @@ def ordinary_coherence(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArra
 def multiple_coherence(h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
     """gamma^2 = H1 S_uy / S_yy per output, (n_frequency, n_output) [1], the share of H1 = S_yu S_uu^-1, (n_frequency, n_output, n_input).
 
-    Spectra as in ordinary_coherence.
+    Spectra as in ordinary_coherence. Equation (frf-multiple-coherence).
     """
     return _clipped(_explained(h1, s_yu), np.einsum("foo->fo", s_yy).real)
 
@@ -30,6 +31,7 @@ def partial_coherence(inverse_force: ComplexArray, h1: ComplexArray, s_yu: Compl
     gamma^2 = |Q_yu|^2 / (Q_yy Q_uu) of the inverse Q of the spectra of all forces and that output (Bendat and Piersol, Random
     Data, ch. 7.3: conditioned spectra); by blocks Q_yu = -q H1 and Q_uu = S_uu^-1 + q H1^H H1 with the residual power 1 / q.
     inverse_force: S_uu^-1 (n_frequency, n_input, n_input) [Hz/N^2]; the other arguments as in multiple_coherence.
+    Equation (frf-partial-coherence).
     """
     residual = np.einsum("foo->fo", s_yy).real - _explained(h1, s_yu)
     explained = np.abs(h1) ** 2

@@ -47,7 +47,7 @@ def converted(response: FrequencyResponse, form: str) -> FrequencyResponse:
     """The response as *form*: H' = (j w)^n H, cov' = w^2n cov, n time derivatives between the two forms.
 
     Coherence and signal-to-noise ratio do not change. Raises ConfigError for a form other than receptance, mobility and accelerance,
-    DataError for a line at 0 Hz that would have to be integrated.
+    DataError for a line at 0 Hz that would have to be integrated. Equation (frf-form).
     """
     order = DERIVATIVES.get(form, 0) - DERIVATIVES.get(response.form, 0)
     for name in (form, response.form):
@@ -68,7 +68,7 @@ def converted(response: FrequencyResponse, form: str) -> FrequencyResponse:
 def dynamic_stiffness(response: FrequencyResponse) -> ComplexArray:
     """Z = H^-1 [N/m], the matrix inverse of the receptance, (n_frequency, n_input, n_output).
 
-    Raises DataError when there are not as many forces as outputs, or when the matrix is singular at a line.
+    Raises DataError when there are not as many forces as outputs, or when the matrix is singular at a line. Equation (frf-stiffness).
     """
     n_output, n_input = response.matrix.shape[1:]
     if n_output != n_input:
@@ -85,6 +85,7 @@ def dynamic_stiffness_covariance(response: FrequencyResponse) -> ComplexArray | 
     """Covariance of vec(Z), row-major, (n_frequency, n, n) [(N/m)^2]: dZ = -Z dH Z, so cov = T cov_H T^H with T = Z kron Z^T.
 
     First order in the errors of H; None for a response without covariance. Raises as dynamic_stiffness does.
+    Equation (frf-stiffness-covariance).
     """
     stiffness = dynamic_stiffness(response)
     if response.covariance is None:

@@ -36,6 +36,7 @@ def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: fl
     x = j (w' - w) / dw, on 4 lines to either side (local rational method: McKelvey and Guerin 2012), and evaluated at x = -s/dw. A
     single mode is one pole and therefore exact; s is below the line spacing for all windows that fall to 0.2 % or more within the
     block. Fewer than 5 lines are returned unchanged. The gains are the first-order effect of an error on the solution a0 ... b1.
+    Equation (frf-undamped).
     """
     n_line = frequency.size
     if n_line <= HALF_WIDTH:
@@ -95,6 +96,7 @@ def covariance_without_damping(gains: ComplexArray, covariance: ComplexArray, co
 
     gains as in Undamped; covariance (n_frequency, n, n) [unit of H^2] of the windowed response, the same for the neighbours of a
     line, n = n_output * n_input; correlation (n_distance,) [1] of its noise 1, 2, ... lines apart (windows.exponential_correlation).
+    Equation (frf-undamped-covariance).
     """
     n_line, width = gains.shape[:2]
     flat = gains.reshape(n_line, width, -1)

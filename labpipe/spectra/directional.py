@@ -23,7 +23,7 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
 
     Rows and columns are labelled f and b. The two outputs and the two forces may point in any two known directions; they are
     transformed to x and y first. An isotropic rotor has H_fb = H_bf = 0. Coherence and distortion are dropped. Raises DataError
-    unless there are two outputs and two forces in known, different directions.
+    unless there are two outputs and two forces in known, different directions. Equation (frf-directional).
     """
     to_xy = np.linalg.inv(directions(response.outputs, "responses"))
     from_xy = np.linalg.inv(directions(response.inputs, "forces").T)
@@ -70,7 +70,7 @@ def two_sided(response: FrequencyResponse) -> tuple[FloatArray, ComplexArray]:
 
     Of a real system H_ff(-w) = conj H_bb(w) and H_fb(-w) = conj H_bf(w) (Lee, Vibration Analysis of Rotors, 1993): the backward
     row is the forward row at negative frequencies. A line at 0 Hz appears twice, as -0 and 0. DataError for a response that is not
-    directional.
+    directional. Equation (frf-two-sided).
     """
     labels = tuple(port.label for port in (*response.outputs, *response.inputs))
     if labels != (*FORWARD_BACKWARD, *FORWARD_BACKWARD):

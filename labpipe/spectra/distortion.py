@@ -29,7 +29,7 @@ class Distortion:
 
     @property
     def nonlinear(self) -> FloatArray:
-        """sqrt(total^2 - noise^2), (n_frequency,) [unit of the FRF]; 0 where the noise exceeds the total."""
+        """sqrt(total^2 - noise^2), (n_frequency,) [unit of the FRF]; 0 where the noise exceeds the total. Equation (frf-distortion)."""
         return np.asarray(np.sqrt(np.maximum(self.total**2 - self.noise**2, 0.0)))
 
 
@@ -64,7 +64,7 @@ class DetectionLines:
 
     @property
     def distortion(self) -> float:
-        """Root mean square of the level after subtraction of the noise power; 0 where the noise is stronger."""
+        """Root mean square of the level after subtraction of the noise power; 0 where the noise is stronger. Equation (frf-detection)."""
         return max(float(np.mean(self.level**2 - self.noise**2)), 0.0) ** 0.5 if self.level.size else 0.0
 
 

@@ -22,7 +22,7 @@ from labpipe.spectra.matrices import definite_inverse, hermitian, inverse, produ
 def h1(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:  # noqa: ARG001 (one signature for the whole table)
     """H1 = S_yu S_uu^-1, (n_frequency, n_output, n_input) [output unit / N]: unbiased by noise on the outputs.
 
-    Spectra as in the module's docstring [unit^2/Hz]. Raises numpy.linalg.LinAlgError for a singular S_uu.
+    Spectra as in the module's docstring [unit^2/Hz]. Raises numpy.linalg.LinAlgError for a singular S_uu. Equation (frf-h1).
     """
     return product(s_yu, definite_inverse(s_uu)[0])
 
@@ -31,7 +31,7 @@ def h2(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArr
     """H2 = S_yy S_uy^-1, (n_frequency, n_output, n_input) [output unit / N]: unbiased by noise on the forces.
 
     Spectra as in the module's docstring [unit^2/Hz]. ConfigError unless there are as many outputs as forces; numpy.linalg.LinAlgError
-    for a singular S_uy.
+    for a singular S_uy. Equation (frf-h2).
     """
     if s_yu.shape[1] != s_yu.shape[2]:
         raise ConfigError("H2 needs as many responses as forces", hint="use H1 or Hv")
@@ -42,7 +42,7 @@ def hv(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArr
     """Hv, total least squares per output, (n_frequency, n_output, n_input) [output unit / N]: noise on forces and output alike.
 
     Spectra as in the module's docstring [unit^2/Hz]. Each channel is first divided by its own power at the line, so that the result
-    does not depend on units: in metres the unscaled form would collapse to H1.
+    does not depend on units: in metres the unscaled form would collapse to H1. Equation (frf-hv).
     """
     n_input = s_uu.shape[1]
     force_scale = np.sqrt(np.einsum("fii->fi", s_uu).real)
@@ -82,7 +82,7 @@ def adjusted_forces_as_instruments(response: ComplexArray, power: FloatArray) ->
     """z = the forces projected onto the plane y = H u in scaled channels, for Hv: W (n_frequency, n_output, n_input, n) [1].
 
     response (n_frequency, n_output, n_input) [output unit / N], power (n_frequency, n) [unit^2/Hz], n = n_input + n_output. With q the
-    normal (-H, 1) of that plane in channels divided by their own power, z = (I - q q^H / q^H q) [u; y].
+    normal (-H, 1) of that plane in channels divided by their own power, z = (I - q q^H / q^H q) [u; y]. Equation (frf-hv-instruments).
     """
     n_frequency, n_output, n_input = response.shape
     scale = np.sqrt(power)

@@ -291,7 +291,7 @@ def feedback_of_periods(spectra: Sequence[LineSpectrum], matrix: ComplexArray, l
 def chance_of_phase(noise: ComplexArray, response: ComplexArray, dof: float) -> float:
     """p-value [1] that S_wu / G, w = y - G u, is real: *noise* (n_line, 2, 2) [SI] of u and y, G = *response* (n_line,) [SI].
 
-    By line a t test of *dof* complex degrees of freedom, over all lines the sum of ln p (Fisher).
+    By line a t test of *dof* complex degrees of freedom, over all lines the sum of ln p (Fisher). Equation (frf-feedback).
     """
     s_uu, s_yu, s_yy = noise[:, 0, 0].real, noise[:, 1, 0], noise[:, 1, 1].real
     s_wu = s_yu - response * s_uu

@@ -29,7 +29,7 @@ LOW_SNR = 10.0
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF H = Y pinv(U) of the period averages of all recordings, at the lines where every force acts.
 
-    DataError when no line of a force exceeds its noise, or when the forces are not independent.
+    DataError when no line of a force exceeds its noise, or when the forces are not independent. Equation (frf-periodic).
     """
     assert settings.period is not None
     averaged = [_period_average(source, settings) for source in sources]

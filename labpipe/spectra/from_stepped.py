@@ -51,7 +51,7 @@ def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout
     """The FRF H = Y pinv(U) at the frequencies at which every recording dwells.
 
     DataError when a recording has no dwells, when one is too short, when the recordings have no frequency in common, or when the forces
-    are not independent.
+    are not independent. Equation (frf-stepped).
     """
     measured = [
         _lines(source, settings, layout.input_columns[number], layout.output_columns[number]) for number, source in enumerate(sources)

@@ -68,7 +68,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
 
     Where a response has not come to rest before the next sweep or the end of the record, the leakage this leaves is estimated over the
     lines by a local rational fit and taken out. DataError for recordings without sweeps, with fewer sweeps than forces, or whose sweeps
-    have no band or no length in common.
+    have no band or no length in common. Equation (frf-sweep).
     """
     rate = sources[0].sample_rate
     swept = [_swept(source, layout.input_columns[number]) for number, source in enumerate(sources)]

@@ -114,7 +114,7 @@ def force_window(n_sample: int, trigger: int, length: float) -> FloatArray:
 def exponential_window(n_sample: int, constant: float) -> FloatArray:
     """exp(-t / constant) from the start of the block, (n_sample,) [1]; *constant* in samples.
 
-    Applied to force and outputs alike, so that their FRF is exactly H(j w + 1/constant).
+    Applied to force and outputs alike, so that their FRF is exactly H(j w + 1/constant). Equation (frf-exponential).
     """
     return np.exp(-np.arange(n_sample) / constant)
 

@@ -57,6 +57,7 @@ def joint_estimate(spectra: ComplexArray, references: Sequence[str], n_input: in
     """G of averaged *spectra* (n_line, n, n) [unit^2/Hz], *references* first, then *n_input* forces, then responses.
 
     With more references than forces, least squares over them. DataError for references that are silent or follow from each other.
+    Equation (frf-joint).
     """
     n = len(references)
     lower = lower_of_drives(spectra[:, :n, :n], references, "reference")

@@ -30,7 +30,10 @@ class LocalFit:
 
 
 def freedom(n_block: int, n_input: int, degree: int, half_width: int) -> int:
-    """Complex degrees of freedom of the residual: (2 n + 1 - (d + 1)) of every block, less (d + 1) of every force."""
+    """Complex degrees of freedom of the residual: (2 n + 1 - (d + 1)) of every block, less (d + 1) of every force.
+
+    Equation (frf-local-freedom).
+    """
     return n_block * (2 * half_width - degree) - (degree + 1) * n_input
 
 
@@ -39,7 +42,7 @@ def local_polynomials(forces: ComplexArray, responses: ComplexArray, degree: int
 
     forces (n_block, n_line, n_input) [N], responses (n_block, n_line, n_output) [output unit]: DFT without window; the first and the last
     half_width lines have no window of their own and are left out. H(k) = G_0; its covariance is that of least squares,
-    S_vv[o, p] (A^-1)[i, j], S_vv from the residual.
+    S_vv[o, p] (A^-1)[i, j], S_vv from the residual. Equation (frf-local-polynomial).
     """
     n_line = forces.shape[1] - 2 * half_width
     starts = range(0, n_line, LINES_AT_ONCE)

@@ -42,7 +42,7 @@ def local_noise(forces: ComplexArray, responses: ComplexArray, degree: int, half
     """Noise and leakage of *responses* (n_block, n_line, n_output) [output unit] to *forces* (n_block, n_line, n_input) [N].
 
     Both are transforms without window. Every output has its own pole, which all blocks share as they share B; each block has its own
-    leakage T, of which T(0) is the value at the line. The first and the last half_width lines are left out.
+    leakage T, of which T(0) is the value at the line. The first and the last half_width lines are left out. Equation (frf-local-rational).
     """
     n_line = forces.shape[1] - 2 * half_width
     parts: list[tuple[ComplexArray, ComplexArray, FloatArray]] = []

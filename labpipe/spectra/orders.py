@@ -43,7 +43,7 @@ def track_order(source: SampleSource, lines: ShaftLines, *, order: float = 1.0, 
     """The order's amplitude in segments of *revolutions*, by least squares of a constant and the harmonics.
 
     *lines* gives the shaft's speed or tacho, and with `harmonics` the multiples fitted together with the order. With the noise variance
-    s^2 over n samples E|dX|^2 = 4 s^2 / n. DataError when the recording holds no complete segment.
+    s^2 over n samples E|dX|^2 = 4 s^2 / n. DataError when the recording holds no complete segment. Equation (run-order).
     """
     motion = shaft_motion(source, lines)
     orders = np.unique(np.append(np.arange(1.0, lines.harmonics + 1), order))
@@ -80,7 +80,7 @@ def directional_track(track: OrderTrack) -> OrderTrack:
 
 
 def plane_track(track: OrderTrack, plane: Plane) -> OrderTrack:
-    """The track of one plane as forward and backward circles, columns f and b with the plane's name."""
+    """The track of one plane as forward and backward circles, columns f and b with the plane's name. Equation (run-circles)."""
     turn = np.linalg.inv(FROM_DIRECTIONAL) @ np.linalg.inv(plane.directions)
     columns = list(plane.columns)
     amplitude = track.amplitude[:, columns] @ turn.T

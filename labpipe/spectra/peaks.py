@@ -21,7 +21,10 @@ class HalfPower:
 
     @property
     def damping_ratio(self) -> float:
-        """zeta = (f_2^2 - f_1^2) / (4 f_0^2) (Ewins, Modal Testing, sec. 4.3); within zeta^2 of the exact value for light damping."""
+        """zeta = (f_2^2 - f_1^2) / (4 f_0^2) (Ewins, Modal Testing, sec. 4.3); within zeta^2 of the exact value for light damping.
+
+        Equation (frf-half-power).
+        """
         return (self.high**2 - self.low**2) / (4 * self.frequency**2)
 
 

@@ -51,7 +51,7 @@ def samples_per_period(period: float, sample_rate: float) -> int:
 class PeriodAverage:
     """Running mean and scatter of the Fourier amplitudes over whole periods, fed with blocks of any length.
 
-    Updated by Welford's algorithm, so that a small noise on a large signal does not cancel.
+    Updated by Welford's algorithm, so that a small noise on a large signal does not cancel. Equation (spec-period).
     """
 
     def __init__(self, n_sample: int, n_channel: int, skip: int, lines: slice = slice(1, None)) -> None:
@@ -87,7 +87,7 @@ class PeriodAverage:
         self._scatter += before[:, :, None] * after[:, None, :].conj()
 
     def spectrum(self, sample_rate: float) -> LineSpectrum:
-        """The averaged lines; DataError when no period is left after the transient ones."""
+        """The averaged lines; DataError when no period is left after the transient ones. Equation (spec-period-noise)."""
         n = self.n_period
         if n == 0:
             raise DataError(
@@ -105,6 +105,7 @@ def smoothed_noise(spectrum: LineSpectrum, half_width: int) -> LineSpectrum:
     Few periods give few degrees of freedom per line (n_period - 1), too few for weights: a maximum-likelihood fit with weights
     of 4 degrees of freedom is inefficient and underestimates its standard errors. Measurement noise is broadband, so neighbouring
     lines share it. A line whose noise in any channel exceeds that of its neighbours (F-test at 0.1 %) is not averaged.
+    Equation (spec-smoothed-noise).
     """
     if spectrum.noise is None or half_width == 0:
         return spectrum
@@ -160,7 +161,7 @@ def neighbourhood_mean(values: NDArray[Any], chosen: BoolArray, half_width: int,
 def excited_lines(spectrum: LineSpectrum, inputs: list[int], signal_to_noise: float = 5.0, floor: float = 1e-3) -> BoolArray:
     """Lines (n_line,) at which a force acts: above its noise, and above *floor* [1] of the strongest line.
 
-    With smoothed noise an empty line passes a *signal_to_noise* [1] of 5 with probability exp(-25).
+    With smoothed noise an empty line passes a *signal_to_noise* [1] of 5 with probability exp(-25). Equation (spec-excited).
     """
     force = np.abs(spectrum.mean[:, inputs])
     excited = force > floor * np.max(force, axis=0)

@@ -117,7 +117,7 @@ def shared_noise(noises: Sequence[ComplexArray], dofs: Sequence[float]) -> bool:
     """Whether runs have the same noise: *noises* (n_line, n_channel, n_channel) [SI] of one period, *dofs* of each.
 
     The mean over lines of log(S_1 / S_2) of every channel has, for equal noise, the mean and variance of the logarithm of an F-distributed
-    number. A channel without noise in one of two runs is not in that run.
+    number. A channel without noise in one of two runs is not in that run. Equation (spec-pooled-runs).
     """
     powers = [np.einsum("lcc->lc", noise).real for noise in noises]
     for power, dof in zip(powers[1:], dofs[1:], strict=True):

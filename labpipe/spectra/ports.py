@@ -41,7 +41,7 @@ class Layout:
         """S_input / S_output, the factor that corrects H for the sensors, (n_line, n_output, n_input) [1], at *frequency* (n_line,) [Hz].
 
         Of a transmissibility also (j w)^-n, n derivatives of the response more than of the base: displacement of the one over acceleration
-        of the other is motion over motion. Raises as sensor_response does.
+        of the other is motion over motion. Raises as sensor_response does. Equation (spec-sensor-frf).
         """
         responses = [[sensor_response(sensor, frequency) for sensor in sensors] for sensors in (self.output_sensors, self.input_sensors)]
         outputs, inputs = (np.array(rows, np.complex128).T for rows in responses)
@@ -104,7 +104,7 @@ def response_ports(sources: Sequence[SampleSource]) -> tuple[tuple[Port, ...], t
 def sensor_response(sensor: Channel, frequency: FloatArray) -> ComplexArray:
     """Sensor frequency response, indicated / true: exp(-j w delay) g(f) exp(j phi(f)), (n_line,) [1] at *frequency* (n_line,) [Hz].
 
-    Gain g and phase phi are interpolated linearly in the channel's table. DataError for a line outside the table.
+    Gain g and phase phi are interpolated linearly in the channel's table. DataError for a line outside the table. Equation (spec-sensor).
     """
     response: ComplexArray = np.exp(-2j * np.pi * frequency * sensor.delay)
     if not sensor.response:

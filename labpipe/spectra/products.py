@@ -30,6 +30,7 @@ class SegmentProducts(ABC):
     """Running sums of X_a X_b* over tapered segments w x whose trend sum_p c_p b_p is taken out after the transform.
 
     FFT(w (x - sum_p c_p b_p)) = FFT(w x) - sum_p c_p FFT(w b_p), where FFT(w b_p) has few lines that differ from zero.
+    Equation (spec-trend).
     """
 
     def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray, n_together: int) -> None:

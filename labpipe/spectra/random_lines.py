@@ -113,6 +113,7 @@ def due_to_drives(s_zz: ComplexArray, s_zr: ComplexArray, lower: ComplexArray, a
     """W = S_zr L^-H (n_line, n, n_drive) and the noise (S_zz - W W^H) n / (n - n_drive) (n_line, n, n) [unit^2/Hz], n *averages*.
 
     s_zz (n_line, n, n), s_zr (n_line, n, n_drive) [unit^2/Hz] of channels and drives, *lower* L of the drives (n_line, n_drive, n_drive).
+    Equation (frf-due-to-drives).
     """
     columns = hermitian(np.linalg.solve(lower, hermitian(s_zr)))
     return columns, (s_zz - columns @ hermitian(columns)) * (averages / (averages - lower.shape[1]))

@@ -42,7 +42,7 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
     """The mean response with its distortion; covariance of noise plus nonlinear scatter, each divided by the number M of realisations.
 
     Distortion is averaged over *half_width* lines to either side, as noise is: M realisations give M - 1 degrees of freedom per
-    line. Raises as robust_distortion does.
+    line. Raises as robust_distortion does. Equation (frf-robust).
     """
     first, m = responses[0], len(responses)
     distortion = np.empty(first.matrix.shape)

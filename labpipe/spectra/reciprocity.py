@@ -38,7 +38,7 @@ class Reciprocity:
 def reciprocity(response: FrequencyResponse) -> tuple[Reciprocity, ...]:
     """All pairs of dofs with both a response and a force; DataError without covariance or without such a pair.
 
-    var(H_ij - H_ji) = C_pp + C_qq - 2 Re C_pq, from the covariance of the response.
+    var(H_ij - H_ji) = C_pp + C_qq - 2 Re C_pq, from the covariance of the response. Equation (frf-reciprocity).
     """
     if response.covariance is None:
         raise DataError("reciprocity cannot be tested without the covariance of the FRF", hint="record more periods or blocks")

@@ -93,7 +93,7 @@ def difference(run: RunUp, residual: RunUp) -> RunUp:
     """Vector difference *run* - *residual* at common speeds: the response to the difference of their known unbalances.
 
     Variances are added, each resolved along and across the difference phasor. DataError where planes or loads differ, a shaker acts,
-    or the runs have no common speed.
+    or the runs have no common speed. Equation (run-difference).
     """
     if run.planes != residual.planes:
         raise DataError(f"runs '{run.name}' and '{residual.name}' were measured at other planes", hint="subtract runs of one rig")

@@ -46,7 +46,7 @@ def settle_time(courses: Sequence[Course]) -> float:
 
     All dwells decay alike: the sum over dwells and channels of what exceeds the noise, S(t) = S_1 exp(-2 (t - t_1) / tau), shows the
     transient up to t_1, and is continued from there. A transient of a/s standard deviations of a block leaves the mean of n blocks
-    off by a tau / (n T) in standard errors s / sqrt(n). DataError when the transient outlasts the dwells.
+    off by a tau / (n T) in standard errors s / sqrt(n). DataError when the transient outlasts the dwells. Equation (frf-settle).
     """
     longest = max(float(course.times[-1]) for course in courses)
     edges = np.linspace(0, longest * (1 + 1e-9), N_BIN + 1)

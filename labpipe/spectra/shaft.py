@@ -27,7 +27,10 @@ class ShaftMotion:
     revolutions: FloatArray
 
     def angle(self, time: FloatArray) -> FloatArray:
-        """Shaft angle at *time* [s], same shape [rad], zero at the first pulse (or at the start for a given speed)."""
+        """Shaft angle at *time* [s], same shape [rad], zero at the first pulse (or at the start for a given speed).
+
+        Equation (spec-angle).
+        """
         inner = np.interp(time, self.times, self.revolutions)
         first, last = self.speeds[[0, -1]]
         before = np.minimum(time - self.times[0], 0.0) * first

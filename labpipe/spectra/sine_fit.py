@@ -17,7 +17,10 @@ def design(frequency: float, n_sample: int) -> FloatArray:
 
 
 def amplitudes(samples: FloatArray, frequency: float) -> ComplexArray:
-    """X (n_channel,) of x = Re(X exp(j 2 pi f n)) + offset by least squares in *samples* (n_sample, n_channel) [unit of the channel]."""
+    """X (n_channel,) of x = Re(X exp(j 2 pi f n)) + offset by least squares in *samples* (n_sample, n_channel) [unit of the channel].
+
+    Equation (spec-sine).
+    """
     factors = np.linalg.lstsq(design(frequency, samples.shape[0]), samples, rcond=None)[0]
     found: ComplexArray = factors[0] + 1j * factors[1]
     return found
@@ -54,7 +57,10 @@ def block_amplitudes(samples: FloatArray, frequency: float, length: float, count
 
 
 def frequency_variance(signal: FloatArray, frequency: float) -> float:
-    """The bound of Cramer and Rao on the variance of sine_frequency [periods^2 per sample^2], of a *signal* (n_sample,) [any unit]."""
+    """The bound of Cramer and Rao on the variance of sine_frequency [periods^2 per sample^2], of a *signal* (n_sample,) [any unit].
+
+    Equation (spec-sine-variance).
+    """
     n = signal.size
     basis = design(frequency, n)
     factors = np.linalg.lstsq(basis, signal, rcond=None)[0]

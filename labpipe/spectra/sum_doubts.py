@@ -41,7 +41,7 @@ def sum_errors(
     """The errors of the FRF matrix by every source in its sums; none where no number in them has a doubt.
 
     response: frequency (n_line,) [Hz] and matrix (n_line, n_output, n_input) [unit of the form]. *estimate* measures the responses of the
-    members to the same forces, in a second pass. Raises as that does.
+    members to the same forces, in a second pass. Raises as that does. Equation (unc-sum).
     """
     of_outputs, of_inputs = (list(_effects(sensors, sources)) for sensors in (layout.output_sensors, layout.input_sensors))
     if not of_outputs and not of_inputs:

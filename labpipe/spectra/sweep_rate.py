@@ -22,7 +22,7 @@ def largest_rate(frequency: float, damping_ratio: float) -> float:
     """Sweep rate [Hz/s] up to which a resonance at *frequency* [Hz] reaches its steady amplitude: 216 f_n^2 zeta^2 Hz/min.
 
     ISO 7626-2 for a linear sweep, as in Ewins, Modal Testing, sec. 3.7; its 310 f_n zeta^2 octaves/min of a logarithmic sweep are the
-    same rate at f_n. In half-power widths b = 2 zeta f_n it is 0.9 b per 1 / b.
+    same rate at f_n. In half-power widths b = 2 zeta f_n it is 0.9 b per 1 / b. Equation (frf-sweep-rate).
     """
     return 216.0 / 60 * frequency**2 * damping_ratio**2
 

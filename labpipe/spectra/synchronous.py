@@ -60,7 +60,7 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
 
     Time-synchronous averaging is the least-squares fit of all multiples of the speed (McFadden 1987); here of the first `harmonics`.
     A given speed is refined first, since an error of 0.01 Hz turns 1x by a revolution within 100 s. DataError for fewer than two
-    revolutions.
+    revolutions. Equation (spec-synchronous).
     """
     motion = shaft_motion(source, lines)
     duration = source.n_sample / source.sample_rate

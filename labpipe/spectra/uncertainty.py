@@ -28,6 +28,7 @@ def covariance_of_random(
     spectra (n_frequency, n, n) [unit^2/Hz] of all channels, the n_input forces first; response (n_frequency, n_output, n_input) [unit/N];
     instruments W (n_frequency, n_output or 1, n_input, n) with z_o = W_o [u; y], see estimators.INSTRUMENTS. The residual's spectrum is
     averaged over *half_width* lines to either side, where few averages alone would tell little of it (pooled_residual).
+    Equation (frf-covariance-random).
     """
     n_frequency, _, n_input = response.shape
     residual = pooled_residual(residual_spectrum(spectra, response), response, half_width)
@@ -46,6 +47,7 @@ def covariance_of_h1(
     """cov(H_oi, H_pj) = S_rr[o, p] (S_uu^-1)[j, i] / (n_e - n_input): covariance_of_random with the forces as instruments.
 
     inverse_force: S_uu^-1 (n_frequency, n_input, n_input) [Hz/N^2]; the result (n_frequency, n, n) and the other arguments as there.
+    Equation (frf-covariance-h1).
     """
     residual = pooled_residual(residual_spectrum(spectra, response), response, half_width)
     spread = inverse_force.swapaxes(1, 2) / max(averages - response.shape[2], 1.0)
@@ -77,6 +79,7 @@ def pooled_residual(residual: ComplexArray, response: ComplexArray, half_width: 
 
     Noise of a response is broadband; noise of the force, and hits that are not alike, leave a residual as large as the *response*
     (n_frequency, n_output, n_input) [unit/N]. Where the latter is significant, lines are averaged relative to a + b |H|^2.
+    Equation (frf-pooled-residual).
     """
     if half_width == 0:
         return residual
@@ -109,7 +112,7 @@ def covariance_of_periodic(response: ComplexArray, force_inverse: ComplexArray, 
 
     From H = Y G over the experiments e (one per force direction): dH = sum_e (dy_e - H du_e) G[e, :].
     response (n_line, n_output, n_input) [unit/N]; force_inverse (n_line, n_experiment, n_input) [1/N];
-    noise (n_experiment, n_line, n_input + n_output, n_input + n_output) [unit^2], forces first.
+    noise (n_experiment, n_line, n_input + n_output, n_input + n_output) [unit^2], forces first. Equation (frf-covariance-periodic).
     """
     n_line, n_output, n_input = response.shape
     identity = np.broadcast_to(np.eye(n_output), (n_line, n_output, n_output))

@@ -86,7 +86,7 @@ class WelchAverage:
         return np.lib.stride_tricks.sliding_window_view(sums, n // step, axis=0).sum(axis=3)
 
     def spectra(self, sample_rate: float) -> CrossSpectra:
-        """The averaged matrix at the selected lines; DataError when no block was complete."""
+        """The averaged matrix at the selected lines; DataError when no block was complete. Equation (spec-welch)."""
         self._products.flush()
         n_block = self._products.n_block
         if n_block == 0:

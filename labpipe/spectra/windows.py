@@ -19,7 +19,7 @@ WINDOW_SAMPLES = 1024
 
 
 def hann(n_sample: int) -> FloatArray:
-    """The periodic (DFT-even) Hann window, 1/2 - 1/2 cos(2 pi n / N), (n_sample,) [1]."""
+    """The periodic (DFT-even) Hann window, 1/2 - 1/2 cos(2 pi n / N), (n_sample,) [1]. Equation (spec-hann)."""
     values: FloatArray = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n_sample) / n_sample)
     return values
 
@@ -44,6 +44,7 @@ def noise_bandwidth(window: FloatArray) -> float:
     """Equivalent noise bandwidth n sum w^2 / (sum w)^2 in lines [1] of a window (n_sample,) (Harris 1978, eq. 11).
 
     Times the line spacing it is in Hz; white noise passes as through a rectangular filter of this width: boxcar 1, Hann 1.5.
+    Equation (spec-enbw).
     """
     return float(window.size * np.dot(window, window) / np.sum(window) ** 2)
 
@@ -51,7 +52,7 @@ def noise_bandwidth(window: FloatArray) -> float:
 def overlap_correlation(window: FloatArray, step: int) -> FloatArray:
     """rho_k = (sum w(n) w(n + k step) / sum w^2)^2 [1], correlation of the powers of blocks k steps apart, k = 1 ... (Welch 1967).
 
-    window (n_sample,), *step* in samples; the result has one value for every overlapping step.
+    window (n_sample,), *step* in samples; the result has one value for every overlapping step. Equation (spec-overlap).
     """
     n = window.size
     products = [np.dot(window[:-shift], window[shift:]) for shift in range(step, n, step)]
@@ -63,7 +64,7 @@ def line_correlation(window: FloatArray, step: int, n_block: int) -> tuple[float
 
     window (n_sample,) [1], *step* [samples]. Noise and force of blocks m and n at lines k and k + d both have the covariance
     r_j(d) = sum_t w(t) w(t + j step) exp(-2 pi j d t / N), j = n - m, and H's noise is a sum of their products:
-    c_d = sum_j (K - |j|) |r_j(d)|^2 / sum_j (K - |j|) |r_j(0)|^2.
+    c_d = sum_j (K - |j|) |r_j(d)|^2 / sum_j (K - |j|) |r_j(0)|^2. Equation (spec-line-correlation).
     """
     n = window.size
     products = [window * np.concatenate([window[shift:], np.zeros(shift)]) for shift in range(0, min(n, n_block * step), step)]
@@ -80,6 +81,7 @@ def amplitude_correlation(name: str) -> tuple[float, ...]:
 
     That of the noise of an FRF whose force is the same in every block (a sweep, a period, a hit): noise / F of one line and the next.
     The origin of the phase is the beginning of the block, as it is of an FRF. ConfigError for an unknown *name*.
+    Equation (spec-amplitude-correlation).
     """
     window = window_values(name, WINDOW_SAMPLES)
     power = np.fft.fft(window**2).real[: FURTHEST_LINE + 1] / np.dot(window, window)
@@ -92,6 +94,7 @@ def exponential_correlation(window: FloatArray, origin: float) -> ComplexArray:
 
     window (n_sample,) [1] of the block; *origin* [samples]: the hit. Stationary noise n of the record gives a line of the FRF the error
     sum_t w n exp(-j w t) / F, and F has the phase exp(-j w origin). exp(-t / tau) in a block T gives nearly 1 / (1 + j pi d tau / T).
+    Equation (spec-exponential-correlation).
     """
     power = np.fft.fft(window**2)[: window.size // 2] / np.dot(window, window)
     above = np.flatnonzero(np.abs(power) > FAINT)
@@ -103,7 +106,7 @@ def exponential_correlation(window: FloatArray, origin: float) -> ComplexArray:
 def effective_averages(window: FloatArray, step: int, n_block: int) -> float:
     """n_e = K / (1 + 2 sum_k (1 - k/K) rho_k), effective number of averages of K overlapping blocks (Welch 1967).
 
-    window (n_sample,) [1], *step* [samples].
+    window (n_sample,) [1], *step* [samples]. Equation (spec-averages).
     """
     rho = overlap_correlation(window, step)
     k = np.arange(1, rho.size + 1)

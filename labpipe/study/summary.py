@@ -24,7 +24,7 @@ def summarised(
     noise: float,
     lines: int,
 ) -> StudyCase:
-    """One fit over all repeats."""
+    """One fit over all repeats. Equation (comp-study)."""
     ended = [outcome for outcome in outcomes if outcome.parameters]
     results = [outcome for outcome in ended if outcome.converged]
     names = _names(ended[0].parameters, truth) if ended else []
@@ -50,7 +50,10 @@ def summarised(
 
 
 def success_rate(outcomes: Sequence[Outcome], settings: FitSettings, truth: Truth, limit: float) -> float:
-    """Share of all repeats that ended in a result within *limit* of the truth: |p - p_true| < limit |p_true| of all together."""
+    """Share of all repeats that ended in a result within *limit* of the truth: |p - p_true| < limit |p_true| of all together.
+
+    Equation (comp-success).
+    """
     return float(np.mean([_succeeded(outcome, settings, truth, limit) for outcome in outcomes]))
 
 
@@ -63,7 +66,10 @@ def _succeeded(outcome: Outcome, settings: FitSettings, truth: Truth, limit: flo
 
 
 def squared_error(outcome: Outcome, names: Sequence[str], truth: Truth, settings: FitSettings) -> float:
-    """Sum of squared parameter errors; an entry of a symmetric matrix beside the diagonal counts at both its places."""
+    """Sum of squared parameter errors; an entry of a symmetric matrix beside the diagonal counts at both its places.
+
+    Equation (comp-squared-error).
+    """
     values = {parameter.name: parameter.value for parameter in outcome.parameters}
     deviations = np.array([values.get(name, 0.0) - truth[name] for name in names])
     return float(_places(names, settings) @ deviations**2)

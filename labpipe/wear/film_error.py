@@ -20,7 +20,7 @@ def film_covariance(misfit: Misfit, parameters: FloatArray, covariance: FloatArr
     """Covariance (n, n) [1] of the scaled *parameters* (n,) at a refined minimum by the mesh of the films; zero where there is no film.
 
     Sum over the films of b b^T with b = -covariance J^T dr, dr the change of the residual by the film's error; *covariance* (n, n) [1]:
-    that of the noise.
+    that of the noise. Equation (wear-film).
     """
     residual, jacobian = misfit.residual(parameters), misfit.jacobian(parameters)
     total = np.zeros_like(covariance)

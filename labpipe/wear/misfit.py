@@ -84,6 +84,7 @@ def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
     """e^H C^-1 e over the lines, e the complex residual of all terms and C its covariance; equal weights where no noise is known.
 
     A covariance estimated from few averages inflates the residual: it is scaled back so that its weight beside the prior is right.
+    Equation (wear-complex).
     """
     chosen = measured.chosen
     weighted = has_noise(chosen)
@@ -98,7 +99,7 @@ def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
 
 
 def log_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
-    """log10(|H_model| / |H_measured|) of every line and term, all alike (Mendes et al. 2017); phases do not enter."""
+    """log10(|H_model| / |H_measured|) of every line and term, all alike (Mendes et al. 2017); phases do not enter. Equation (wear-log)."""
     matrix = measured.chosen.matrix
 
     def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:

@@ -30,7 +30,7 @@ class Interval:
 def profile_interval(misfit: Misfit, best: Minimum, number: int, std_error: float, limit: float = 1.96) -> Interval:
     """Where the root of the misfit's increase reaches *limit* standard deviations, all other parameters re-estimated.
 
-    *std_error*: a first guess of the distance for one standard deviation, scaled.
+    *std_error*: a first guess of the distance for one standard deviation, scaled. Equation (wear-profile).
     """
     ends = [_end(misfit, best, number, side, std_error, limit) for side in (-1, 1)]
     return Interval(ends[0][0], ends[1][0], ends[0][1], ends[1][1])
@@ -76,7 +76,7 @@ def joint_region(misfit: Misfit, best: Minimum, covariance: FloatArray, level: f
     """Outline of the joint confidence region of the first two parameters, (n_direction, 2), scaled [1]; *covariance* (n, n), scaled.
 
     Along rays from the estimate, in units of the covariance's ellipse, to where the profile increases by the chi-square quantile of
-    two parameters; cut at the bounds.
+    two parameters; cut at the bounds. Equation (wear-region).
     """
     limit = float(np.sqrt(chi2_quantile(level, 2)))
     root = np.linalg.cholesky(covariance[:2, :2])
