@@ -21,7 +21,7 @@ def figure_files(document: Document) -> dict[str, bytes]:
     figures = [block for section in document.sections for block in section.blocks if isinstance(block, Figure)]
     contents: dict[str, bytes] = {}
     for number, figure in enumerate(figures, 1):
-        stem = f"figure-{number:02d}-{_short(figure.caption)}".rstrip("-")
+        stem = f"figure-{number:02d}-{short_name(figure.caption)}".rstrip("-")
         canvas = canvas_of(figure.graphic)
         contents[f"{stem}.svg"] = ('<?xml version="1.0" encoding="utf-8"?>\n' + svg_text(canvas)).encode()
         contents[f"{stem}.png"] = png_bytes(canvas)
@@ -30,7 +30,8 @@ def figure_files(document: Document) -> dict[str, bytes]:
     return contents
 
 
-def _short(caption: str) -> str:
+def short_name(caption: str) -> str:
+    """A caption as part of a file's name: its first words in small letters."""
     plain = re.sub(r"[^a-z0-9]+", "-", caption.lower()).strip("-")
     return plain[:MOST_LETTERS].rpartition("-")[0] if len(plain) > MOST_LETTERS else plain
 

@@ -87,6 +87,8 @@ def _axis(axis: Axis, limits: tuple[float, float], group: int) -> dict[str, Any]
 def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
     colour = RULE if series.colour == GREY else series.colour
     entry: dict[str, Any] = {"kind": series.kind, "name": series.name, "colour": colour, "line": series.line, "width": series.width}
+    if series.entry:
+        entry["entry"] = series.entry
     if series.kind == "cells":
         nothing = numbers.add(np.empty(0))
         fills = [[heat(value) for value in row] for row in series.y.tolist()]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import base64
+import csv
 import hashlib
+import io
 import re
 from functools import cache
 from html import escape
 from importlib.resources import files
 
+from labpipe.document.figure_files import short_name
 from labpipe.document.figure_numbers import figure_json, json_text
 from labpipe.document.saving import canvas_of, svg_text
 from labpipe.document.shape_drawing import shape_numbers
@@ -19,6 +22,8 @@ from labpipe.report.shape_figure import KIND as SHAPES
 SCRIPTS = ("scale.js", "panel.js", "reading.js", "zoom.js", "choose.js", "figure.js", "shape.js")
 # Many sections need a way to them; few do not.
 LEAST_LISTED = 4
+# Rows of a table beyond which it is folded.
+LONG_TABLE = 30
 # A hundredth of a point is finer than any screen.
 FINER = re.compile(r"(\d\.\d\d)\d+")
 
@@ -124,7 +129,17 @@ def _table(table: Table) -> str:
     blank = ' class="signature"' if table.rows and not any(cell.strip() for row in table.rows for cell in row) else ""
     named = "" if table.caption else f' aria-label="{name}"'
     whole = f"<table{blank}{named}>{caption}<thead><tr>{heads}</tr></thead>\n<tbody>{body}</tbody></table>"
-    return f'<div class="wide" tabindex="0" role="region" aria-label="{name}">{whole}</div>'
+    wide = f'<div class="wide" tabindex="0" role="region" aria-label="{name}">{whole}</div>'
+    return wide if len(table.rows) <= LONG_TABLE else _folded(table, name, wide)
+
+
+def _folded(table: Table, name: str, whole: str) -> str:
+    """A long table behind a summary, with all of it as a CSV file to save."""
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\n").writerows([table.header, *table.rows])
+    content = base64.b64encode(stream.getvalue().encode()).decode("ascii")
+    link = f'<a download="{short_name(table.caption or "table")}.csv" href="data:text/csv;base64,{content}">CSV</a>'
+    return f'<details class="long"><summary>{name}: {len(table.rows)} rows</summary>\n<p>{link}</p>\n{whole}</details>'
 
 
 def _cell(table: Table, column: int, text: str) -> str:

@@ -136,7 +136,7 @@ def _entries(axes: Axes, panel: Panel) -> dict[Entry, Artist]:
     for series in panel.series:
         for other, handle in listed:
             if other is series:
-                first.setdefault((series.name, series.colour), handle)
+                first.setdefault((series.listed, series.colour), handle)
     return first
 
 

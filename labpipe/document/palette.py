@@ -6,8 +6,9 @@ import math
 
 from labpipe.report.chart import PALETTE_SIZE
 
-# Okabe and Ito's colours: distinguishable for colour-blind readers and in grey print.
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+# Okabe and Ito's colours, distinguishable for colour-blind readers and in grey print; amber and sky darker, so that thin lines reach a
+# contrast of 3:1 with white (WCAG 2.1, criterion 1.4.11).
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#B97F00", "#3A94D0", "#000000")
 GREY_TONE = "#808080"
 # From -1 to 1 in equal steps: orange, white, violet, of one lightness at both ends (ColorBrewer's PuOr).
 HEAT = ("#7f3b08", "#b35806", "#e08214", "#fdb863", "#fee0b6", "#f7f7f7", "#d8daeb", "#b2abd2", "#8073ac", "#542788", "#2d004b")

@@ -32,6 +32,7 @@ class Series:
     x, y: (n,) [units of the axes], NaN where nothing is shown; of a line or span across the panel one of them is empty.
     cells: y is (n_row, n_column). low, high: (n,) ends of an interval around y, shown as *interval* ('shaded' or 'bar').
     line: '-', '--', ':' or '-.', '' for none; marker: '.', 'o', 's' or 'v', '' for none; size, width: diameter and line [pt].
+    entry: the name in the legend, where it is not *name*: series of one entry share it.
     """
 
     kind: str
@@ -50,6 +51,12 @@ class Series:
     opacity: float = 1.0
     hollow: bool = False
     texts: tuple[tuple[str, ...], ...] = ()
+    entry: str = ""
+
+    @property
+    def listed(self) -> str:
+        """The name in the legend, '' for none."""
+        return self.entry or self.name
 
     def __post_init__(self) -> None:
         for name in ("x", "y", "low", "high"):
@@ -80,6 +87,7 @@ def curve(
     bars: Ends | None = None,
     opacity: float = 0.15,
     hollow: bool = False,
+    entry: str = "",
 ) -> Series:
     """Points (n,) joined by a *line*; *band* and *bars*: the two ends (n,) of an interval, shaded (with *opacity*) or as bars."""
     low, high = (None, None) if band is None and bars is None else (np.asarray(end, float) for end in band or bars or ())
@@ -101,6 +109,7 @@ def curve(
         width=width,
         opacity=opacity,
         hollow=hollow,
+        entry=entry,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -72,11 +73,13 @@ def fitted_curve_figure(fit: Fit, fitted: FittedCurve) -> Figure:
         colour = number % PALETTE_SIZE
         factor, label = form_unit(fitted.form)[1], f"{fitted.outputs[o]}/{fitted.inputs[i]}"
         lines, values = fitted.drawn
+        # With several elements dots and line of one share an entry of the legend; the caption says which is which.
+        entry = label if len(pairs) > 1 else ""
         pair = ((f"{label} measured", fitted.frequency, fitted.measured[:, o, i]), (f"{label} fitted", lines, values[:, o, i]))
         for (name, x, h), style, marker in zip(pair, ("", "-"), (".", ""), strict=True):
-            amplitude.append(curve(name, x, factor * np.abs(h), colour, style, width=1.5, marker=marker))
-            phase.append(curve(name, x, phase_degrees(h), colour, style, width=1.5, marker=marker))
-        residual.append(_residual(fitted, o, i, colour, f"{label} measured"))
+            amplitude.append(curve(name, x, factor * np.abs(h), colour, style, width=1.5, marker=marker, entry=entry))
+            phase.append(curve(name, x, phase_degrees(h), colour, style, width=1.5, marker=marker, entry=entry))
+        residual.append(dataclasses.replace(_residual(fitted, o, i, colour, f"{label} measured"), entry=entry))
     panels = (
         over_frequency(form_axis(fitted.form), amplitude, 3.0),
         over_frequency(PHASE, phase, 2.0),

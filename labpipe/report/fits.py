@@ -31,11 +31,19 @@ from labpipe.report.wording import (
 
 PARAMETER_HEADER = ("parameter", "value", "unit", "std. error", "95 % interval", "t-ratio", "significance", "VIF")
 NUMERIC = (1, 3, 4, 5, 7)
+_EXPLANATION = Paragraph(STARS_EXPLAINED)
 
 
 def fit_sections(identification: Identification) -> tuple[Section, ...]:
-    """One section for every fit; the bands of a sliding fit and the lines of a calibration share theirs."""
-    return tuple(Section(f"Result: {_title(fits)}", _result(fits)) for fits in _groups(identification.fits))
+    """One section for every fit; the bands of a sliding fit and the lines of a calibration share theirs. Signs are explained once."""
+    sections, is_explained = [], False
+    for fits in _groups(identification.fits):
+        blocks = _result(fits)
+        if _EXPLANATION in blocks:
+            blocks = tuple(block for block in blocks if not (is_explained and block == _EXPLANATION))
+            is_explained = True
+        sections.append(Section(f"Result: {_title(fits)}", blocks))
+    return tuple(sections)
 
 
 def fit_figures(fit: Fit) -> list[Figure]:
@@ -45,7 +53,7 @@ def fit_figures(fit: Fit) -> list[Figure]:
         many = len(fit.curve.outputs) * len(fit.curve.inputs) > MOST_TOGETHER
         shown.extend(matrix_figures(fit, fit.curve) if many else [figures.fitted_curve_figure(fit, fit.curve)])
     shown.extend(wear_figures(fit))
-    if fit.correlation.shape[0] > 1:
+    if fit.correlation.shape[0] > 2:
         shown.append(figures.correlation_figure(fit))
     return shown
 
@@ -74,8 +82,9 @@ def _single(fit: Fit) -> tuple[Block, ...]:
     return (
         Paragraph(_described(fit)),
         Table(PARAMETER_HEADER, rows, f"Parameters of {fit_title(fit)}", NUMERIC),
-        Paragraph(STARS_EXPLAINED),
+        _EXPLANATION,
         *budget_blocks(fit),
+        *_correlation_of_two(fit),
         *(Paragraph(sentence, "note") for sentence in entangled_text(fit)),
         *(Paragraph(note, "note") for note in fit.notes),
         *candidate_blocks(fit),
@@ -85,6 +94,15 @@ def _single(fit: Fit) -> tuple[Block, ...]:
         *robust_blocks(fit),
         *fit_figures(fit),
     )
+
+
+def _correlation_of_two(fit: Fit) -> tuple[Block, ...]:
+    """The correlation of the only two estimates, in words; more stand in a figure."""
+    if fit.correlation.shape[0] != 2:
+        return ()
+    first, second = (parameter.name for parameter in fit.parameters if not parameter.derived)
+    value = float(fit.correlation[0, 1])
+    return (Paragraph(f"Correlation between the estimates of {first} and {second}: {value:.3g}."),)
 
 
 def _described(fit: Fit) -> str:

@@ -78,8 +78,8 @@ def test_the_policy_stops_a_page_that_would_ask(browser: Any, report_page: Path,
 
 
 def test_every_figure_is_drawn_by_the_script(page: Any) -> None:
-    assert page.run("document.querySelectorAll('figure').length") == 6
-    assert page.run("document.querySelectorAll('figure.alive .panels svg .series').length") == 10
+    assert page.run("document.querySelectorAll('figure').length") == 5
+    assert page.run("document.querySelectorAll('figure.alive .panels svg .series').length") == 9
     assert page.run("[...document.querySelectorAll('.static')].every((one) => getComputedStyle(one).display === 'none')")
 
 

@@ -10,7 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from labpipe.artefacts.identification_file import read_identification
+from labpipe.document.render import html_report
+
 ROOT = Path(__file__).parents[2]
+LARGEST_REPORT = 3_000_000
 
 
 class _Fetched(HTMLParser):
@@ -40,3 +44,6 @@ def test_the_site_is_built_with_every_figure_and_fetches_nothing() -> None:
         fetched = _Fetched()
         fetched.feed(page.read_text(encoding="utf-8"))
         assert not [address for address in fetched.addresses if address.startswith(("http:", "https:", "//"))], page
+    # The reports of the same results can be mailed and open at once.
+    for result in sorted((ROOT / "out/docs/runs").glob("*/identification.json")):
+        assert len(html_report(read_identification(result))) < LARGEST_REPORT, result.parent.name

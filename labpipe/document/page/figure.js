@@ -29,7 +29,7 @@ function makePanel(figure, spec, id) {
   for (const one of spec.series) Object.assign(one, { x: figure.spec.numbers[one.x], y: figure.spec.numbers[one.y] });
   for (const one of spec.series) if (one.low !== undefined) Object.assign(one, { low: figure.spec.numbers[one.low], high: figure.spec.numbers[one.high] });
   const panel = { spec, svg, id, limits: { x: [...spec.x.limits], y: [...spec.y.limits] } };
-  panel.shown = () => spec.series.filter((one) => !figure.hidden.has(one.name));
+  panel.shown = () => spec.series.filter((one) => !figure.hidden.has(listed(one)));
   panel.pixels = (one, values) => pixelsOf(panel, one, values);
   panel.orderly = spec.series.filter((one) => one.kind === "line").every((one) => rising(one.x));
   return panel;
@@ -91,7 +91,7 @@ function controls(figure, holder) {
     const made = node("button", { type: "button", textContent: text, title: label, onclick: act }, bar);
     made.setAttribute("aria-label", `${label}, ${caption}`);
   };
-  const names = [...new Set(figure.spec.panels.flatMap((panel) => panel.series.filter((one) => one.name).map((one) => one.name)))];
+  const names = [...new Set(figure.spec.panels.flatMap((panel) => panel.series.filter((one) => one.name).map(listed)))];
   const legend = node("div", { className: "legend" }, bar);
   legend.setAttribute("role", "group");
   legend.setAttribute("aria-label", `Series of ${caption}`);
@@ -102,8 +102,15 @@ function controls(figure, holder) {
   bar.title = HINT + (figure.spec.panels.some((panel) => panel.pick) ? PICK_HINT : "");
 }
 
+// Several series may share an entry of the legend.
+function listed(one) {
+  return one.entry || one.name;
+}
+
 function legendButton(figure, legend, name) {
-  const one = figure.spec.panels.flatMap((panel) => panel.series).find((each) => each.name === name);
+  const members = figure.spec.panels.flatMap((panel) => panel.series).filter((each) => listed(each) === name);
+  // Dots and line of one entry are shown on each other.
+  const one = { ...members[0], ...members.find((each) => each.marker), line: (members.find((each) => each.line) ?? members[0]).line };
   const made = node("button", { type: "button", className: "entry" }, legend);
   made.setAttribute("aria-pressed", "true");
   const swatch = element("svg", { width: 22, height: 10, "aria-hidden": "true", style: `--own: ${inkOf(one.colour)}` }, made);

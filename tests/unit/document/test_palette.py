@@ -6,6 +6,7 @@ import matplotlib as mpl
 import pytest
 from matplotlib.colors import to_rgb
 
+from labpipe.document.html_page import page_part
 from labpipe.document.palette import GREY_TONE, HEAT, PALETTE, heat, ink_on, tone
 from labpipe.report.chart import GREY, INK, PALETTE_SIZE
 
@@ -14,6 +15,14 @@ def test_numbers_go_round_the_palette_and_grey_is_apart() -> None:
     assert (
         tone(0) == tone(PALETTE_SIZE) == PALETTE[0] and tone(INK) == "#000000" and tone(GREY) == GREY_TONE and len(PALETTE) == PALETTE_SIZE
     )
+
+
+@pytest.mark.parametrize("colour", [*PALETTE, GREY_TONE])
+def test_every_colour_reaches_3_to_1_against_white(colour: str) -> None:
+    # Contrast of WCAG 2.1: (L1 + 0.05) / (L2 + 0.05) of relative luminances, from linear sRGB.
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in to_rgb(colour)]
+    assert 1.05 / (0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2] + 0.05) >= 3
+    assert colour.lower() in page_part("report.css") or colour == GREY_TONE
 
 
 def test_the_scale_of_heat_maps_goes_from_end_to_end() -> None:

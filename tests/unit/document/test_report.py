@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import csv
+import io
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -10,11 +13,13 @@ import numpy as np
 import pytest
 
 from labpipe.document import render
+from labpipe.document.html_page import LONG_TABLE, render_html
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings, Sliding
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Identification, Parameter, RuleOutcome
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.report.document import Document, Section, Table
 from labpipe.report.wording import parameter_row, rounded, significance
 
 HOSTILE = '<script>alert("x")</script> $y_1$ | *bold*'
@@ -114,7 +119,7 @@ def test_every_figure_tells_what_it_shows() -> None:
     tags = Tags()
     tags.feed(html_report(result()))
     drawings = [attributes for tag, attributes in tags.tags if tag == "svg"]
-    assert len(drawings) == 3 and all(attributes.get("role") == "img" and attributes.get("aria-label") for attributes in drawings)
+    assert len(drawings) == 2 and all(attributes.get("role") == "img" and attributes.get("aria-label") for attributes in drawings)
 
 
 def test_sliding_fits_are_drawn_over_frequency_and_stay_small() -> None:
@@ -170,6 +175,21 @@ def test_the_pdf_has_a_cover_with_the_dates_of_the_recordings_and_lines_instead_
     facts = dict(cover_facts([replace(base, responses=responses)]))
     assert facts["recorded"] == "2026-02-27 to 2026-03-02" and facts["preload"] == "427 N"
     assert facts["pipeline"] == "p.yaml" and facts["computed by"] == "labpipe 0.1.0" and "rig" not in facts
-    assert b"/Subtype /Image" in pdf_report(base)
-    without_heat_map = replace(base, fits=(replace(base.fits[0], correlation=np.ones((1, 1))),))
-    assert b"/Subtype /Image" not in pdf_report(without_heat_map)
+    # The correlation of two estimates is a sentence; no picture of dots stands for it.
+    assert b"/Subtype /Image" not in pdf_report(base)
+
+
+def test_the_signs_are_explained_once_and_the_correlation_of_two_in_words() -> None:
+    base = result()
+    text = html_report(replace(base, fits=(base.fits[0], replace(base.fits[0], name="again"))))
+    assert text.count("Significance of the difference from zero") == 1
+    assert text.count("Correlation between the estimates of") == 2 and "Correlation matrix" not in text
+
+
+def test_a_long_table_is_folded_and_stands_in_full_in_its_csv() -> None:
+    rows = tuple((str(n), f"{n}.5, or so") for n in range(LONG_TABLE + 1))
+    tables = (Table(("band", "value"), chosen, "Bands") for chosen in (rows, rows[1:]))
+    long, short = (render_html(Document("T", "", (Section("S", (table,)),))) for table in tables)
+    assert "<details" not in short and f"<summary>Bands: {len(rows)} rows</summary>" in long
+    content = base64.b64decode(re.search(r'data:text/csv;base64,([^"]+)"', long)[1]).decode()
+    assert list(csv.reader(io.StringIO(content))) == [["band", "value"], *(list(row) for row in rows)]
