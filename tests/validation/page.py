@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from tests.validation.claims import KINDS, MEASURED, OF_OTHERS, Claim, Method
 
 WORDS = Path(__file__).parent / "words"
 PAGES = Path(__file__).parents[2] / "docs/pages/validation"
-HEAD = ("quantity", "unit", "labpipe", "reference", "difference", "accepted", "kind", "source", "state")
-GAP = ("not tested", "kind", "source", "why")
+HEAD = ("quantity", "labpipe", "reference", "difference", "accepted", "against", "state")
+MISS = ("quantity", "labpipe", "reference", "accepted", "against", "why")
+GAP = ("not tested", "against", "why")
 MARK = re.compile(r"^\[claims: (.+)\]$", re.MULTILINE)
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?![\w.]*\w)")
 STATES = ("holds", "fails", "not tested")
@@ -23,8 +24,19 @@ def cells(claim: Claim) -> tuple[str, ...]:
     digits = claim.decimals
     value, reference = (f"{number:.{digits}f}" for number in (claim.value, claim.reference))
     difference = f"{claim.value - claim.reference:+.{digits}f}"
-    state = claim.state if claim.state == "holds" else f"**{claim.state}**: {claim.why}"
-    return (claim.quantity, claim.unit, value, reference, difference, accepted(claim), claim.kind, claim.source, state)
+    state = claim.state if claim.state == "holds" else f"**{claim.state}**"
+    unit = "" if claim.unit == "1" else f" [{claim.unit}]"
+    return (claim.quantity + unit, value, reference, difference, accepted(claim), against(claim), state)
+
+
+def against(claim: Claim) -> str:
+    return f"{claim.kind}: {claim.source}" if claim.source else claim.kind
+
+
+def miss(claim: Claim) -> tuple[str, ...]:
+    """The cells of a row that fails, by `MISS`."""
+    quantity, value, reference, _, limits, source, _ = cells(claim)
+    return (quantity, value, reference, limits, source, claim.why)
 
 
 def accepted(claim: Claim) -> str:
@@ -54,8 +66,9 @@ def section_table(claims: Sequence[Claim]) -> str:
     if all(claim.state == "not tested" for claim in claims):
         return table(GAP, map(gap, claims))
     text = table(HEAD, map(cells, claims))
+    reasons = [f"\n*Fails*: {cells(claim)[0]}: {claim.why}." for claim in claims if claim.state == "fails"]
     recorded = dict.fromkeys(claim.recorded for claim in claims if claim.recorded)
-    return "\n".join([text, *(f"\n*Recorded*: {words}" for words in recorded)])
+    return "\n".join([text, *reasons, *(f"\n*Recorded*: {words}" for words in recorded)])
 
 
 def index_page(claims: dict[Method, list[Claim]]) -> str:
@@ -63,9 +76,9 @@ def index_page(claims: dict[Method, list[Claim]]) -> str:
     everything = [(method, claim) for method, of_method in claims.items() for claim in of_method]
     parts = {
         "counts": counts([claim for _, claim in everything]),
-        "misses": rows([(method, claim) for method, claim in everything if claim.state == "fails"]),
-        "not tested": gaps([(method, claim) for method, claim in everything if claim.state == "not tested"]),
-        "all": rows([(method, claim) for method, claim in everything if claim.state != "not tested"]),
+        "misses": rows([one for one in everything if one[1].state == "fails"], MISS, miss),
+        "not tested": rows([one for one in everything if one[1].state == "not tested"], GAP, gap),
+        "all": rows([one for one in everything if one[1].state != "not tested"], HEAD, cells),
     }
     words = (WORDS / "index.md").read_text(encoding="utf-8")
     return MARK.sub(lambda found: parts[found.group(1)], words)
@@ -73,15 +86,11 @@ def index_page(claims: dict[Method, list[Claim]]) -> str:
 
 def gap(claim: Claim) -> tuple[str, ...]:
     """The cells of what is not tested, by `GAP`."""
-    return (claim.quantity, claim.kind, claim.source, claim.why)
+    return (claim.quantity, against(claim), claim.why)
 
 
-def gaps(claims: Sequence[tuple[Method, Claim]]) -> str:
-    return table(("method", *GAP), ((f"[{method.title}]({method.name}.md)", *gap(claim)) for method, claim in claims))
-
-
-def rows(claims: Sequence[tuple[Method, Claim]]) -> str:
-    return table(("method", *HEAD), ((f"[{method.title}]({method.name}.md)", *cells(claim)) for method, claim in claims))
+def rows(claims: Sequence[tuple[Method, Claim]], head: Sequence[str], of: Callable[[Claim], tuple[str, ...]]) -> str:
+    return table(("method", *head), ((f"[{method.title}]({method.name}.md)", *of(claim)) for method, claim in claims))
 
 
 def counts(claims: Sequence[Claim]) -> str:

@@ -256,10 +256,7 @@ def falah() -> list[Claim]:
         film = rig.start(load * POUND)
         ours, onset_at = rig.critical_speed(film, "disc 2") / RPM, rig.threshold(film)
         assert onset_at is not None
-        why = (
-            "nothing is fitted, and discs and mounting, which are not printed, are the rotor file's; "
-            "the source's own model says 1450 to 1700 rpm for the critical speed and 2469 to 2900 for the threshold"
-        )
+        why = "nothing is fitted; discs and mounting are not printed and the rotor file's own"
         kind, share = "printed measurement", 0.05
         found.append(within(f"critical speed at {load} lb", ours, critical, share, "rpm", kind, source, why, relative=True))
         found.append(within(f"threshold at {load} lb", onset_at / RPM, threshold, share, "rpm", kind, source, why, relative=True))
