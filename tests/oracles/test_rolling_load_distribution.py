@@ -3,8 +3,8 @@
 Source: NSK, Technical Report E728g, section 5.1: Q_max = 4.37 F_r / (Z cos a) for balls and 4.08 F_r / (Z cos a) for rollers when half of
 the circumference is loaded (epsilon = 0.5), which needs F_a = 1.216 F_r tan a (balls) or 1.260 F_r tan a (rollers) in a bearing with a
 contact angle; Q = F_a / (Z sin a) for a purely axial load. Frame: rings parallel (tilts held). The printed constants are integrals over
-many elements at a fixed contact angle; the load zone's edge gives epsilon. The constants themselves and the integrals that Harris prints are
-rows of the validation manual (tests/validation/rolling.py); 1.260 belongs to an exponent of 1.1, where this model's 10/9 gives 1.2573.
+many elements at a fixed contact angle; the load zone's edge gives epsilon. The constants themselves and Harris's integrals are rows of
+the validation manual (tests/validation/rolling.py); 1.260 belongs to an exponent of 1.1, where this model's 10/9 gives 1.2573.
 """
 
 from __future__ import annotations

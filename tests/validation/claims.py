@@ -1,4 +1,4 @@
-"""A claim: one number that labpipe computes, held against a reference that somebody else stands for, with the tolerance said beforehand."""
+"""A claim: one number that labpipe computes, held against a reference that somebody else stands for, with what is accepted."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ OF_OTHERS: tuple[Kind, ...] = (*MEASURED, "printed calculation", "peer program")
 
 @dataclass(frozen=True)
 class Claim:
-    """A row of the manual. The value is accepted from *low* to *high*; *why* is needed where it fails, *recorded* says how an
-    expensive or absent computation was recorded, *long* that it is computed among the long tests only."""
+    """A row of the manual. The value is accepted from *low* to *high*; *why* is needed where it fails, *recorded* says how what cannot
+    be computed everywhere was recorded."""
 
     quantity: str
     value: float | None

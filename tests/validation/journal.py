@@ -106,7 +106,7 @@ RAIMONDI_BOYD = {
 def full_film() -> list[Claim]:
     """Eccentricity within .005 and attitude within a degree at the printed Sommerfeld numbers, the worst of six each."""
     found, diameter, clearance, viscosity, turns = [], 0.1, 1e-4, 0.01, 50.0
-    why = "the source begins its film at the widest gap (a separate calculation that does so has 79.4 and 81.8 deg), labpipe where pressure arises"
+    why = "the source's film begins at the widest gap (a separate one that does so: 79.4 and 81.8 deg), labpipe's where pressure arises"
     for ratio, lines in RAIMONDI_BOYD.items():
         eccentricity, attitude = [], []
         for e, number, angle in lines:
