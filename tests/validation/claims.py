@@ -9,6 +9,7 @@ from typing import Literal
 
 Kind = Literal[
     "closed form",
+    "known truth",
     "independent calculation",
     "printed calculation",
     "printed measurement",
@@ -19,6 +20,7 @@ State = Literal["holds", "fails", "not tested"]
 
 KINDS: dict[Kind, str] = {
     "closed form": "a formula of a textbook, or its quadrature, evaluated in the row itself",
+    "known truth": "recordings of a virtual rig, whose coefficients are known: what many draws of its noise show of the intervals",
     "independent calculation": "a second program or a series of operations, written for this purpose and sharing nothing with labpipe",
     "printed calculation": "figures that others computed and printed: tables, appendices, certified values of constructed problems",
     "printed measurement": "figures that others measured and printed, or evaluated from readings that they print",

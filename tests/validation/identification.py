@@ -9,9 +9,15 @@ import numpy as np
 
 import labpipe
 from labpipe.config.virtual_rig import load_virtual_rig
+from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
+from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.study import StudyCase
+from labpipe.simulate.magnetic_rig import simulate
+from labpipe.simulate.magnetic_settings import VirtualMagneticRig
+from labpipe.spectra.measurement import measure
+from labpipe.spectra.settings import FrfSettings
 from labpipe.study.settings import StudySettings
 from labpipe.study.study import run_study
 from tests.validation.claims import Claim, Method, within
@@ -77,9 +83,47 @@ def pedestal() -> list[Claim]:
     ]
 
 
+DRAWS = 200
+
+
+@cache
+def drawn() -> tuple[Fit, ...]:
+    """The pedestal from recordings to k, c and f_n, once for each seed."""
+    rig, settings = VirtualMagneticRig("virtual-magnetic-rig"), FrfSettings(excitation="periodic", period=2.0, skip=3, band=(1.0, 100.0))
+    asked = FitSettings("sdof", mass=0.79, band=(60.0, 70.0), name="pedestal")
+    runs = (simulate(rig, seed, ["pedestal"])[0].recording for seed in range(1000, 1000 + DRAWS))
+    return tuple(identify(measure([run], settings), asked)[0] for run in runs)
+
+
+def intervals() -> list[Claim]:
+    """95 % within 1.96 binomial standard deviations of 200 draws; a standard deviation of 200 is known to 10 % (1.96 / sqrt(400))."""
+    fits, kind, source = drawn(), "known truth", "virtual pedestal"
+    found = []
+    for name, truth in (("k", 134.5e3), ("c", 3.682), ("f_n", np.sqrt(134.5e3 / 0.79) / (2 * np.pi))):
+        inside = sum(low <= truth <= high for low, high in (limits(fit, name) for fit in fits))
+        found.append(within(f"95 % intervals that hold the truth, {name}", 100 * inside / DRAWS, 95.0, 3.0, "%", kind, source))
+    stated = np.mean([fit.parameter("k").std_error for fit in fits])
+    scatter = np.std([fit.parameter("k").value for fit in fits], ddof=1)
+    found.append(within("standard error over scatter, k", float(stated / scatter), 1.0, 0.1, "1", kind, source))
+    chi2 = [fit.gof.chi2_reduced for fit in fits if fit.gof.chi2_reduced is not None]
+    # 20 lines, 40 real equations, 38 degrees of freedom: sqrt(2 / 38 / 200) is .016.
+    low = sum(fit.gof.chi2_p < 0.05 for fit in fits if fit.gof.chi2_p is not None)
+    found.append(within("right models whose chi-square is rejected at 5 %", 100 * low / DRAWS, 5.0, 3.0, "%", kind, source))
+    warned = sum(finding.code == "model-mismatch" for fit in fits for finding in fit.findings)
+    found.append(within("right models with *model-mismatch*, of at most 4 %", 100 * warned / DRAWS, 2.0, 2.0, "%", kind, source))
+    found.append(within("mean of the reduced chi-square", float(np.mean(chi2)), 1.0, 0.032, "1", kind, source))
+    return found
+
+
+def limits(fit: Fit, name: str) -> tuple[float, float]:
+    interval = fit.parameter(name).ci95
+    assert interval is not None
+    return interval
+
+
 METHOD = Method(
     "identification",
     "Identification",
-    {"benchmark": benchmark, "pedestal": pedestal, "not tested": partial(gaps, "identification")},
-    long=("benchmark",),
+    {"benchmark": benchmark, "pedestal": pedestal, "intervals": intervals, "not tested": partial(gaps, "identification")},
+    long=("benchmark", "intervals"),
 )
