@@ -22,7 +22,7 @@ KINDS: dict[Kind, str] = {
     "closed form": "a formula of a textbook, or its quadrature, evaluated in the row itself",
     "known truth": "recordings of a virtual rig, whose coefficients are known: what many draws of its noise show of the intervals",
     "independent calculation": "a second program or a series of operations, written for this purpose and sharing nothing with labpipe",
-    "printed calculation": "figures that others computed and printed: tables, appendices, certified values of constructed problems",
+    "printed calculation": "figures that others computed and printed: in tables, appendices, textbooks, reports of manufacturers",
     "printed measurement": "figures that others measured and printed, or evaluated from readings that they print",
     "peer program": "what another program makes of the same input",
     "measured public data": "recordings that others made, run from their raw files; beside them stands what the authors say of them",
