@@ -1,7 +1,7 @@
 """Makes the validation manual: `python -m tests.validation`; `--check` compares instead with the pages that are there.
 
-Nothing is fetched. Rows with ROSS and with the raw files of others are recorded by `python -m tests.validation.ross` and
-`python -m tests.validation.measured --data FOLDER`, which need what their names say.
+Nothing is fetched. Rows with ROSS, with sdypy-EMA and with the raw files of others are recorded by the modules `record_ross`,
+`record_lscf` and `record_measured --data FOLDER`, which need what their names say.
 """
 
 from __future__ import annotations

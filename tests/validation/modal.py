@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 from functools import cache, partial
-
-import numpy as np
-import sdypy.EMA as peer
 
 import labpipe
 from labpipe.identify.fitting import identify
@@ -18,25 +13,12 @@ from labpipe.spectra.free_decays import free_decays
 from labpipe.spectra.settings import FrfSettings
 from tests.validation.claims import Claim, Method, among, within
 from tests.validation.gaps import gaps
-from tests.validation.shipped import LINE, PACKAGE, PRINTED_MODE, analysed, last_hit, variables
+from tests.validation.peers import recorded, words
+from tests.validation.shipped import LINE, PACKAGE, PRINTED_MODE, analysed, last_hit
 
 MEASURED, SOURCE = "measured public data", f"{PACKAGE}, case1"
-
-
-@cache
-def lscf() -> tuple[np.ndarray, np.ndarray]:
-    """Frequency [Hz] and damping ratio of the pole nearest the mode, orders 5 to 20 over 204-220 Hz, by sdypy-EMA."""
-    of = variables("case1.mat")
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        frequency = of["Freq_domain"].ravel().astype(float)
-        model = peer.Model(of["Hf_chan_2"].T, frequency, lower=204, upper=220, pol_order_high=20, frf_form="receptance")
-        model.get_poles(method="lscf", show_progress=False)
-    found = []
-    for poles, ratios in zip(model.pole_freq[5:], model.pole_xi[5:], strict=True):
-        nearest = int(np.argmin(np.abs(np.asarray(poles) - PRINTED_MODE)))
-        found.append((np.asarray(poles)[nearest], np.asarray(ratios)[nearest]))
-    frequency_of, ratio = np.array(found).T
-    return frequency_of, ratio
+# 5th percentile, median and 95th of frequency [Hz] and damping ratio.
+LSCF = recorded("lscf")
 
 
 @cache
@@ -51,8 +33,7 @@ def frequencies(fit: Fit) -> list[float]:
 
 def beam() -> list[Claim]:
     """The averaged FRF of case1: accepted is the range of what package and LSCF say (5th to 95th percentile over its orders)."""
-    frequency, ratio = lscf()
-    others, ratios = np.percentile(frequency, [5, 95]).tolist(), np.percentile(ratio, [5, 95]).tolist()
+    others, ratios, note = LSCF["frequency"], [1e3 * ratio for ratio in LSCF["ratio"]], words("lscf")
     (sdof,) = labpipe.fit(analysed(), labpipe.FitSettings("sdof", estimator="ls", band=(204.0, 220.0), name="mode"))
     alone = modal(204.0, 220.0)
     mode, damping = alone.parameter("f_n_1"), alone.parameter("zeta_1")
@@ -61,21 +42,11 @@ def beam() -> list[Claim]:
     leakage = "the interval holds the record's noise, not the analyser's window: the warning *leakage* stands beside it"
     wide = "0.02 Hz or 8 % of a line away; *model-mismatch* says that one dof does not explain the peak, and gives no interval"
     return [
-        among("f_n of a beam, sdof", sdof.parameter("f_n").value, PRINTED_MODE, others, "Hz", MEASURED, SOURCE, wide),
-        among("f_n of a beam, modal", mode.value, PRINTED_MODE, others, "Hz", MEASURED, SOURCE),
-        among(
-            "zeta of a beam, modal",
-            1e3 * damping.value,
-            1e3 * float(np.median(ratio)),
-            [1e3 * x for x in ratios],
-            "10^-3",
-            MEASURED,
-            SOURCE,
-        ),
-        within(
-            "its distance in half widths of its 95 % interval", (mode.value - PRINTED_MODE) / half, 0.0, 1.0, "1", MEASURED, SOURCE, leakage
-        ),
-        within("f_n, modal against LSCF", mode.value, float(np.median(frequency)), LINE / 10, "Hz", "peer program", "sdypy-EMA"),
+        among("f_n of a beam, sdof", sdof.parameter("f_n").value, PRINTED_MODE, others, "Hz", MEASURED, SOURCE, wide, note),
+        among("f_n of a beam, modal", mode.value, PRINTED_MODE, others, "Hz", MEASURED, SOURCE, recorded=note),
+        among("zeta of a beam, modal", 1e3 * damping.value, ratios[1], ratios, "10^-3", MEASURED, SOURCE, recorded=note),
+        within("its distance in half widths of its interval", (mode.value - PRINTED_MODE) / half, 0.0, 1.0, "1", MEASURED, SOURCE, leakage),
+        within("f_n, modal against LSCF", mode.value, others[1], LINE / 10, "Hz", "peer program", "sdypy-EMA", recorded=note),
     ]
 
 
@@ -102,7 +73,7 @@ def free_decay() -> list[Claim]:
     ring, hum = decayed((204.0, 220.0)), decayed((100.0, 130.0))
     interval = hum.parameter("zeta_1").ci95
     assert interval is not None
-    inside, averaged = float(interval[0] < 0 < interval[1]), 1e3 * float(np.median(lscf()[1]))
+    inside, averaged = float(interval[0] < 0 < interval[1]), 1e3 * LSCF["ratio"][1]
     return [
         within("f_n from one decay", ring.parameter("f_n_1").value, PRINTED_MODE, 5e-5, "Hz", MEASURED, SOURCE, relative=True),
         within("zeta from one decay", 1e3 * ring.parameter("zeta_1").value, averaged, 0.1, "10^-3", MEASURED, SOURCE, relative=True),

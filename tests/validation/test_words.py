@@ -6,6 +6,7 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -13,6 +14,8 @@ import labpipe
 from labpipe.records.identification import Fit
 from tests.validation.modal import frequencies
 from tests.validation.page import WORDS
+from tests.validation.peers import recorded
+from tests.validation.record_lscf import poles
 from tests.validation.shipped import shipped
 
 (BLOCK,) = re.findall(r"```yaml\n(.*?)```", (WORDS / "modal.md").read_text(encoding="utf-8"), re.DOTALL)
@@ -26,6 +29,13 @@ def fits(folder: Path, *, band: str = "204-220 Hz", window: str | None = None) -
     shutil.copy(shipped("case1.mat"), folder)
     (folder / "page.yaml").write_text(yaml.safe_dump(pipeline), encoding="utf-8")
     return {fit.name: fit for fit in labpipe.run(folder / "page.yaml", folder / "out").fits}
+
+
+def test_the_recorded_median_is_that_of_the_other_program() -> None:
+    """To 0.01 Hz, between processors."""
+    frequency, ratio = poles()
+    assert np.median(frequency) == pytest.approx(recorded("lscf")["frequency"][1], abs=0.01)
+    assert np.median(ratio) == pytest.approx(recorded("lscf")["ratio"][1], rel=0.05)
 
 
 def codes(fit: Fit) -> set[str]:
