@@ -16,7 +16,7 @@ from labpipe.decay.pieces import Piece
 # J. Am. Stat. Assoc. 90, 3.2).
 STRONG = 10.0
 # Share of what the law leaves that the richer fit may leave to be named at all where it does not leave white noise either: a softening
-# bearing, whose law is another one, is fitted by two modes to 60 %, a beam with two modes to 35 % (docs/pages/validation.md).
+# bearing, whose law is another one, is fitted by two modes to 60 %, a beam with two modes to 35 % (docs/pages/validation/measured.md).
 LEFT = 0.5
 
 

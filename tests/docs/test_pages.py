@@ -27,6 +27,8 @@ SHELL = {
     "python -m tests.machine.kills --count 100 --cluster --worker": "tests/machine, with one kill",
     "python -m tests.mutants.run --count 200": "takes hours",
     "python -m tests.benchmarks.fleet --recordings 2000 --results 20000 --cluster 1000 4000 16000": "takes half an hour",
+    "python -m tests.validation": "tests/validation",
+    "python -m tests.validation.record_measured --data FOLDER": "tests/validation, where the raw files are",
     "moto_server -H 127.0.0.1 -p 5055": "tests/cli/test_object_storage.py, on a free port",
     "dask scheduler": "tests/cli/test_many_tests.py, on loopback",
     "dask worker tcp://10.0.0.1:8786 --nthreads 1": "tests/cli/test_many_tests.py, on loopback",
@@ -74,7 +76,6 @@ def test_most_pages_hold_commands() -> None:
     without = {
         "statistics",
         "notebook",
-        "validation",
         "fleet",
         "versions",
         "reading-a-report",

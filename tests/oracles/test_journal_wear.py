@@ -9,15 +9,8 @@ import pytest
 
 from labpipe.bearings.journal import JournalBearing, JournalEquilibrium, film_force, journal_equilibrium
 from labpipe.bearings.journal_mesh import FilmMesh
-
-SPEED = 2 * np.pi * 50
-# load N, depth um, angle deg, eccentricity ratio, attitude deg, K c / W, C c Omega / W in the order yy yz zy zz
-CASES = {
-    "bearing 1": (35.38, 0.0, 0.0, 0.1326, 80.95, (2.361, 7.259, -7.946, 1.265), (14.87, -2.367, -2.367, 15.65)),
-    "healthy": (58.82, 0.0, 0.0, 0.2096, 75.71, (2.331, 4.329, -5.412, 1.379), (9.204, -2.345, -2.345, 10.445)),
-    "wear 1": (58.82, 22.27, 11.0, 0.2908, 44.51, (3.176, 3.187, -5.956, 1.600), (8.406, -1.831, -1.831, 9.969)),
-    "wear 3": (58.82, 40.19, 8.0, 0.4423, 26.61, (5.187, 2.270, -5.269, 1.056), (7.863, -3.333, -3.333, 7.297)),
-}
+from tests.validation.journal import WEAR_SPEED as SPEED
+from tests.validation.journal import WORN
 
 
 def bearing(depth: float, angle: float) -> JournalBearing:
@@ -31,15 +24,15 @@ def scaled(equilibrium: JournalEquilibrium) -> tuple[np.ndarray, np.ndarray]:
     return equilibrium.stiffness.ravel() * scale, equilibrium.damping.ravel() * scale * equilibrium.speed
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", WORN)
 @pytest.mark.parametrize(
     ("mesh", "eccentricity", "attitude", "coefficients"),
-    [(FilmMesh(120, 30), 5e-3, 0.05, 0.035), (FilmMesh(240, 30), 5e-3, 0.05, 0.035), (FilmMesh(480, 60), 1e-3, 0.02, 0.005)],
-    ids=["120x30", "240x30", "480x60"],
+    [(FilmMesh(120, 30), 5e-3, 0.05, 0.035), (FilmMesh(240, 30), 5e-3, 0.05, 0.035)],
+    ids=["120x30", "240x30"],
 )
 def test_equilibrium_and_coefficients(name: str, mesh: FilmMesh, eccentricity: float, attitude: float, coefficients: float) -> None:
-    """Tolerances: relative, deg, part of the largest coefficient. Met: 120x30 .2 %, .01, .5 %; 480x60 .02 %, .005, .25 %."""
-    load, depth, angle, e, phi, k, c = CASES[name]
+    """Tolerances: relative, deg, part of the largest coefficient. Met: .2 %, .01, .5 %; 480x60 is in the validation manual."""
+    load, depth, angle, e, phi, k, c = WORN[name]
     equilibrium = journal_equilibrium(bearing(depth, angle), (0.0, -load), SPEED, mesh)
     np.testing.assert_allclose(equilibrium.eccentricity_ratio, e, rtol=eccentricity)
     np.testing.assert_allclose(np.degrees(equilibrium.attitude), phi, atol=attitude)
@@ -49,10 +42,10 @@ def test_equilibrium_and_coefficients(name: str, mesh: FilmMesh, eccentricity: f
     assert abs(c_yz - c_zy) < 1e-8 * np.abs(equilibrium.damping).max()
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", WORN)
 def test_linearised_against_centred_differences(name: str) -> None:
     """Differences of 1e-3 of the clearance in the film force itself, .3 % of the largest coefficient."""
-    load, depth, angle, *_ = CASES[name]
+    load, depth, angle, *_ = WORN[name]
     worn, mesh = bearing(depth, angle), FilmMesh(120, 30)
     equilibrium = journal_equilibrium(worn, (0.0, -load), SPEED, mesh)
     step = 1e-3 * worn.clearance

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.metadata import files
 from pathlib import Path
 
 import numpy as np
@@ -12,21 +11,8 @@ from scipy.io import loadmat
 import labpipe
 from labpipe.config.reader import DECIDE
 from labpipe.formats.table import open_table
-from labpipe.records.response import FrequencyResponse, Port
 from labpipe.stages.scaffold import scaffold
-
-
-def shipped(name: str) -> Path:
-    (found,) = (path for path in files("vibrationtesting") or () if path.name == name)
-    return Path(str(found.locate()))
-
-
-def analysed() -> FrequencyResponse:
-    """The FRF that the analyser averaged, 1600 lines every 0.3125 Hz."""
-    variables = loadmat(shipped("case1.mat"))
-    port = (Port("y", "y", "y", None),)
-    frequency = variables["Freq_domain"].ravel()[1:].astype(float)
-    return FrequencyResponse(frequency, variables["Hf_chan_2"][1:, :, None], port, port, form="receptance")
+from tests.validation.shipped import analysed, shipped
 
 
 @pytest.mark.parametrize("band", [(204.0, 220.0), (209.0, 215.0)])

@@ -28,15 +28,10 @@ def noisy_gain(gain: float, share: float, rate: float = 256.0, n: int = 40_000) 
     return Recording((FORCE, X), np.column_stack([u + noise[:, 0], gain * (u + noise[:, 1])]), rate, "run")
 
 
-@pytest.mark.parametrize("gain", [1.0, 1e-6])
-def test_hv_does_not_collapse_to_h1_in_metres(gain: float) -> None:
-    # Equal shares of noise on both sides: Hv is unbiased in any unit, H1 is low by 1 / (1 + 0.25), H2 high by as much.
-    recording = noisy_gain(gain, 0.5)
-    settings = {name: FrfSettings(excitation="random", block=1.0, estimator=name) for name in ("H1", "H2", "Hv")}
-    found = {name: np.mean(measure([recording], own).matrix.real) / gain for name, own in settings.items()}
-    assert found["Hv"] == pytest.approx(1.0, abs=0.01)
-    assert found["H1"] == pytest.approx(1 / 1.25, abs=0.01)
-    assert found["H2"] == pytest.approx(1.25, abs=0.01)
+def test_hv_is_unbiased_in_newtons_as_in_metres() -> None:
+    # Equal shares of noise on both sides; in metres, with H1 and H2 beside it, it is a row of the validation manual.
+    response = measure([noisy_gain(1.0, 0.5)], FrfSettings(excitation="random", block=1.0, estimator="Hv"))
+    assert np.mean(response.matrix.real) == pytest.approx(1.0, abs=0.01)
 
 
 def test_hv_of_two_forces_in_mixed_units() -> None:
@@ -91,24 +86,6 @@ def test_h2_of_a_matrix_that_is_not_symmetric() -> None:
     s_uu = np.array([[[2.0, 0.3j], [-0.3j, 1.0]]])
     s_yu = h @ s_uu
     np.testing.assert_allclose(h2(s_uu, s_yu, s_yu @ h.conj().swapaxes(1, 2)), h, atol=1e-14)
-
-
-@pytest.mark.parametrize("excitation", ["random", "periodic", "impact"])
-def test_a_response_that_comes_late_has_negative_phase(excitation: str) -> None:
-    # e^{+jwt}: a delay d is exp(-j w d); its conjugate would swap forward and backward.
-    rng = np.random.default_rng(35)
-    n, period = 8192, 512
-    u = {
-        "random": rng.normal(size=n),
-        "periodic": np.tile(rng.normal(size=period), n // period),
-        "impact": (np.arange(n) % 1024 == 200).astype(float),
-    }[excitation]
-    length = {"period" if excitation == "periodic" else "block": 1.0}
-    response = measure(
-        [Recording((FORCE, X), np.column_stack([u, np.roll(u, 3)]), 512.0, "run")],
-        FrfSettings(excitation=excitation, band=(5.0, 60.0), **length),
-    )
-    np.testing.assert_allclose(np.angle(response.matrix[:, 0, 0]), -2 * np.pi * response.frequency * 3 / 512, atol=0.05)
 
 
 @pytest.mark.parametrize("excitation", ["random", "periodic", "impact"])

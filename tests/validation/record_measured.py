@@ -1,0 +1,283 @@
+"""Records what labpipe and two other programs make of raw files that others published: nothing is fetched, nothing of them is shipped.
+
+    python -m tests.validation.record_measured --data FOLDER
+
+FOLDER holds a clone of each repository below, named owner+name (a bare one may lie one folder deeper). The pipelines and rig files are
+those of `words/measured.md`; commit and SHA-256 digest of every raw file go into the record.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import hashlib
+import io
+import json
+import os
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import yaml
+from scipy.optimize import curve_fit
+
+import labpipe
+from labpipe.records.identification import Fit
+from labpipe.spectra.settings import FreeDecaySettings, FrfSettings
+from tests.validation.measured_page import BLOCKS, RIGS
+
+FILE = Path(__file__).parent / "recorded/measured.json"
+TIMEOUT = 120.0
+
+
+@dataclass(frozen=True)
+class RawSet:
+    """Raw files of one repository: *files* by the name that the pipelines use, its path at *commit*."""
+
+    repository: str
+    commit: str
+    files: dict[str, str]
+
+
+BEARING = "experimental-modal-analysis/data/experimental_modal_analysis_journal"
+TOOL = "ExperimentalModalAnalysis/Point_{}_Channel_1_CH1.txt"
+BEAM = "Example/SignalCalc/ASCII0000{0}/Hxysv0000{0}.txt"
+SETS = {
+    "bearing": RawSet(
+        "runehoejlund/superconducting-magnetic-bearing",
+        "c3e822ea71a4f5acdaabe62acccc566fa56f6b7b",
+        {f"experimental_modal_analysis_journal_{axis}.csv": f"{BEARING}_{axis}.csv" for axis in "rz"},
+    ),
+    "beams": RawSet(
+        "deepfe/dexpilab1", "5bb911f6ec8af99920d05e18aa987275fedbb0d6", {"VDeXpiLab1_Exp.mat": "20220317_VD1/VDeXpiLab1_Exp.mat"}
+    ),
+    "tool": RawSet(
+        "leekunhwee/Vibration-Signal-Processing",
+        "d9edffe54f69bf34368cd47f9389b78fc3d360cf",
+        {
+            **{f"tool_{point}.txt": TOOL.format(point) for point in range(1, 6)},
+            "Point1_Channel1_CH1.txt": "ImpactTesting/Point1_Channel1_CH1.txt",
+        },
+    ),
+    "ruler": RawSet(
+        "torebutlin/pydvma", "df9328623808ad189fdad09930e4db4a274e67e4", {"ruler_grid_acc_3.mat": "data/examples/ruler_grid_acc_3.mat"}
+    ),
+    "free beam": RawSet(
+        "alxhslm/ModeLAB",
+        "4a27c9822565ba9eb282d479333d3d920899182c",
+        {f"Hxysv0000{point}.txt": BEAM.format(point) for point in range(1, 10)},
+    ),
+    "kit": RawSet(
+        "gergelytakacs/AutomationShield",
+        "bc0778f97a156d4ea5158725e09068d438e59a39",
+        {"Data_time.mat": "simulink/examples/MagnetoShield/MagnetoShield_AlternativeModel_Examples/Models_comparison/Data_time.mat"},
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """A pipeline of the page with *changes* of its entries, by dotted names."""
+
+    raw: str
+    title: str
+    changes: dict[str, Any] = field(default_factory=dict)
+
+
+ONE_RADIAL, ONE_AXIAL = {"start": "24.35 s", "end": "25.374 s"}, {"start": "1.561 s", "end": "2.243 s"}
+RUNS = {
+    "radial, all hits": Run("bearing", "Radial, all hits"),
+    "radial, one hit": Run("bearing", "Radial, all hits", {"frf.decay": ONE_RADIAL}),
+    "axial, all hits": Run("bearing", "Axial, all hits"),
+    "axial, one hit": Run("bearing", "Axial, all hits", {"frf.decay": ONE_AXIAL}),
+    "steel": Run("beams", "Steel beam"),
+    "aluminium": Run("beams", "Steel beam", {"rig": "aluminium.yaml"}),
+    "tool, automatic": Run("tool", "Tool in a spindle"),
+    "tool, poles": Run("tool", "Tool in a spindle", {"identify.modes.modal": {"poles": ["1074 Hz", "1961 Hz", "2617 Hz"]}}),
+    "tool, one hit": Run("tool", "One hit"),
+    "ruler": Run("ruler", "Ruler, ten points"),
+    "free beam": Run("free beam", "Free beam, nine points"),
+    "kit": Run("kit", "Magnet of a levitation kit"),
+}
+# Decays that curve_fit is given as well: recording, column, band [Hz].
+DECAYS = {
+    "radial, all hits": ("y", (15.0, 60.0)),
+    "radial, one hit": ("y", (15.0, 60.0)),
+    "axial, all hits": ("y", (20.0, 60.0)),
+    "axial, one hit": ("y", (20.0, 60.0)),
+    "steel": ("a", (1.0, 15.0)),
+    "aluminium": ("a", (1.0, 15.0)),
+}
+
+
+def blob(data: Path, of: RawSet, path: str) -> bytes:
+    """The file at the pinned commit, from a clone under *data*."""
+    folder = data / of.repository.replace("/", "+")
+    folder = folder / "repo" if (folder / "repo").exists() else folder
+    asked = ["git", "-C", str(folder), "show", f"{of.commit}:{path}"]
+    return subprocess.run(asked, check=True, capture_output=True, timeout=TIMEOUT).stdout
+
+
+def unpacked(data: Path, of: RawSet, folder: Path) -> dict[str, str]:
+    """Raw files and rig files in *folder*; digests by name."""
+    digests = {}
+    for name, path in of.files.items():
+        content = blob(data, of, path)
+        (folder / name).write_bytes(content)
+        digests[name] = hashlib.sha256(content).hexdigest()
+    for name, text in RIGS.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return digests
+
+
+def pipeline_of(run: Run) -> dict[str, Any]:
+    (text,) = (block for block in BLOCKS if yaml.safe_load(block)["title"] == run.title)
+    pipeline: dict[str, Any] = yaml.safe_load(text)
+    for name, value in run.changes.items():
+        *parents, last = name.split(".")
+        entry = pipeline
+        for parent in parents:
+            entry = entry[parent]
+        entry[last] = value
+    return pipeline
+
+
+def said(fit: Fit) -> dict[str, Any]:
+    """Values, half widths of 95 % intervals where there are any, and warnings."""
+    values = {
+        parameter.name: {"value": parameter.value, "interval": list(parameter.ci95) if parameter.ci95 is not None else None}
+        for parameter in fit.parameters
+    }
+    return {"values": values, "warnings": sorted({finding.code for finding in fit.findings if finding.level == "warning"})}
+
+
+def oscillator(t: np.ndarray, size: float, phase: float, frequency: float, ratio: float, offset: float) -> np.ndarray:
+    w = 2 * np.pi * frequency
+    return offset + size * np.exp(-ratio * w * t) * np.cos(w * np.sqrt(1 - ratio**2) * t + phase)
+
+
+def fitted_decays(folder: Path, run: Run, band: tuple[float, float]) -> dict[str, list[float]]:
+    """Each decay as labpipe cuts it out, by scipy's curve_fit of one oscillator with offset and free frequency, the record as it is."""
+    pipeline = pipeline_of(run)
+    recording = labpipe.read(folder / pipeline["recordings"], rig=folder / pipeline["rig"])
+    settings = pipeline["frf"]
+    asked = {name: float(str(value).split()[0]) for name, value in settings.get("decay", {}).items()}
+    decays = labpipe.free_decays([recording], FrfSettings("decay", decay=FreeDecaySettings(**asked)))
+    found: dict[str, list[float]] = {"frequency": [], "ratio": []}
+    for decay in decays.decays:
+        y = decay.samples[:, 0]
+        t = np.arange(y.size) / decays.sample_rate
+        spectrum, lines = np.abs(np.fft.rfft(y - y.mean())), np.fft.rfftfreq(y.size, 1 / decays.sample_rate)
+        inside = (lines > band[0]) & (lines < band[1])
+        start = lines[inside][np.argmax(spectrum[inside])]
+        try:
+            best, _ = curve_fit(oscillator, t, y, (np.ptp(y) / 2, 0.0, start, 0.03, y.mean()), maxfev=20000)
+        except RuntimeError:
+            continue
+        if band[0] < best[2] < band[1] and best[3] > 0:
+            found["frequency"].append(float(best[2]))
+            found["ratio"].append(float(best[3]))
+    return found
+
+
+def lscf(
+    frequency: np.ndarray, h: np.ndarray, band: tuple[float, float], form: str, near: list[float]
+) -> dict[str, dict[str, list[float]]]:
+    """The pole nearest each frequency in the orders 10 to 60 of sdypy-EMA's LSCF.
+
+    Frequency: 5th percentile, median, 95th; damping ratio, which scatters into the negative: quartiles.
+    """
+    import sdypy.EMA as peer
+
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        model = peer.Model(h, frequency, lower=band[0], upper=band[1], pol_order_high=60, frf_form=form)
+        model.get_poles(method="lscf", show_progress=False)
+    found = {}
+    for place in near:
+        nearest = []
+        for poles, ratios in zip(model.pole_freq[10:], model.pole_xi[10:], strict=True):
+            if len(poles):
+                number = int(np.argmin(np.abs(np.asarray(poles) - place)))
+                nearest.append((np.asarray(poles)[number], np.asarray(ratios)[number]))
+        frequencies, ratios_of = np.array(nearest).T
+        found[f"{place:g}"] = {
+            "frequency": np.percentile(frequencies, [5, 50, 95]).tolist(),
+            "ratio": np.percentile(ratios_of, [25, 50, 75]).tolist(),
+        }
+    return found
+
+
+PEERS = {
+    "tool, automatic": ((700.0, 3000.0), "receptance", [1074.0, 1961.0, 2617.0]),
+    "ruler": ((20.0, 600.0), "accelerance", [39.38, 108.55, 212.81, 351.78, 525.50, 551.5]),
+    "free beam, mode_1": ((105.0, 119.0), "accelerance", [111.99]),
+    "free beam, mode_2": ((297.0, 315.0), "accelerance", [306.86]),
+    "free beam, mode_3": ((585.0, 605.0), "accelerance", [596.37]),
+    "free beam, mode_4": ((965.0, 985.0), "accelerance", [974.14]),
+}
+
+
+def frfs(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Frequency (n_line,) and FRFs (n_point, n_line) straight from the files, without labpipe."""
+    if name == "ruler":
+        from scipy.io import loadmat
+
+        h = loadmat(folder / "ruler_grid_acc_3.mat")["yspec"].T
+        return 0.6103515625 * np.arange(h.shape[1]), h
+    pattern = "tool_*.txt" if name.startswith("tool") else "Hxysv*.txt"
+    tables = [columns(path) for path in sorted(folder.glob(pattern))]
+    return tables[0][:, 0], np.array([table[:, 1] + 1j * table[:, 2] for table in tables])
+
+
+def columns(path: Path) -> np.ndarray:
+    """The numeric lines of a text file, three columns."""
+    rows = []
+    for line in path.read_text(encoding="latin-1").splitlines():
+        with contextlib.suppress(ValueError):
+            rows.append([float(cell) for cell in line.replace(",", " ").split()[:3]])
+    return np.array([row for row in rows if len(row) == 3])
+
+
+def recorded(data: Path) -> Iterator[tuple[str, Any]]:
+    """Everything by set: digests, labpipe's fits by run, peers."""
+    for name, of in SETS.items():
+        with tempfile.TemporaryDirectory() as scratch:
+            folder = Path(scratch)
+            entry: dict[str, Any] = {"repository": of.repository, "commit": of.commit, "sha256": unpacked(data, of, folder)}
+            entry["labpipe"], entry["curve_fit"], entry["lscf"] = {}, {}, {}
+            for title, run in RUNS.items():
+                if run.raw != name:
+                    continue
+                (folder / "page.yaml").write_text(yaml.safe_dump(pipeline_of(run)), encoding="utf-8")
+                fits = labpipe.run(folder / "page.yaml", folder / "out").fits
+                entry["labpipe"][title] = {fit.name: said(fit) for fit in fits}
+                if title in DECAYS:
+                    entry["curve_fit"][title] = fitted_decays(folder, run, DECAYS[title][1])
+                print(name, title, flush=True)
+            for title, (band, form, near) in PEERS.items():
+                if title.split(",")[0].startswith(name):
+                    entry["lscf"][title] = lscf(*frfs(folder, title), band, form, near)
+            yield name, entry
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m tests.validation.record_measured", description=__doc__)
+    parser.add_argument("--data", type=Path, required=True, help="folder with one clone for each repository, named owner+name")
+    asked = parser.parse_args()
+    record = {
+        "date": f"{date.today():%Y-%m-%d}",
+        "program": f"labpipe {labpipe.__version__}, sdypy-EMA, scipy",
+        "command": "python -m tests.validation.record_measured --data FOLDER",
+    }
+    FILE.write_text(json.dumps({**record, "sets": dict(recorded(asked.data))}, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

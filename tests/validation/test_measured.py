@@ -1,0 +1,69 @@
+"""The page on measurements by others: its pipelines are read whole, and run again where `LABPIPE_MEASURED` names the raw files."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.io import savemat
+
+from labpipe.config.pipeline import load_pipeline
+from labpipe.config.rig import load_rig
+from tests.validation.measured_page import BLOCKS, RIGS
+from tests.validation.peers import recorded
+from tests.validation.record_measured import RUNS, SETS, pipeline_of
+from tests.validation.record_measured import recorded as recorded_anew
+
+DATA = os.environ.get("LABPIPE_MEASURED", "")
+
+
+@pytest.fixture
+def stand_ins(tmp_path: Path) -> Path:
+    """Files by the names of the page, of the same layout; its rig files."""
+    for name, text in RIGS.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    for of in SETS.values():
+        for name in of.files:
+            (tmp_path / name).write_text("1 0 0\n2 0 0\n", encoding="utf-8")
+    savemat(tmp_path / "ruler_grid_acc_3.mat", {"yspec": np.ones((20, 10), complex)})
+    return tmp_path
+
+
+@pytest.mark.parametrize("title", RUNS)
+def test_every_pipeline_is_read(title: str, stand_ins: Path) -> None:
+    path = stand_ins / "page.yaml"
+    path.write_text(yaml.safe_dump(pipeline_of(RUNS[title])), encoding="utf-8")
+    assert load_pipeline(path).title == RUNS[title].title
+
+
+def test_every_block_is_run_and_every_rig_file_read(stand_ins: Path) -> None:
+    assert {yaml.safe_load(block)["title"] for block in BLOCKS} == {run.title for run in RUNS.values()}
+    for name in RIGS:
+        assert load_rig(stand_ins / name).all_channels
+
+
+def test_the_record_names_commit_and_digest_of_every_raw_file() -> None:
+    record = recorded("measured")["sets"]
+    assert list(record) == list(SETS)
+    for name, of in SETS.items():
+        assert (record[name]["repository"], record[name]["commit"]) == (of.repository, of.commit)
+        assert set(record[name]["sha256"]) == set(of.files) and all(len(digest) == 64 for digest in record[name]["sha256"].values())
+        assert set(record[name]["labpipe"]) == {title for title, run in RUNS.items() if run.raw == name}
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.skipif(not DATA, reason="LABPIPE_MEASURED names no folder with the repositories")
+def test_the_raw_files_give_the_record_again() -> None:
+    for name, entry in recorded_anew(Path(DATA)):
+        of = recorded("measured")["sets"][name]
+        assert entry["sha256"] == of["sha256"]
+        for title, fits in of["labpipe"].items():
+            for fit, said in fits.items():
+                anew = entry["labpipe"][title][fit]
+                assert anew["warnings"] == said["warnings"]
+                for parameter, stated in said["values"].items():
+                    assert anew["values"][parameter]["value"] == pytest.approx(stated["value"], rel=1e-4)
