@@ -15,6 +15,7 @@ from labpipe.document.figure_files import short_name
 from labpipe.document.figure_numbers import figure_json, json_text
 from labpipe.document.saving import canvas_of, svg_text
 from labpipe.document.shape_drawing import shape_numbers
+from labpipe.document.small_svg import smaller
 from labpipe.report.chart import Chart, Graphic
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
 from labpipe.report.shape_figure import KIND as SHAPES
@@ -24,8 +25,6 @@ SCRIPTS = ("scale.js", "panel.js", "reading.js", "zoom.js", "choose.js", "figure
 LEAST_LISTED = 4
 # Rows of a table beyond which it is folded.
 LONG_TABLE = 30
-# A hundredth of a point is finer than any screen.
-FINER = re.compile(r"(\d\.\d\d)\d+")
 
 
 @cache
@@ -95,7 +94,7 @@ def inline_svg(figure: Figure, number: int) -> str:
     """The drawing as SVG inside a page: named for those who cannot see it, its ids its own, its style not the page's."""
     text = svg_text(canvas_of(figure.graphic))
     text = re.sub(r"<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<!--.*?-->", "", text, flags=re.DOTALL)
-    text = re.sub(r'\b(?:d|x|y)="[^"]*"', lambda match: FINER.sub(r"\1", match[0]), text)
+    text = smaller(text)
     text = re.sub(r'(\bid="|xlink:href="#|url\(#)', rf"\g<1>f{number}-", text)
     return text.replace("<svg", f'<svg role="img" aria-label="{escape(figure.alternative)}"', 1)
 
