@@ -23,7 +23,7 @@ class Components:
     """y_ij = mean + setting_i + repeat_ij: standard deviations *within* and *between* settings with 95 % intervals.
 
     *between* is 0 where the settings scatter less than their repeats. p_value: probability of an equal or larger scatter of settings
-    without an effect of the setting (F test). The mean's error is that of the settings' means, with *settings* - 1 degrees of freedom.
+    without an effect of the setting (F test). mean_error: of the settings' scatter alone, with *settings* - 1 degrees of freedom.
     """
 
     mean: float
@@ -76,6 +76,17 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
     )
 
 
+def _mean(campaign: Campaign, scatter: Components) -> Parameter:
+    """The mean of all tests [unit of the values]: scatter of the settings, and errors that no repetition shows.
+
+    u^2 = MSB / n + sum over sources of (mean of their changes)^2, with (a - 1) u^4 / (MSB / n)^2 degrees of freedom (JCGM 100:2008, G.4.1).
+    """
+    common = float(np.sum(np.mean(campaign.common, axis=1) ** 2))
+    error = float(np.hypot(scatter.mean_error, np.sqrt(common)))
+    dof = (scatter.settings - 1) * (error / scatter.mean_error) ** 4
+    return with_error("mean", campaign.unit, scatter.mean, error, student_quantile(1 - TAIL, dof))
+
+
 def _tail(f: float, a: int, n: int) -> float:
     return f_tail(f, a - 1, n - a)
 
@@ -87,6 +98,7 @@ def repeatability(campaign: Campaign) -> Comparison:
     """
     values, settings = campaign.value, campaign.settings
     scatter = components(values, np.array([observation.group for observation in campaign.observations]))
+    mean = _mean(campaign, scatter)
     noise = float(np.sqrt(np.mean(campaign.std_error**2)))
     ratio = (scatter.within / noise) ** 2
     dof = scatter.repeats - scatter.settings
@@ -105,7 +117,7 @@ def repeatability(campaign: Campaign) -> Comparison:
         unit=unit,
         points=campaign.points(),
         amounts=(
-            with_error("mean", unit, scatter.mean, scatter.mean_error, student_quantile(1 - TAIL, scatter.settings - 1)),
+            mean,
             Parameter("within", scatter.within, unit, ci95=scatter.within_ci),
             Parameter("between", scatter.between, unit, ci95=scatter.between_ci, at_bound=scatter.between == 0),
             Parameter("noise", noise, unit, derived=True),

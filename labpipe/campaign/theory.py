@@ -194,8 +194,9 @@ def _curve(fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Ri
     part = FrequencyResponse(
         response.frequency[lines],
         response.matrix[lines][:, row, None][:, :, column, None],
-        (response.outputs[row],),
-        (response.inputs[column],),
+        # Fits of the theory's curve give values alone: no doubt of a sensor need be propagated in each of them.
+        (replace(response.outputs[row], doubts=()),),
+        (replace(response.inputs[column], doubts=()),),
         form=response.form,
         covariance=covariance,
         averages=response.averages,

@@ -1,73 +1,83 @@
-"""A pipeline as cases: one fit of one band to one test each, with the worlds that it is drawn in."""
+"""A pipeline drawn: its fits, comparisons, calibrations, run-ups and responses to unbalance in worlds in which every number is off."""
 
 from __future__ import annotations
 
-import tempfile
 import time
 import warnings
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from labpipe.artefacts.writing import output_folder
 from labpipe.config.pipeline import Pipeline, load_pipeline
 from labpipe.errors import LabpipeError
-from labpipe.identify.fitting import identify, sliding_bands
-from labpipe.identify.settings import FitSettings
-from labpipe.pipeline.run import Manner, measure_tests
-from labpipe.records.channel_spectra import ChannelSpectra
-from labpipe.records.free_decay import FreeDecays
 from labpipe.records.identification import Fit
 from labpipe.records.parameter import Parameter
-from labpipe.stages.measured import MeasuredTest
-from tests.draws.responses import response_worlds
+from tests.draws.calibrations import line_worlds
+from tests.draws.cases import Case, cases_of
+from tests.draws.comparisons import questions_of
+from tests.draws.run_ups import run_up_worlds
 from tests.draws.tally import Tally
-from tests.draws.usual import Errors, with_given_off, with_usual_doubts, with_usual_mass
+from tests.draws.unbalances import unbalance_worlds
+from tests.draws.usual import Errors
+
+# The parameters of one world by name; without an rng those of the truth.
+World = Callable[[Errors, np.random.Generator | None], dict[str, Parameter]]
 
 
 @dataclass(frozen=True)
-class Case:
-    """One fit of one band to one test; *worlds* record the test anew. term: as fits of peaks have it."""
+class Drawn:
+    """One kind of result: its parameters in a *world*, and their *truth* by name."""
 
-    name: str
-    settings: FitSettings
-    worlds: Any
-    test: str = ""
-    term: str = ""
-
-    def fitted(self, errors: Errors, rng: np.random.Generator | None, fits: Sequence[Fit]) -> tuple[Fit, ...]:
-        settings = with_given_off(self.settings, errors)
-        settings = settings.kind.begin(settings, fits)
-        found = identify(self.worlds.recorded(errors, rng), settings, judging=False)
-        return tuple(replace(fit, test=self.test, term=self.term) for fit in found)
+    world: World
+    truth: dict[str, float]
 
 
 def draw_pipeline(path: Path, draws: int, seconds: float, most: int, seed: int) -> Tally | None:
-    """Tallies of all parameters of a pipeline's fits, by fit, test and band; None where it fits nothing."""
-    pipeline = load_pipeline(path)
-    if not pipeline.fits or not pipeline.tests:
+    """Tallies of all results of a pipeline; None where nothing in it has an uncertainty that can be drawn."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return _draw(load_pipeline(path), draws, seconds, most, seed)
+
+
+def _draw(pipeline: Pipeline, draws: int, seconds: float, most: int, seed: int) -> Tally | None:
+    kinds = _kinds(pipeline, most)
+    if not kinds:
         return None
-    cases = cases_of(pipeline, most)
-    tally = Tally(_parameters(cases, Errors(), None))
+    tally = Tally({name: value for kind in kinds for name, value in kind.truth.items()})
     rng, end = np.random.default_rng(seed), time.monotonic() + seconds
     for _ in range(draws):
         if time.monotonic() > end:
             break
-        try:
-            tally.add(_all(cases, Errors(rng), rng))
-        except LabpipeError:
-            tally.failed += 1
+        errors = Errors(rng)
+        for kind in kinds:
+            try:
+                tally.add(kind.world(errors, rng))
+            except LabpipeError as error:
+                tally.failed += 1
+                tally.reasons.append(str(error))
     return tally
 
 
-def _parameters(cases: Sequence[Case], errors: Errors, rng: np.random.Generator | None) -> dict[str, float]:
-    return {name: one.value for name, one in _all(cases, errors, rng).items()}
+def _kinds(pipeline: Pipeline, most: int) -> list[Drawn]:
+    """What a pipeline has of each kind; fits that a comparison draws are not drawn by themselves."""
+    questions = questions_of(pipeline, most)
+    kinds = [Drawn(question.amounts, question.truths()) for question in questions]
+    if pipeline.fits and pipeline.tests and not questions:
+        cases = cases_of(pipeline, most)
+        kinds.append(Drawn(lambda errors, rng: fits_of(cases, errors, rng), _values(fits_of(cases, Errors(), None))))
+    others = [line for settings in pipeline.sections.get("calibrate", ()) for line in line_worlds(settings)]
+    others += [one for one in (run_up_worlds(pipeline), unbalance_worlds(pipeline)) if one is not None]
+    return kinds + [Drawn(one.amounts, one.truth()) for one in others]
 
 
-def _all(cases: Sequence[Case], errors: Errors, rng: np.random.Generator | None) -> dict[str, Parameter]:
+def _values(parameters: dict[str, Parameter]) -> dict[str, float]:
+    return {name: one.value for name, one in parameters.items()}
+
+
+def fits_of(cases: Sequence[Case], errors: Errors, rng: np.random.Generator | None) -> dict[str, Parameter]:
+    """The parameters of all cases in one world, a fit beginning with those before it."""
     fits: list[Fit] = []
     found: dict[str, Parameter] = {}
     for case in cases:
@@ -75,70 +85,3 @@ def _all(cases: Sequence[Case], errors: Errors, rng: np.random.Generator | None)
         fits.extend(made)
         found |= {f"{case.name}.{one.name}": one for fit in made for one in fit.parameters}
     return found
-
-
-def cases_of(pipeline: Pipeline, most: int) -> list[Case]:
-    """All cases of a pipeline, at most *most* of one fit, evenly chosen."""
-    tests = measured_tests(pipeline)
-    cases: list[Case] = []
-    fits: list[Fit] = []
-    for settings in pipeline.fits:
-        chosen = [one for test in tests if not settings.test or test.name in settings.test for one in _singles(settings, test)]
-        places = np.unique(np.linspace(0, len(chosen) - 1, min(most, len(chosen))).round().astype(int))
-        for place in places:
-            label, single, test, term = chosen[place]
-            single = replace(with_usual_mass(single), monte_carlo=0, bootstrap=0)
-            single = single.kind.begin(single, fits)
-            if not identify(test, single, judging=False):
-                continue
-            worlds, fit = _worlds(test, single)
-            fits.append(replace(fit, test=test.name))
-            cases.append(Case(label, with_usual_mass(_free(chosen[place][1], fit)), worlds, test.name, term))
-    return cases
-
-
-def _free(settings: FitSettings, fit: Fit) -> FitSettings:
-    """The fit without what only describes it; where forms are compared, the one that was chosen."""
-    if settings.compare and fit.dynamic_stiffness is not None:
-        settings = replace(settings, model_settings=replace(settings.model_settings, form=fit.dynamic_stiffness.form))
-    return replace(settings, compare=False, monte_carlo=0, bootstrap=0)
-
-
-def measured_tests(pipeline: Pipeline) -> tuple[MeasuredTest, ...]:
-    """What was measured in every test, with doubts of usual size on all sensors."""
-    with tempfile.TemporaryDirectory() as scratch, output_folder(Path(scratch)) as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        tests = measure_tests(pipeline, folder, Manner()).tests
-    return tuple(with_usual_doubts(test) for test in tests)
-
-
-def _singles(settings: FitSettings, test: MeasuredTest) -> Iterator[tuple[str, FitSettings, MeasuredTest, str]]:
-    """The fits of one band each that a fit of peaks, bands or sliding bands is."""
-    name = f"{settings.name}[{test.name}]" if test.name else settings.name
-    if settings.peaks:
-        for dof, bands in settings.peaks:
-            for band in bands:
-                yield f"{name}.{dof}", replace(settings, peaks=(), band=band, input=(dof,), output=(dof,)), test, dof
-    elif settings.sliding is not None or settings.bands:
-        bands = settings.bands
-        if settings.sliding is not None:
-            whole = settings.band or (float(test.frequency[0]), float(test.frequency[-1]))
-            bands = tuple(sliding_bands(whole, settings.sliding.width, settings.sliding.step))
-        for band in bands:
-            yield f"{name}[{np.mean(band):g} Hz]", replace(settings, sliding=None, bands=(), band=band), test, ""
-    else:
-        yield name, settings, test, ""
-
-
-def _worlds(test: MeasuredTest, settings: FitSettings) -> tuple[Any, Fit]:
-    """The worlds of a test about the fit, and the fit to the measurement itself."""
-    if isinstance(test, FreeDecays):
-        from tests.draws.decays import decay_worlds
-
-        return decay_worlds(test, settings)
-    if isinstance(test, ChannelSpectra):
-        from tests.draws.spectra import spectra_worlds
-
-        return spectra_worlds(test, settings)
-    worlds = response_worlds(test, settings)
-    return worlds[0], identify(worlds[0].response, settings, judging=False)[0]

