@@ -17,6 +17,7 @@ from labpipe.records.parameter import Parameter
 from tests.draws.calibrations import line_worlds
 from tests.draws.cases import Case, cases_of
 from tests.draws.comparisons import questions_of
+from tests.draws.loops import loop_worlds
 from tests.draws.run_ups import run_up_worlds
 from tests.draws.tally import Tally
 from tests.draws.unbalances import unbalance_worlds
@@ -68,6 +69,7 @@ def _kinds(pipeline: Pipeline, most: int) -> list[Drawn]:
         cases = cases_of(pipeline, most)
         kinds.append(Drawn(lambda errors, rng: fits_of(cases, errors, rng), _values(fits_of(cases, Errors(), None))))
     others = [line for settings in pipeline.sections.get("calibrate", ()) for line in line_worlds(settings)]
+    others += loop_worlds(pipeline)
     others += [one for one in (run_up_worlds(pipeline), unbalance_worlds(pipeline)) if one is not None]
     return kinds + [Drawn(one.amounts, one.truth()) for one in others]
 

@@ -85,16 +85,21 @@ def response_worlds(response: FrequencyResponse, settings: FitSettings) -> tuple
     matrix = part.matrix.copy()
     matrix[np.ix_(range(matrix.shape[0]), rows, columns)] = curve.fitted
     truth = replace(part, matrix=matrix)
-    assert part.covariance is not None
-    values, vectors = np.linalg.eigh(part.covariance)
+    return replace(worlds_about(truth), turned=_by_model(truth, settings, fit)), part
+
+
+def worlds_about(truth: FrequencyResponse) -> ResponseWorlds:
+    """Worlds whose response is the *truth* but for errors and noise of the covariance that stands in it."""
+    assert truth.covariance is not None
+    values, vectors = np.linalg.eigh(truth.covariance)
     # The Hermitian root goes smoothly from line to line; eigenvectors alone change sign and order, and noise that lines share would not be.
     root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ vectors.conj().swapaxes(1, 2)
     noise = None
-    if part.line_correlation:
-        spacing = np.min(np.diff(response.frequency))
-        gains = None if part.line_gains is None else part.line_gains.reshape(*part.line_gains.shape[:2], -1)
-        noise = SharedNoise(np.round(part.frequency / spacing).astype(int), np.array(part.line_correlation, complex), gains)
-    return ResponseWorlds(truth, root, noise, _by_model(truth, settings, fit)), part
+    if truth.line_correlation:
+        spacing = np.min(np.diff(truth.frequency))
+        gains = None if truth.line_gains is None else truth.line_gains.reshape(*truth.line_gains.shape[:2], -1)
+        noise = SharedNoise(np.round(truth.frequency / spacing).astype(int), np.array(truth.line_correlation, complex), gains)
+    return ResponseWorlds(truth, root, noise)
 
 
 def _on_lines(response: FrequencyResponse, lines: np.ndarray) -> FrequencyResponse:

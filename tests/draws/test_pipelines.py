@@ -36,3 +36,13 @@ def test_combined_uncertainties_are_those_of_drawn_worlds(name: str, draws: int,
     assert not bad
     # Noise alone would not do.
     assert np.mean([row.by_noise for row in rows]) < 0.8
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "draws"), [("preload-calibration", 300), ("magnetic-sensitivity", 150), ("repeatability", 20)])
+@pytest.mark.filterwarnings("ignore")
+def test_results_beside_fits_scatter_as_they_say(name: str, draws: int) -> None:
+    """Lines of calibrations, unknowns of a loop, and what repeats of a test give, within three deviations of so many draws."""
+    rows = rows_of(name, draws, 1)
+    assert rows
+    assert not [row for row in rows if not row.is_good]

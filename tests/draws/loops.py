@@ -1,0 +1,153 @@
+"""Worlds of control loops: a response or signals as the loop of the bearing file gives them, with the support that really is there.
+
+Unknowns of a loop carry the noise of the response and the doubt of a support, which are drawn here; the true unknowns are those that were
+fitted to the measurement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.bearings.magnetic_kind import MagneticFile
+from labpipe.bearings.magnetic_loop import dynamic_stiffness
+from labpipe.bearings.magnetic_stability import sensitivity
+from labpipe.bearings.open_loop import open_loop
+from labpipe.campaign.certificate import certificate
+from labpipe.campaign.loop_file import with_unknowns
+from labpipe.campaign.loop_fit import loop_fit
+from labpipe.campaign.loop_view import View
+from labpipe.campaign.observations import condition_of
+from labpipe.campaign.per_injection import per_injection
+from labpipe.campaign.sensitivity import loop_sensitivity
+from labpipe.campaign.settings import CompareSettings
+from labpipe.config.pipeline import Pipeline
+from labpipe.identify.fitting import identify
+from labpipe.records.channel_spectra import ChannelSpectra
+from labpipe.records.doubt import Doubt
+from labpipe.records.parameter import Parameter
+from labpipe.records.response import FrequencyResponse
+from labpipe.spectra.convert import receptance_factor
+from labpipe.stages.compare import magnetic_theory
+from tests.draws.cases import measured_tests
+from tests.draws.responses import ResponseWorlds, worlds_about
+from tests.draws.usual import Errors
+
+KINDS = ("prediction", "sensitivity", "certificate")
+
+
+@dataclass(frozen=True)
+class LoopWorlds:
+    """One comparison of a loop; *recorded*: what is measured in a world; *found*: the amounts that are found in it."""
+
+    name: str
+    recorded: Callable[[Errors, np.random.Generator | None], list[FrequencyResponse]]
+    found: Callable[[list[FrequencyResponse]], tuple[Parameter, ...]]
+
+    def truth(self) -> dict[str, float]:
+        return {name: one.value for name, one in self.amounts(Errors(), None).items()}
+
+    def amounts(self, errors: Errors, rng: np.random.Generator | None) -> dict[str, Parameter]:
+        return {f"{self.name}.{one.name}": one for one in self.found(self.recorded(errors, rng))}
+
+
+def loop_worlds(pipeline: Pipeline) -> list[LoopWorlds]:
+    """The comparisons of a pipeline that hold a loop against its bearing file."""
+    chosen = [one for one in pipeline.sections.get("compare", ()) if one.kind in KINDS and one.theory is not None]
+    make = {"prediction": _prediction, "sensitivity": _sensitivity, "certificate": _certificate}
+    tests = measured_tests(pipeline) if chosen else ()
+    return [make[one.kind](one, pipeline, [_without_doubts(test) for test in tests]) for one in chosen if one.estimate]
+
+
+def _without_doubts(test: FrequencyResponse | ChannelSpectra) -> FrequencyResponse:
+    response = per_injection(test) if isinstance(test, ChannelSpectra) else test
+    plain = {name: tuple(replace(port, doubts=()) for port in getattr(response, name)) for name in ("outputs", "inputs")}
+    return replace(response, **plain)
+
+
+def _prediction(settings: CompareSettings, pipeline: Pipeline, tests: list[FrequencyResponse]) -> LoopWorlds:
+    fit = next(one for one in pipeline.fits if one.name == settings.fit)
+    assert settings.theory is not None
+    theory = magnetic_theory(pipeline.folder, settings.theory)
+    views = []
+    for test in tests:
+        at = condition_of(settings.condition, test.name, test.conditions) if settings.over else (None, "")
+        views.append(View(test.name, test, fit, identify(test, fit, judging=False), theory(*at)))
+    fitted = loop_fit([view.observation for view in views], settings.estimate).values()
+    true = [replace(view, file=with_unknowns(view.file, fitted)) for view in views]
+
+    def recorded(errors: Errors, rng: np.random.Generator | None) -> list[FrequencyResponse]:
+        return [worlds_about(_on_support(view, errors)).recorded(Errors(), rng) for view in true]
+
+    def found(responses: list[FrequencyResponse]) -> tuple[Parameter, ...]:
+        again = [replace(view, response=response) for view, response in zip(views, responses, strict=True)]
+        return loop_fit([view.observation for view in again], settings.estimate).parameters
+
+    return LoopWorlds(settings.name, recorded, found)
+
+
+def _on_support(view: View, errors: Errors) -> FrequencyResponse:
+    """cos / (k_s + j w c_s + n K(jw) - m w^2) of the true support, in the form of the response."""
+    response, plant, own = view.response, view.file.levitated(), view.settings
+    omega = 2 * np.pi * response.frequency
+    stiffness, damping = (
+        getattr(view.support, name).value + errors.of(Doubt(f"{name} of the support", getattr(view.support, name).std_error, ""))
+        for name in ("stiffness", "damping")
+    )
+    assert isinstance(own.mass, float)
+    bearings = own.share * dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
+    total = stiffness + 1j * omega * damping + bearings - own.mass * omega**2
+    (column,), rows = view.ports[1], view.ports[0]
+    matrix = response.matrix.copy()
+    for row in rows:
+        angles = response.outputs[row].angle, response.inputs[column].angle
+        cosine = 1.0 if None in angles else np.cos(angles[0] - angles[1])
+        matrix[:, row, column] = cosine / total * receptance_factor(response.form, response.frequency)
+    return replace(response, matrix=matrix)
+
+
+def _sensitivity(settings: CompareSettings, pipeline: Pipeline, tests: list[FrequencyResponse]) -> LoopWorlds:
+    """Both sides of the sum per excitation: S - 1 ahead of it, S behind it."""
+    (response,), assumed = tests, _file(settings, pipeline)
+    true = _fitted_file(assumed, loop_sensitivity(settings, response, assumed).amounts, settings)
+    values = sensitivity(true.levitated(), 2 * np.pi * response.frequency)
+    rows = {settings.before: values - 1, settings.after: values}
+    return _of_signals(settings, response, rows, lambda measured: loop_sensitivity(settings, measured, assumed).amounts)
+
+
+def _certificate(settings: CompareSettings, pipeline: Pipeline, tests: list[FrequencyResponse]) -> LoopWorlds:
+    """All signals per injection, of the loop as it is sampled."""
+    (response,), assumed, own = tests, _file(settings, pipeline), settings.certificate
+    assert own is not None
+    true = _fitted_file(assumed, certificate(settings, response, assumed).amounts, settings)
+    signals = open_loop(true.levitated(), 2 * np.pi * response.frequency, own.rate or assumed.loop.rate, own.filtered).signals(
+        own.injection
+    )
+    named = {"after": own.after[0], "output": own.output, "displacement": own.displacement, "current": own.current}
+    rows = {name: signals[signal] for signal, name in named.items() if name}
+    return _of_signals(settings, response, rows, lambda measured: certificate(settings, measured, assumed).amounts)
+
+
+def _file(settings: CompareSettings, pipeline: Pipeline) -> MagneticFile:
+    assert settings.theory is not None
+    return magnetic_theory(pipeline.folder, settings.theory)(None, "")
+
+
+def _fitted_file(file: MagneticFile, amounts: tuple[Parameter, ...], settings: CompareSettings) -> MagneticFile:
+    return with_unknowns(file, {one.name: one.value for one in amounts if one.name in settings.estimate})
+
+
+def _of_signals(
+    settings: CompareSettings,
+    response: FrequencyResponse,
+    rows: dict[str, np.ndarray],
+    found: Callable[[FrequencyResponse], tuple[Parameter, ...]],
+) -> LoopWorlds:
+    labels = [port.label for port in response.outputs]
+    matrix = response.matrix.copy()
+    for name, values in rows.items():
+        matrix[:, labels.index(name), 0] = values
+    worlds: ResponseWorlds = worlds_about(replace(response, matrix=matrix))
+    return LoopWorlds(settings.name, lambda errors, rng: [worlds.recorded(errors, rng)], lambda responses: found(responses[0]))
