@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.campaign.amounts import with_error
 from labpipe.records.identification import Parameter
 
@@ -15,6 +16,8 @@ Margin = Callable[[ComplexArray, FloatArray], float]
 STEP = 1e-4
 # Lines of one local parabola.
 LOCAL = 11
+# Standard errors within which a function is zero all the way from one crossing to the next: both are one, crossed by noise.
+SURE = 3.0
 
 
 def measured_margins(
@@ -22,25 +25,70 @@ def measured_margins(
 ) -> list[Parameter]:
     """Gain margins to either side, phase and delay margin of L (n_line,) [1] with its variance (n_line,) [1], as far as it crosses.
 
-    L follows a parabola over LOCAL lines, since noise makes it cross several times; intervals of 95 %, *quantile* standard errors to
+    L follows a parabola over LOCAL lines, since noise makes it cross several times; where it does so all the same, one parabola over all
+    these crossings and as much again, since the least of several would be too small. Intervals of 95 %, *quantile* standard errors to
     either side, hold the noise of these lines. *frequency* (n_line,) [Hz]. Equation (comp-margins).
     """
     plain, variance = transfer
     if frequency.size < LOCAL:
         return []
     omega, smoother = 2 * np.pi * frequency, _smoother(frequency)
-    values, covariance = smoother @ plain, smoother * variance @ smoother.T
+    lines = _Lines(omega, plain, variance, smoother @ plain, smoother * variance @ smoother.T)
     candidates: dict[str, list[tuple[float, float]]] = {}
-    for n in _changes(values.imag):
-        if values[n].real + values[n + 1].real < 0:
-            gain = _with_error(_gain, values, omega, covariance, n)
+    for near, n in lines.crossings(np.imag):
+        if near.values[n].real + near.values[n + 1].real < 0:
+            gain = _with_error(_gain, near, n)
             candidates.setdefault("gain_margin_lower" if gain[0] < 1 else "gain_margin_upper", []).append(gain)
-    for n in _changes(np.abs(values) - 1):
+    for near, n in lines.crossings(lambda values: np.abs(values) - 1):
         for name, margin in (("phase_margin", _phase), ("delay_margin", _delay)):
-            candidates.setdefault(name, []).append(_with_error(margin, values, omega, covariance, n))
+            candidates.setdefault(name, []).append(_with_error(margin, near, n))
     units = {"phase_margin": "rad", "delay_margin": "s"}
     chosen = {name: (max if name == "gain_margin_lower" else min)(found) for name, found in candidates.items()}
     return [with_error(f"measured_{name}{suffix}", units.get(name, "1"), value, error, quantile) for name, (value, error) in chosen.items()]
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """L at omega (n_line,) [rad/s]: *plain* as measured with its *variance*, and smoothed *values* with their *covariance*, all [1]."""
+
+    omega: FloatArray
+    plain: ComplexArray
+    variance: FloatArray
+    values: ComplexArray
+    covariance: FloatArray
+
+    def crossings(self, function: Callable[[ComplexArray], FloatArray]) -> Iterator[tuple[_Lines, int]]:
+        """Lines, and the number of the one behind which a real function of L changes its sign there."""
+        signed = function(self.values)
+        error = np.sqrt(np.diag(self.covariance) / 2)
+        for first, last in _together(_changes(signed), np.abs(signed) > SURE * error):
+            near = self if first == last else self._over(first, last)
+            again = [n for n in _changes(function(near.values)) if first != last or n == first]
+            if len(again) == 1:
+                yield near, again[0]
+            else:
+                yield from ((self, n) for n in _changes(signed) if first <= n <= last)
+
+    def _over(self, first: int, last: int) -> _Lines:
+        """The lines from *first* to *last* and half as many to either side, L by one parabola through them."""
+        reach = max(LOCAL // 2, (last - first + 1) // 2)
+        part = slice(max(first - reach, 0), last + 2 + reach)
+        omega, plain, variance = self.omega[part], self.plain[part], self.variance[part]
+        x = (omega - omega[0]) / (omega[-1] - omega[0])
+        columns = np.column_stack([np.ones_like(x), x, x**2])
+        smoother = columns @ np.linalg.pinv(columns)
+        return _Lines(omega, plain, variance, smoother @ plain, smoother * variance @ smoother.T)
+
+
+def _together(crossings: Sequence[int], sure: BoolArray) -> list[tuple[int, int]]:
+    """First and last of the *crossings* between which no line is *sure* (n_line,) of its sign."""
+    groups: list[tuple[int, int]] = []
+    for n in crossings:
+        if groups and not np.any(sure[groups[-1][1] + 1 : n + 1]):
+            groups[-1] = (groups[-1][0], n)
+        else:
+            groups.append((n, n))
+    return groups
 
 
 def _smoother(frequency: FloatArray) -> FloatArray:
@@ -82,11 +130,11 @@ def _delay(values: ComplexArray, omega: FloatArray) -> float:
     return angle / float(omega[0] + share * (omega[1] - omega[0]))
 
 
-def _with_error(margin: Margin, values: ComplexArray, omega: FloatArray, covariance: FloatArray, n: int) -> tuple[float, float]:
+def _with_error(margin: Margin, lines: _Lines, n: int) -> tuple[float, float]:
     """A margin and its standard error; half of the covariance (n_line, n_line) [1] of L is of its real and half of its imaginary part."""
-    pair, places, total = values[n : n + 2], omega[n : n + 2], 0.0
+    pair, places, total = lines.values[n : n + 2], lines.omega[n : n + 2], 0.0
     for direction in (1.0, 1.0j):
         steps = STEP * np.abs(pair).mean() * direction * np.eye(2)
         slopes = np.array([(margin(pair + step, places) - margin(pair - step, places)) / (2 * abs(step).max()) for step in steps])
-        total += float(slopes @ covariance[n : n + 2, n : n + 2] @ slopes) / 2
+        total += float(slopes @ lines.covariance[n : n + 2, n : n + 2] @ slopes) / 2
     return margin(pair, places), float(np.sqrt(total))
