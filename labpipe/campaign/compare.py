@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -25,8 +25,9 @@ from labpipe.errors import ConfigError, LabpipeError
 from labpipe.identify.settings import FitSettings
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.comparison import Comparison, Overlay
+from labpipe.records.finding import Finding
 from labpipe.records.identification import Fit
-from labpipe.records.response import FrequencyResponse
+from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.settings import Uncertain
 from labpipe.registry import nearest
 
@@ -152,7 +153,11 @@ def _reciprocity(settings: CompareSettings, evidence: Evidence, _: Theory | None
 def _prediction(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory | None) -> Comparison:
     if theory is None:
         raise ConfigError("a prediction needs a theory", hint="theory: {bearing: FILE}")
-    return prediction(settings, [checked_view(view) for view in _views(settings, evidence, theory)])
+    views = [checked_view(view) for view in _views(settings, evidence, theory)]
+    ports = [view.response.outputs[row] for view in views for row in view.ports[0]]
+    ports += [view.response.inputs[column] for view in views for column in view.ports[1]]
+    mass = any(number.std_error > 0 for view in views for name, number in view.settings.doubts if name == "mass")
+    return _with_doubts_left_out(prediction(settings, views), ports, mass)
 
 
 def _views(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory) -> list[View]:
@@ -182,7 +187,10 @@ def _sensitivity(settings: CompareSettings, evidence: Evidence, theory: Magnetic
     if len(evidence.responses) != 1:
         hint = "one pipeline per setting of the loop"
         raise ConfigError(f"a sensitivity is that of one test, not of {len(evidence.responses)}", hint=hint)
-    return loop_sensitivity(settings, evidence.responses[0], None if theory is None else theory(None, ""))
+    response = evidence.responses[0]
+    found = loop_sensitivity(settings, response, None if theory is None else theory(None, ""))
+    # The quotient of both sides of the sum does not need the recorded excitation.
+    return _with_doubts_left_out(found, [port for port in response.outputs if port.label in (settings.before, settings.after)])
 
 
 def _certificate(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory | None) -> Comparison:
@@ -192,7 +200,20 @@ def _certificate(settings: CompareSettings, evidence: Evidence, theory: Magnetic
     if len(tests) != 1:
         raise ConfigError(f"a certificate is that of one test, not of {len(tests)}", hint="one pipeline per setting of the loop")
     response = evidence.responses[0] if evidence.responses else per_injection(evidence.spectra[0])
-    return certificate(settings, response, None if theory is None else theory(None, ""))
+    found = certificate(settings, response, None if theory is None else theory(None, ""))
+    return _with_doubts_left_out(found, (*response.outputs, *response.inputs))
+
+
+def _with_doubts_left_out(comparison: Comparison, ports: Iterable[Port], mass: bool = False) -> Comparison:
+    """The comparison of a loop with a finding on the doubts of its *ports*, and of the *mass*, which its intervals do not hold."""
+    names = list(dict.fromkeys([*(port.label for port in ports if port.doubts), *(["the mass"] if mass else [])]))
+    if not names:
+        return comparison
+    message = (
+        f"doubts of {', '.join(names)}: peaks, margins and unknowns of a loop have intervals by noise and by the doubt of a support alone, "
+        "which do not hold these"
+    )
+    return replace(comparison, findings=(*comparison.findings, Finding("number-doubt", message)))
 
 
 # The theory is a rolling bearing's or, for the kinds of a control loop, a magnetic bearing's.
