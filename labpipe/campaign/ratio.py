@@ -15,7 +15,7 @@ from labpipe.campaign.theory import Matched, log_covariance
 from labpipe.campaign.weighted import WeightedFit, weighted_fit, weighted_mean
 from labpipe.errors import FitError
 from labpipe.records.comparison import ComparedPoint, Comparison, Overlay
-from labpipe.records.identification import Fit
+from labpipe.records.identification import Fit, Parameter
 
 NORMAL_95 = 1.959963984540054
 SERIES = "; corrected for the bending shaft"
@@ -38,7 +38,7 @@ def stiffness_ratio(campaign: Campaign, matched: Sequence[Matched], overlays: tu
         subject=campaign.subject,
         unit=campaign.unit,
         points=_points(campaign, matched, np.sqrt(np.diag(covariance))),
-        amounts=(ratio, chance("scatter_p", mean.p_value), from_log("beta", "s", float(np.log(beta)), 0.0, 0.0)),
+        amounts=(ratio, chance("scatter_p", mean.p_value), Parameter("beta", beta, "s", derived=True)),
         verdict=verdict,
         statement=_ratio_statement(campaign, ratio.value, ratio.ci95, mean, SERIES if any(m.to_bending.any() for m in matched) else ""),
         condition=campaign.settings.condition,

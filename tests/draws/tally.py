@@ -50,7 +50,7 @@ class Tally:
     def add(self, parameters: Mapping[str, Parameter]) -> None:
         for name, one in parameters.items():
             truth = self.truth.get(name)
-            if truth is None or one.ci95 is None:
+            if truth is None or one.ci95 is None or one.full_error == 0:
                 continue
             # An interval without a standard error is held against the truth alone.
             error = np.nan if one.full_error is None else one.full_error

@@ -94,6 +94,7 @@ def test_the_numbers_are_those_of_the_making(evidence) -> None:
         assert abs(amount.value - truth) < 4 * amount.std_error, kind
     assert found["trend"].verdict == "rising"
     assert found["ratio"].verdict == "stiffer than theory"
+    assert found["ratio"].amount("beta").std_error is None
 
 
 def test_a_theory_is_asked_once_per_condition_and_matched_once_per_term(evidence) -> None:
