@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from labpipe.arrays import FloatArray
 from labpipe.campaign.amounts import chance, with_error
 from labpipe.campaign.observations import Campaign
-from labpipe.distributions import chi2_quantile, chi2_tail, f_quantile, f_tail, student_quantile
+from labpipe.distributions import chi2_quantile, chi2_tail, coverage_factor, f_quantile, f_tail
 from labpipe.errors import FitError
 from labpipe.records.comparison import Comparison
 from labpipe.records.identification import Parameter
@@ -58,7 +58,8 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
         raise FitError("the repeats do not scatter at all", hint="are they the same recording?")
     n_0 = (n - np.sum(counts**2) / n) / (a - 1)
     f = between / within
-    ends = [between_sum * (1 - f_quantile(q, a - 1, n - a) / f) / (n_0 * chi2_quantile(q, a - 1)) for q in (1 - TAIL, TAIL)]
+    # SSB (1 - F_q / F), which has no F to divide by where the means are alike.
+    ends = [(between_sum - (a - 1) * within * f_quantile(q, a - 1, n - a)) / (n_0 * chi2_quantile(q, a - 1)) for q in (1 - TAIL, TAIL)]
     low, high = (float(np.sqrt(max(end, 0.0))) for end in ends)
     spread = (float(np.sqrt(within_sum / chi2_quantile(1 - TAIL, n - a))), float(np.sqrt(within_sum / chi2_quantile(TAIL, n - a))))
     part = float(np.sqrt(max((between - within) / n_0, 0.0)))
@@ -83,8 +84,9 @@ def _mean(campaign: Campaign, scatter: Components) -> Parameter:
     """
     common = float(np.sum(np.mean(campaign.common, axis=1) ** 2))
     error = float(np.hypot(scatter.mean_error, np.sqrt(common)))
-    dof = (scatter.settings - 1) * (error / scatter.mean_error) ** 4
-    return with_error("mean", campaign.unit, scatter.mean, error, student_quantile(1 - TAIL, dof))
+    # Settings whose means are alike to the last digit leave nothing that was estimated from them.
+    dof = (scatter.settings - 1) * (error / scatter.mean_error) ** 4 if scatter.mean_error > 0 else np.inf
+    return with_error("mean", campaign.unit, scatter.mean, error, coverage_factor(1 - 2 * TAIL, dof))
 
 
 def _tail(f: float, a: int, n: int) -> float:

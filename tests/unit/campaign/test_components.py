@@ -84,6 +84,12 @@ def test_repeats_that_scatter_more_than_their_errors_are_told(campaign, rng) -> 
     assert "exceeds the fits' standard errors" in found.statement
 
 
+def test_settings_with_one_mean_leave_no_scatter_of_it(campaign) -> None:
+    """Both settings have the values 1 and 3: MSB is zero, so is the mean's error where no sensor is doubtful."""
+    tests = [(value, 1.0, {"mounting": name}) for name in "ab" for value in (1.0, 3.0)]
+    assert repeatability(campaign(SETTINGS, tests)).amount("mean").std_error == 0.0
+
+
 def test_too_few_tests_are_refused() -> None:
     with pytest.raises(FitError, match=r"3 test\(s\) in 3 setting\(s\)"):
         components(np.arange(3.0), np.array(["a", "b", "c"]))
