@@ -94,6 +94,41 @@ class ResponseModel(FittedModel, Protocol):
 
 
 @dataclass(frozen=True)
+class ActingTerms:
+    """The terms that have a matrix of one kind: their *place* among all, their *matrices* as columns
+    (n_element, n_acting) [unit of the kind].
+
+    *single*: the only element of each, (n_acting,), where all have only one; *plain*: all elements in order, factor 1.
+    """
+
+    place: IntArray | slice
+    matrices: ComplexArray
+    single: IntArray | None
+    plain: bool
+
+    @classmethod
+    def of(cls, rows: FloatArray) -> ActingTerms | None:
+        """Those of all terms' matrices as *rows* (n_term, n_element) [unit of the kind]; None where all are zero."""
+        there = np.flatnonzero(np.any(rows != 0, axis=1))
+        if there.size == 0:
+            return None
+        # Neighbours as a slice: picking by numbers copies.
+        are_neighbours = there[-1] - there[0] == there.size - 1
+        place = slice(int(there[0]), int(there[-1]) + 1) if are_neighbours else there
+        matrices = rows[there].T.astype(np.complex128)
+        single = np.argmax(rows[there] != 0, axis=1) if np.all(np.count_nonzero(rows[there], axis=1) == 1) else None
+        return cls(place, matrices, single, matrices.shape[0] == matrices.shape[1] and np.array_equal(matrices, np.eye(there.size)))
+
+    def combined(self, elements: ComplexArray) -> ComplexArray:
+        """sum_e elements[..., e] matrices[e, p], (..., n_acting) [any unit]; picked where every term has only one element."""
+        if self.plain:
+            return elements
+        if self.single is not None:
+            return np.asarray(elements[..., self.single] * self.matrices[self.single, np.arange(self.single.size)])
+        return np.asarray(elements @ self.matrices)
+
+
+@dataclass(frozen=True)
 class DynamicModel:
     """Z(w) H(w) = B with Z = K + j w C - w^2 M; *constant*: known part of the matrices, *terms*: parameters to estimate."""
 
@@ -175,12 +210,13 @@ class DynamicModel:
         by_input = (inverse @ whole.force).swapaxes(1, 2)
         outer = (inverse[:, :, None, :, None] * by_input[:, None, :, None, :]).reshape(n_line, n_dof, n_input, n_dof**2)
         for kind, factor in _line_factors(omega).items():
-            acting, stack = self._acting[kind]
-            if stack.size:
-                slopes[..., acting] -= _combined(outer, stack) * factor[:, None, None, None]
-        acting, stack = self._acting["force"]
-        if stack.size:
-            slopes[..., acting] += np.einsum("loa,pai->loip", inverse, stack.reshape(-1, n_dof, n_input))
+            acting = self._acting[kind]
+            if acting is not None:
+                slopes[..., acting.place] -= acting.combined(outer) * factor[:, None, None, None]
+        acting = self._acting["force"]
+        if acting is not None:
+            moved = np.einsum("loa,pai->loip", inverse, acting.matrices.T.reshape(-1, n_dof, n_input))
+            slopes[..., acting.place] += moved
 
     def filtered(self, parameters: FloatArray, sides: ComplexArray, omega: FloatArray) -> ComplexArray:
         """Z^-1 times all *sides* (n_side, n_line, n_dof, n_input) [N], one inverse per line.
@@ -221,16 +257,9 @@ class DynamicModel:
         return np.array([np.concatenate([matrix.reshape(-1) for matrix in row]) for row in parts])
 
     @cached_property
-    def _acting(self) -> dict[str, tuple[IntArray | slice, FloatArray]]:
-        """Of each kind of matrix, the terms that have one, and these matrices as rows (n_acting, n_element)."""
-        acting = {}
-        for kind, stack in self._stacks.items():
-            rows = stack.reshape(len(self.terms), -1)
-            there = np.flatnonzero(np.any(rows != 0, axis=1))
-            # Neighbours as a slice: picking by numbers copies.
-            are_neighbours = there.size > 0 and there[-1] - there[0] == there.size - 1
-            acting[kind] = (slice(int(there[0]), int(there[-1]) + 1) if are_neighbours else there, rows[there])
-        return acting
+    def _acting(self) -> dict[str, ActingTerms | None]:
+        """Of each kind of matrix, the terms that have one; None where no term has."""
+        return {kind: ActingTerms.of(stack.reshape(len(self.terms), -1)) for kind, stack in self._stacks.items()}
 
     @cached_property
     def _stacks(self) -> dict[str, FloatArray]:
@@ -245,15 +274,6 @@ class DynamicModel:
 def _line_factors(omega: FloatArray) -> dict[str, NDArray[np.inexact]]:
     """By what a matrix of each kind stands in Z(w), (n_line,)."""
     return {"stiffness": np.ones_like(omega), "damping": 1j * omega, "mass": -(omega**2)}
-
-
-def _combined(elements: ComplexArray, stack: FloatArray) -> ComplexArray:
-    """sum_e elements[..., e] stack[p, e], (..., n_parameter), of elements (..., n_element); picked where every parameter has only one."""
-    if np.all(np.count_nonzero(stack, axis=1) == 1):
-        number = np.argmax(stack != 0, axis=1)
-        picked = elements if np.array_equal(number, np.arange(elements.shape[-1])) else elements[..., number]
-        return np.asarray(picked * stack[np.arange(number.size), number])
-    return np.asarray(elements @ stack.T.astype(np.complex128))
 
 
 def _dynamic_stiffness(matrices: Matrices, omega: FloatArray) -> ComplexArray:

@@ -62,7 +62,13 @@ console = module("console")
 WITH_COMMANDS = [page for page in PAGES if list(console.commands(page.read_text(encoding="utf-8")))]
 
 
-@pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.stem)
+# Pages whose commands take more than five seconds each: films, run-ups, a loop's theory.
+SLOW = {"bearing", "journal-bearing", "unbalance", "control-loop"}
+
+
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, marks=[pytest.mark.long] * (page.stem in SLOW), id=page.stem) for page in WITH_COMMANDS]
+)
 def test_the_commands_of_a_page_run_as_shown(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     console.scratch(tmp_path)
     monkeypatch.chdir(tmp_path)
