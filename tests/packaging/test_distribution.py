@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 
 from labpipe import __version__
+from tests.packaging.test_dockerfile import BUILD, copied
 
 pytestmark = pytest.mark.long
 ROOT = Path(__file__).parents[2]
@@ -78,6 +79,17 @@ def test_the_source_distribution_builds_the_same_wheel(sdist: Path, wheel: Path,
     again = files(hook("build_wheel", source, tmp_path / "dist"))
     assert again == files(wheel)
     assert (source / "README.md").is_file() and (source / "pyproject.toml").is_file()
+
+
+def test_what_the_dockerfile_copies_builds_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
+    for name in copied(BUILD):
+        path = ROOT / name
+        if path.is_dir():
+            shutil.copytree(path, tmp_path / "source" / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            (tmp_path / "source").mkdir(exist_ok=True)
+            shutil.copy(path, tmp_path / "source")
+    assert files(hook("build_wheel", tmp_path / "source", tmp_path / "dist")) == files(wheel)
 
 
 def test_the_wheel_runs_outside_the_checkout(wheel: Path, tmp_path: Path) -> None:
