@@ -18,6 +18,7 @@ from typing import IO
 
 from labpipe.archive.contents import Contents
 from labpipe.archive.crate import NAME, Listed, metadata
+from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.writing import output_file
 from labpipe.errors import ConfigError, DataError, cut
 
@@ -89,13 +90,22 @@ class Opened:
         target.parent.mkdir(parents=True, exist_ok=True)
         digest = hashlib.sha256()
         try:
-            with self.archive.open(info) as stream, target.open("wb") as goal:
-                while chunk := stream.read(CHUNK):
+            with target.open("wb") as goal:
+                for chunk in self._chunks(info):
                     digest.update(chunk)
                     goal.write(chunk)
-        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError) as error:
-            return f"is damaged ({cut(str(error))})"
+        except DamagedError as error:
+            return error.what
         return "" if digest.hexdigest() == listed.sha256 else "is not the file that the archive lists: its SHA-256 is another"
+
+    def _chunks(self, info: zipfile.ZipInfo) -> Iterator[bytes]:
+        """The content of a member; DamagedError where it cannot be read. What goes wrong where it is written is no fault of the archive."""
+        try:
+            with self.archive.open(info) as stream:
+                while chunk := stream.read(CHUNK):
+                    yield chunk
+        except DAMAGE as error:
+            raise DamagedError(f"is damaged ({cut(str(error))})", where=str(self.path)) from None
 
 
 @contextmanager
@@ -114,6 +124,9 @@ def opened(path: Path) -> Iterator[Opened]:
             _check_safe(info, members, path)
             if not info.is_dir():
                 members[info.filename] = info
+        for name in members:
+            if above := next((str(folder) for folder in PurePosixPath(name).parents if str(folder) in members), ""):
+                raise DataError("is a file and a folder", where=f"{path}: {cut(above)!r}", hint="labpipe writes no such archive")
         around = _around(members, path)
         members = {name.removeprefix(around): info for name, info in members.items()}
         yield Opened(path, archive, members, _metadata(archive, members.pop(NAME), path))

@@ -20,9 +20,9 @@ from labpipe.cli import options
 from labpipe.cli.many import manner
 from labpipe.cli.output import echo, message_line
 from labpipe.config.pipeline import Pipeline, load_pipeline
-from labpipe.errors import ConfigError, LabpipeError
+from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.pipeline.run import run
-from labpipe.places.address import shown
+from labpipe.places.address import is_remote, shown
 from labpipe.stages.verification import Verified, differences, verified
 
 
@@ -53,6 +53,8 @@ def verify(folder: Path, pipeline_path: Path | None, again: bool, jobs: int, ove
     labpipe verify out/ -c pipeline.yaml --again
     labpipe verify evidence.zip
     """
+    if is_archive(folder) and is_remote(folder):
+        raise DataError("is an archive elsewhere, and is read from this machine only", where=shown(folder), hint="copy it here")
     if is_archive(folder):
         return _verify_archive(folder, pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
     if again and pipeline_path is None:

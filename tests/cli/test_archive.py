@@ -11,6 +11,7 @@ import hashlib
 import io
 import json
 import os
+import random
 import shutil
 import zipfile
 from collections.abc import Callable
@@ -19,7 +20,12 @@ from typing import Any
 
 import pytest
 
+from labpipe.archive.contents import contents as archived
+from labpipe.archive.zip_file import write_archive
+from labpipe.config.pipeline import load_pipeline
+from labpipe.errors import DataError
 from tests.conftest import Command
+from tests.fuzz.mutations import mutated_bytes
 from tests.unit.pipeline.laboratory import PIPELINE, contents, done, laboratory, recording
 
 METADATA = "ro-crate-metadata.json"
@@ -44,6 +50,16 @@ def lab(finished: Path, tmp_path: Path) -> Path:
 def packed(lab: Path, labpipe: Command) -> Path:
     assert labpipe("archive", lab / "out", "-o", lab / "a.zip").code == 0
     return lab / "a.zip"
+
+
+@pytest.fixture(scope="module")
+def one(finished: Path) -> bytes:
+    """The bytes of an archive without recordings, which is not run again."""
+    packed = archived(finished / "out", load_pipeline(finished / "pipeline.yaml"), digests_only=True)
+    write_archive(packed, finished / "one.zip", "2026-11-03")
+    content = (finished / "one.zip").read_bytes()
+    (finished / "one.zip").unlink()
+    return content
 
 
 def members(path: Path) -> Members:
@@ -304,6 +320,7 @@ def unsized(crate: dict[str, Any]) -> None:
         (lambda files: zipped({**files, "C:/x": b"slipped"}), "'C:/x': has a name that leads out of the archive"),
         (lambda files: zipped({**files, "a\\b": b"slipped"}), "has a name that leads out of the archive"),
         (linked, "'link': is no regular file"),
+        (lambda files: zipped({**files, "experiment": b"?"}), "'experiment': is a file and a folder"),
         (lambda files: zipped(without(METADATA)(files)), f"a.zip: holds no {METADATA}"),
         (lambda files: zipped({}), f"a.zip: holds no {METADATA}"),
         (lambda files: zipped({**files, METADATA: b"{"}), f"{METADATA}: is no RO-Crate of labpipe"),
@@ -393,6 +410,35 @@ def test_what_is_asked_for_wrongly(
     monkeypatch.chdir(lab)
     ended = labpipe("archive", *arguments)
     assert ended.code == 2 and said in ended.err and not (lab / "a.zip").exists()
+
+
+def test_a_file_that_changes_meanwhile_leaves_no_archive(lab: Path) -> None:
+    packed = archived(lab / "out", load_pipeline(lab / "pipeline.yaml"), digests_only=False)
+    (lab / "soft.csv").write_text(recording(18.1e3))
+    before = contents(lab)
+    with pytest.raises(DataError, match="changes while it is archived") as raised:
+        write_archive(packed, lab / "a.zip", "2026-11-03")
+    assert raised.value.where == str(lab / "soft.csv") and contents(lab) == before
+
+
+def test_an_archive_elsewhere_is_refused(labpipe: Command) -> None:
+    ended = labpipe("verify", "s3://bench/a.zip")
+    assert ended.code == 2 and "s3://bench/a.zip: is an archive elsewhere, and is read from this machine only; copy it here" in ended.err
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_mutated_archives_are_refused_or_named(one: bytes, tmp_path: Path, labpipe: Command, seed: int) -> None:
+    """Anywhere in the file, and among the metadata, where mutations of the whole file hardly ever come: never a traceback."""
+    rng = random.Random(seed)
+    path = tmp_path / "a.zip"
+    with zipfile.ZipFile(io.BytesIO(one)) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    text = mutated_bytes(files[METADATA], rng)
+    path.write_bytes(mutated_bytes(one, rng) if seed % 2 else zipped({**files, METADATA: text}))
+    ended = labpipe("verify", path)
+    assert ended.code in (0, 1, 2) and "labpipe-archive-" not in ended.out + ended.err
+    assert ended.err.count("\n") == (ended.code == 2)
+    assert [found.name for found in tmp_path.rglob("*")] == ["a.zip"]
 
 
 def test_another_build_is_said(packed: Path, lab: Path, labpipe: Command, monkeypatch: pytest.MonkeyPatch) -> None:
