@@ -1,21 +1,28 @@
-"""labpipe verify FOLDER"""
+"""labpipe verify FOLDER, or an archive"""
 
 from __future__ import annotations
 
 import tempfile
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
 
+from labpipe import __version__
+from labpipe.archive.contents import RESULTS
+from labpipe.archive.unpacked import Unpacked, unpacked
+from labpipe.archive.zip_file import is_archive
+from labpipe.artefacts.code import code_digest
+from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.mirrored import everything, results_read
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
 from labpipe.cli.many import manner
-from labpipe.cli.output import echo
+from labpipe.cli.output import echo, message_line
 from labpipe.config.pipeline import Pipeline, load_pipeline
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.pipeline.run import run
-from labpipe.places.address import shown
+from labpipe.places.address import is_remote, shown
 from labpipe.stages.verification import Verified, differences, verified
 
 
@@ -37,26 +44,48 @@ from labpipe.stages.verification import Verified, differences, verified
 def verify(folder: Path, pipeline_path: Path | None, again: bool, jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
     """Verify the artefacts below FOLDER: each against the digest of its content, and the files that it was made from.
 
-    FOLDER may be s3://bucket/prefix. Exit code 0 when all holds, 1 when something does not, 2 when nothing could be verified. Results of
-    earlier versions carry no digest, which is said and is no fault.
+    FOLDER may be s3://bucket/prefix, or an archive of `labpipe archive`: every file in it is held against its digest as well, and with
+    recordings in it the pipeline is run again and its artefacts compared byte for byte. Exit code 0 when all holds, 1 when something does
+    not, 2 when nothing could be verified. Results of earlier versions carry no digest, which is said and is no fault.
 
     \b
     labpipe verify out/
     labpipe verify out/ -c pipeline.yaml --again
+    labpipe verify evidence.zip
     """
+    if is_archive(folder) and is_remote(folder):
+        raise DataError("is an archive elsewhere, and is read from this machine only", where=shown(folder), hint="copy it here")
+    if is_archive(folder):
+        return _verify_archive(folder, pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
     if again and pipeline_path is None:
         raise ConfigError("--again: needs the pipeline", hint="name it with -c PIPELINE")
     with results_read(folder, everything) as here:
-        artefacts = list(verified(here, None if pipeline_path is None else pipeline_path.parent))
-        for artefact in artefacts:
-            _echo(artefact, shown(folder / artefact.path.relative_to(here)), verbose)
-        faults = sum(bool(artefact.faults) for artefact in artefacts)
-        if again and pipeline_path is not None:
-            others = _done_again(here, load_pipeline(pipeline_path, overrides), jobs)
-            for line in others:
-                echo(f"FAILED {line}".replace(str(here), shown(folder)))
-            faults += len(others)
-    if not quiet:
+        return _verify_folder(here, shown(folder), pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
+
+
+@dataclass(frozen=True)
+class Manners:
+    """The options of the command. base: the folder of the raw files, by default that of the pipeline that is named."""
+
+    again: bool
+    jobs: int
+    overrides: tuple[str, ...]
+    quiet: bool
+    verbose: bool
+
+
+def _verify_folder(here: Path, name: str, pipeline_path: Path | None, how: Manners) -> int:
+    """Verify a folder of results, which messages call by its *name*; the exit code."""
+    artefacts = list(verified(here, None if pipeline_path is None else pipeline_path.parent))
+    for artefact in artefacts:
+        _echo(artefact, f"{name}/{artefact.path.relative_to(here).as_posix()}", how.verbose)
+    faults = sum(bool(artefact.faults) for artefact in artefacts)
+    if how.again and pipeline_path is not None:
+        others = _done_again(here, load_pipeline(pipeline_path, how.overrides), how.jobs)
+        for line in others:
+            echo(f"FAILED {line}".replace(str(here), name))
+        faults += len(others)
+    if not how.quiet:
         undigested = sum("carries no digest" in artefact.remarks for artefact in artefacts)
         inputs = sum(artefact.inputs for artefact in artefacts)
         missing = sum(len(artefact.remarks) for artefact in artefacts) - undigested
@@ -65,6 +94,42 @@ def verify(folder: Path, pipeline_path: Path | None, again: bool, jobs: int, ove
             f"of the files that they name {inputs} are the same, {missing} are not there"
         )
     return 1 if faults else 0
+
+
+def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int:
+    """Verify an archive: its files, the artefacts among them, and that its pipeline gives the same bytes again; the exit code."""
+    with tempfile.TemporaryDirectory(prefix="labpipe-archive-", ignore_cleanup_errors=True) as scratch:
+        archive = unpacked(path, Path(scratch))
+        for name, fault in archive.faults:
+            echo(message_line(f"FAILED {path}: {name}: {fault}"))
+        if not how.quiet:
+            echo(f"{archive.files} files: {len(archive.faults)} do not hold")
+        if archive.faults:
+            return 1
+        try:
+            hindrance = "" if how.again else _hindrance(archive)
+            named = pipeline_path or archive.pipeline
+            code = _verify_folder(archive.results, f"{path}: {RESULTS}", named, replace(how, again=not hindrance))
+        except LabpipeError as error:
+            # What the metadata list is there and holds, and is no result with its pipeline for all that.
+            for line in str(error).replace(f"{scratch}/", f"{path}: ").splitlines():
+                echo(message_line(f"FAILED {line}"))
+            return 1
+        if not how.quiet:
+            echo(f"not run again: {hindrance}" if hindrance else "run again: " + ("other bytes" if code else "the same bytes"))
+        return code
+
+
+def _hindrance(archive: Unpacked) -> str:
+    """Why the pipeline of an archive is not run again unless that is asked for; empty where it is."""
+    if archive.left_out:
+        return f"of {archive.left_out} files the archive holds the digests only"
+    made = read_identification(archive.results / NAME)
+    return (
+        ""
+        if made.code == code_digest()
+        else f"it was made by another build of labpipe ({made.version or 'unknown'}); this is {__version__}"
+    )
 
 
 def _done_again(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:

@@ -107,11 +107,18 @@ def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
     """
     if not folder.is_dir():
         raise DataError("no such folder", where=str(folder), hint="name the folder that holds the results of your runs")
-    found = [(path, kind) for path in finished(folder.rglob("*")) if (kind := _kind(path)) is not None and not path.is_dir()]
+    found = artefacts_below(folder)
     if not found:
         raise DataError("holds no artefact of labpipe", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER`")
-    for path, kind in found:
+    for path in found:
+        kind = _kind(path)
+        assert kind is not None
         yield _verified(path, kind, base)
+
+
+def artefacts_below(folder: Path) -> list[Path]:
+    """The files below a folder that have an artefact's name, in order."""
+    return [path for path in finished(folder.rglob("*")) if _kind(path) is not None and not path.is_dir()]
 
 
 def _verified(path: Path, kind: _Kind, base: Path | None) -> Verified:
@@ -167,9 +174,8 @@ def _near(path: Path) -> list[Path]:
 
 def differences(first: Path, second: Path) -> list[str]:
     """The artefacts in two folders of results that are not the same byte for byte, and those of the first that the second lacks."""
-    found = [path for path in finished(first.rglob("*")) if _kind(path) is not None and path.is_file()]
     lines = []
-    for path in found:
+    for path in filter(Path.is_file, artefacts_below(first)):
         name = path.relative_to(first)
         other = second / name
         if not other.exists():

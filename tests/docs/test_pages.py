@@ -35,6 +35,8 @@ SHELL = {
     "pip install ./docs/plugin": "the plug-in's entry points are written here as pip writes them",
     "python3 -m venv .venv": "the README's first command, by .ci/run",
     ".venv/bin/pip install .": "the README's first command, by .ci/run",
+    "pipx install .": "tests/packaging/test_distribution.py, by pip into an environment of its own",
+    "uv tool install .": "as pipx",
     "source .venv/bin/activate": "the README's first command, by .ci/run",
     "labpipe check -j 0 pipelines/*.yaml": ".ci/run",
 }
