@@ -31,6 +31,7 @@ SOURCE = re.compile(r"^\{\{ source ([\w./-]+) \}\}$", re.MULTILINE)
 PIPELINE = re.compile(r"^\{\{ pipeline ([\w-]+) \| ([\w., -]+) \}\}$", re.MULTILINE)
 # What stands in pages between such braces and was none of these, nor an equation, is a slip.
 LEFT = re.compile(r"^\{\{ .*", re.MULTILINE)
+PAPERS = {"changes.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
 LANGUAGES = {".py": "python", ".yaml": "yaml"}
 # The pages draw their figures from the result: the reports of the runs would take as long as the runs.
 FIGURES_ONLY = ["--set", "report.formats=[]"]
@@ -136,9 +137,15 @@ def write_pages(target: Path, figure: Callable[[str, str, str], str]) -> None:
             raise SystemExit(f"docs/pages/{page}: '{slip[0]}' is no figure, source, pipeline or equation")
         written[page] = text
     written |= {f"reference/{name}.md": text for name, text in reference_pages().items()} | api.api_pages(read, known.labels)
+    written |= project_papers()
     for page, text in written.items():
         (target / page).parent.mkdir(parents=True, exist_ok=True)
         (target / page).write_text(text, encoding="utf-8")
+
+
+def project_papers() -> dict[str, str]:
+    """The project's own papers as pages, with their links to pages; who reads the site has no checkout at hand."""
+    return {page: (ROOT / name).read_text(encoding="utf-8").replace("](docs/pages/", "](") for page, name in PAPERS.items()}
 
 
 def build_site(pages: Path, site: Path) -> int:

@@ -201,7 +201,8 @@ def test_all_pages_are_built_and_linked(site: Path) -> None:
     written = {path.relative_to(DOCS / "pages").with_suffix("").as_posix() for path in PAGES}
     packages = {path.parent.name for path in (DOCS.parent / "labpipe").glob("*/__init__.py")}
     python = {f"reference/python/{name}" for name in packages | {"index", "scripts", "labpipe"}}
-    assert built == written | python | {f"reference/{name}" for name in module("reference").reference_pages()}
+    papers = {page.removesuffix(".md") for page in module("build").PAPERS}
+    assert built == written | python | papers | {f"reference/{name}" for name in module("reference").reference_pages()}
 
 
 def test_the_search_of_a_page_opened_as_a_file_finds_and_fetches_nothing(site: Path) -> None:
