@@ -126,7 +126,7 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
         change=None if parts.change is None else parts.change * sensor_factor,
         open_loop=None if parts.open_loop is None else parts.open_loop * sensor_factor,
         snr=parts.snr,
-        snr_channels=tuple(port.label for port in (*layout.inputs, *layout.outputs)) if parts.snr is not None else (),
+        snr_channels=_channel_names(layout) if parts.snr is not None else (),
         averages=parts.averages,
         covariance_dof=parts.dof,
         line_correlation=parts.line_correlation,
@@ -137,6 +137,14 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
         findings=findings,
         conditions=dict(conditions or {}),
     )
+
+
+def _channel_names(layout: Layout) -> tuple[str, ...]:
+    """A name of its own for every input and every output: the label, where no input has that of an output."""
+    inputs, outputs = ([port.label for port in ports] for ports in (layout.inputs, layout.outputs))
+    if set(inputs) & set(outputs):
+        inputs, outputs = [f"{label} (input)" for label in inputs], [f"{label} (output)" for label in outputs]
+    return (*inputs, *outputs)
 
 
 def _corrected(covariance: ComplexArray, factor: ComplexArray) -> ComplexArray:

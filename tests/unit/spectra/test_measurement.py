@@ -59,8 +59,10 @@ def test_two_force_directions_give_one_matrix(rng: np.random.Generator) -> None:
     response = measure(runs, PERIODIC)
     gains = np.abs(response.matrix).mean(axis=0)
     np.testing.assert_allclose(gains, [[2.0, 0.3], [0.5, 1.0]], rtol=1e-4)
-    assert [port.label for port in response.inputs] == ["x", "y"]
+    assert [port.label for port in response.inputs] == [port.label for port in response.outputs] == ["x", "y"]
     assert response.covariance.shape == (60, 4, 4)
+    # Forces and responses of one label are told apart: files keep a column for each.
+    assert response.snr_channels == ("x (input)", "y (input)", "x (output)", "y (output)")
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 1e6])
