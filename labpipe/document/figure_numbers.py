@@ -12,7 +12,8 @@ from labpipe.arrays import FloatArray
 from labpipe.document.palette import heat
 from labpipe.report.chart import GREY, Axis, Chart, Series
 
-DIGITS = 7
+# Digits of places along an axis, which zooming must tell apart, and the fewest of what is read there.
+DIGITS, READ_DIGITS = 7, 5
 RULE = "var(--rule)"
 
 
@@ -23,19 +24,29 @@ class NumberList:
         self.lists: list[list[float | None]] = []
         self._places: dict[tuple[float | None, ...], int] = {}
 
-    def add(self, values: FloatArray) -> int:
-        """The place of *values* (n,) [unit of their axis] in the list, rounded to the digits that a screen can show."""
-        rounded = tuple(_rounded(value) for value in np.ravel(values).tolist())
+    def add(self, values: FloatArray, digits: int = DIGITS) -> int:
+        """The place of *values* (n,) [unit of their axis] in the list, rounded to the *digits* that a screen can show."""
+        rounded = tuple(_rounded(value, digits) for value in np.ravel(values).tolist())
         if rounded not in self._places:
             self._places[rounded] = len(self.lists)
             self.lists.append(list(rounded))
         return self._places[rounded]
 
 
-def _rounded(value: float) -> float | int | None:
+def _read_digits(series: Series) -> int:
+    """Digits of what a series shows: more where it differs little from a constant, whose digits say nothing."""
+    shown = [part[np.isfinite(part)] for part in (series.y, series.low, series.high) if part is not None]
+    values = np.concatenate([part.ravel() for part in shown])
+    span = float(np.ptp(values)) if values.size else 0.0
+    if span == 0:
+        return DIGITS
+    return min(DIGITS, READ_DIGITS + max(0, round(math.log10(float(np.max(np.abs(values))) / span))))
+
+
+def _rounded(value: float, digits: int) -> float | int | None:
     if not math.isfinite(value):
         return None
-    near = float(f"{value:.{DIGITS}g}")
+    near = float(f"{value:.{digits}g}")
     return int(near) if near.is_integer() and abs(near) < 1e15 else near
 
 
@@ -93,7 +104,17 @@ def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
         nothing = numbers.add(np.empty(0))
         fills = [[heat(value) for value in row] for row in series.y.tolist()]
         return {**entry, "name": "", "x": nothing, "y": nothing, "texts": series.texts, "fills": fills}
-    entry |= {"x": numbers.add(series.x), "y": numbers.add(series.y), "marker": series.marker, "size": series.size, "hollow": series.hollow}
+    entry |= {
+        "x": numbers.add(series.x),
+        "y": numbers.add(series.y, _read_digits(series)),
+        "marker": series.marker,
+        "size": series.size,
+        "hollow": series.hollow,
+    }
     if series.low is not None and series.high is not None:
-        entry |= {"low": numbers.add(series.low), "high": numbers.add(series.high), "interval": series.interval}
+        entry |= {
+            "low": numbers.add(series.low, _read_digits(series)),
+            "high": numbers.add(series.high, _read_digits(series)),
+            "interval": series.interval,
+        }
     return entry

@@ -95,7 +95,7 @@ def inline_svg(figure: Figure, number: int) -> str:
     text = svg_text(canvas_of(figure.graphic))
     text = re.sub(r"<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<!--.*?-->", "", text, flags=re.DOTALL)
     text = smaller(text)
-    text = re.sub(r'(\bid="|xlink:href="#|url\(#)', rf"\g<1>f{number}-", text)
+    text = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>f{number}-", text)
     return text.replace("<svg", f'<svg role="img" aria-label="{escape(figure.alternative)}"', 1)
 
 

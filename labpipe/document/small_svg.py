@@ -12,6 +12,9 @@ PATH = re.compile(r"(\sd=\")([^\"]*)\"")
 FONTS = re.compile(r"; font-family: 'DejaVu Sans'[^;\"]*")
 PIECE = re.compile(r"([MLCz])([^MLCz]*)")
 MARKS = re.compile(r"(?:<use [^>]*/>){3,}")
+REFERENCE = re.compile(r"(?<=[\"(]#)([^\")]+)")
+NAMED = re.compile(r' id="([^"]*)"')
+COARSER = re.compile(r"\b(x|y)=\"(-?\d+\.\d)\d+\"")
 STYLE = re.compile(r' style="[^"]*"')
 EMPTY_SPACE = re.compile(r">\s+<")
 
@@ -20,7 +23,14 @@ def smaller(svg: str) -> str:
     """The same drawing; its font is left to the style of the page."""
     svg = PATH.sub(lambda found: f'{found[1]}{smaller_path(found[2])}"', svg)
     svg = EMPTY_SPACE.sub("><", FONTS.sub("", PLACES.sub(r'\1="\2"', svg)))
-    return MARKS.sub(lambda found: _styled_once(found[0]), svg)
+    return MARKS.sub(lambda found: _styled_once(found[0]), _with_short_names(svg))
+
+
+def _with_short_names(svg: str) -> str:
+    """What something refers to is named by a number, nothing else is named."""
+    short = {name: f"{number:x}" for number, name in enumerate(dict.fromkeys(REFERENCE.findall(svg)))}
+    svg = REFERENCE.sub(lambda found: found[0].replace(found[1], short[found[1]]), svg)
+    return NAMED.sub(lambda found: f' id="{short[found[1]]}"' if found[1] in short else "", svg)
 
 
 def _styled_once(marks: str) -> str:
@@ -28,7 +38,8 @@ def _styled_once(marks: str) -> str:
     styles = set(STYLE.findall(marks))
     if len(styles) != 1:
         return marks
-    return f"<g{styles.pop()}>{STYLE.sub('', marks)}</g>"
+    plain = COARSER.sub(r'\1="\2"', STYLE.sub("", marks).replace(" xlink:href=", " href="))
+    return f"<g{styles.pop()}>{plain}</g>"
 
 
 def smaller_path(path: str) -> str:

@@ -10,11 +10,11 @@ measured too and subtracted from both. Least of all repeats, in turns. Prints a 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import subprocess
 import sys
 import tempfile
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,6 +30,16 @@ RATE = 10240.0
 NAMES = ("f_y", "f_z", "y", "z")
 SEGMENT = 100_000
 KINDS = ("parquet", "tdms", "csv")
+# A small process starts the command: of a child of this one the memory of this one would count.
+COUNTED = """
+import json, os, subprocess, sys, time
+begin = time.perf_counter()
+process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+_, status, usage = os.wait4(process.pid, 0)
+process.returncode = os.waitstatus_to_exitcode(status)
+assert process.returncode == 0, sys.argv
+print(json.dumps([usage.ru_utime + usage.ru_stime, time.perf_counter() - begin, usage.ru_maxrss / 1024]))
+"""
 LIBRARIES = "import numpy, nptdms, pyarrow.csv, pyarrow.parquet, scipy.fft"
 
 
@@ -89,14 +99,9 @@ def least_costs(folder: Path, commands: list[list[str]], repeats: int) -> list[C
     found: list[list[Cost]] = [[] for _ in commands]
     for _ in range(repeats):
         for number, command in enumerate(commands):
-            begin = time.perf_counter()
-            process = subprocess.Popen(
-                command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-            )
-            _, status, usage = os.wait4(process.pid, 0)
-            process.returncode = os.waitstatus_to_exitcode(status)
-            assert process.returncode == 0, command
-            found[number].append(Cost(usage.ru_utime + usage.ru_stime, time.perf_counter() - begin, usage.ru_maxrss / 1024))
+            environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+            ended = subprocess.run([sys.executable, "-c", COUNTED, *command], cwd=folder, env=environment, capture_output=True, check=True)
+            found[number].append(Cost(*json.loads(ended.stdout)))
     return [Cost(*(min(getattr(cost, name) for cost in costs) for name in ("cpu", "clock", "memory"))) for costs in found]
 
 

@@ -65,7 +65,10 @@ def test_no_text_of_a_figure_ends_the_element_it_stands_in() -> None:
     assert not set("<>&") & set(text) and json.loads(text)["panels"][0]["series"][0]["name"] == "</script><b>&"
 
 
-def test_curves_of_one_figure_share_their_abscissa_and_digits_end_at_the_seventh() -> None:
-    entry = entry_of(stacked([Panel(Axis("x"), Axis("y"), (curve("a", X, X / 3), curve("b", X, X**3)))], 3.0))
-    assert len(entry["numbers"]) == 3 and entry["numbers"][1][0] == 0.3333333
+def test_curves_of_one_figure_share_their_abscissa_and_digits_end_where_nothing_more_is_told() -> None:
+    near = curve("c", X / 3, 1000 / 3 + 1e-3 * X)
+    entry = entry_of(stacked([Panel(Axis("x"), Axis("y"), (curve("a", X, X / 3), curve("b", X, X**3), near))], 3.0))
+    # Five digits of what is read, seven of places, and of what differs little from a constant.
+    assert len(entry["numbers"]) == 5 and entry["numbers"][1][0] == 0.33333
+    assert entry["numbers"][3][0] == 0.3333333 and entry["numbers"][4][0] == 333.3343
     assert entry_of(Chart(()))["panels"] == []

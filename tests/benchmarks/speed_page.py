@@ -1,0 +1,160 @@
+"""Writes docs/pages/speed.md: what labpipe costs beside the least that the same work could cost, measured on this machine.
+
+python -m tests.benchmarks.speed_page [--rows N]
+
+Ratios of CPU times, the least of repetitions in turns, so that they hold on other machines about as well. To be run on a machine that does
+nothing else, with OMP_NUM_THREADS=1: threads of BLAS that wait for work take time of the processor as well. OPENBLAS_CORETYPE and
+OPENBLAS_L2_SIZE must not be set.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from scipy import fft
+
+from labpipe.identify.fitting import identify
+from labpipe.identify.settings import FitSettings
+from labpipe.records.recording import Channel, Recording
+from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.spectra.measurement import measure
+from labpipe.spectra.settings import FrfSettings
+from tests.benchmarks.raw_files import KINDS, ROOT, least_costs, measured
+from tests.benchmarks.test_identify_ratios import cpu_time
+
+PAGE = ROOT / "docs/pages/speed.md"
+RATE = 1024.0
+# Samples of a block, responses, forces, samples of the record.
+RECORDS = (
+    (1024, 2, 2, 860_000),
+    (5120, 2, 2, 860_000),
+    (25_000, 2, 2, 1_200_000),
+    (100_000, 2, 2, 1_200_000),
+    (25_000, 8, 2, 1_200_000),
+    (25_000, 16, 3, 1_200_000),
+)
+# Degrees of freedom, lines.
+CHAINS = ((3, 1000), (4, 1000), (6, 1000), (3, 10_000), (3, 100_000))
+FIVE = "import numpy, scipy.optimize, pandas, pyarrow.parquet, matplotlib.figure"
+HEAD = """# What it costs
+
+Made by `python -m tests.benchmarks.speed_page`, not by hand: CPU times as ratios to the least that the same work could cost on the
+same machine in the same run, BLAS with one thread. Smaller benchmarks with limits run in CI (`tests/benchmarks`); these figures do not.
+
+"""
+
+
+def frf_rows() -> Iterator[str]:
+    """One row per block length and number of channels: FRF with covariance and coherence over scipy's bare real FFTs."""
+    for block, n_output, n_input, n_sample in RECORDS:
+        samples = np.random.default_rng(1).normal(size=(n_sample, n_output + n_input))
+        columns = np.ascontiguousarray(samples.T)
+        forces = tuple(Channel(f"f{n}", "force", "input", f"d{n}", 0.0) for n in range(n_input))
+        responses = tuple(Channel(f"y{n}", "displacement", "output", f"d{n}", 0.0) for n in range(n_output))
+        recording, settings = Recording((*forces, *responses), samples, RATE, "run"), FrfSettings("random", block=block / RATE)
+
+        def bare(columns: np.ndarray = columns, block: int = block) -> None:
+            for start in range(0, columns.shape[1] - block + 1, block // 2):
+                fft.rfft(columns[:, start : start + block], axis=1)
+
+        floor = cpu_time(bare, 7)
+        own = cpu_time(lambda recording=recording, settings=settings: measure([recording], settings), 7)
+        yield f"| {n_output} x {n_input} | {block} | {n_sample} | {1e3 * floor:.0f} ms | {own / floor:.2f} |"
+
+
+def chain(n_dof: int, n_line: int) -> FrequencyResponse:
+    """Masses 1, 2, ... kg in a chain of springs with damping, all FRFs with noise of known size."""
+    stiffness = 2 * np.eye(n_dof) - np.eye(n_dof, k=1) - np.eye(n_dof, k=-1)
+    w = np.linspace(0.05, 2.41, n_line)[:, None, None]
+    mass, damping = np.diag(1.0 + np.arange(n_dof)), 0.02 * stiffness + 0.01 * np.eye(n_dof)
+    h = np.linalg.inv(stiffness + 1j * w * damping - w**2 * mass)
+    rng, std = np.random.default_rng(1), 0.02 * np.median(np.abs(h))
+    noisy = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    dofs = [f"x{number}" for number in range(n_dof)]
+    outputs, inputs = tuple(Port(dof, dof, dof) for dof in dofs), tuple(Port(f"f{dof}", f"f{dof}", dof) for dof in dofs)
+    return FrequencyResponse(w[:, 0, 0] / (2 * np.pi), noisy, outputs, inputs, covariance=uncorrelated(np.full(h.shape, std**2)))
+
+
+def likelihood_rows() -> Iterator[str]:
+    """One row per number of dofs and lines: maximum likelihood of all stiffness and damping coefficients under given masses."""
+    first = 0.0
+    for n_dof, n_line in CHAINS:
+        response = chain(n_dof, n_line)
+        settings = FitSettings("mdof", symmetric=False, estimator="ml", mass=tuple(1.0 + np.arange(n_dof)))
+        spent = cpu_time(lambda response=response, settings=settings: identify(response, settings), 1 if n_line > 10_000 else 2)
+        first = first or spent
+        yield f"| {n_dof} | {n_line} | {2 * n_dof**2} | {spent:.2f} s | {spent / first:.1f} |"
+
+
+def command_rows() -> Iterator[str]:
+    """Start-up, help, a first and a repeated run of the pedestal, and a wear test, over what Python itself or the libraries take."""
+    labpipe = [sys.executable, "-m", "labpipe"]
+    with tempfile.TemporaryDirectory() as name:
+        cold = f"from labpipe.cli.main import run_command; import tempfile; run_command({_run('pedestal', 'tempfile.mkdtemp()')})"
+        wear = cold.replace("pedestal", "wear-1")
+        warm = [*labpipe, "run", "pipelines/pedestal.yaml", "-o", f"{name}/out", "-q"]
+        least_costs(ROOT, [warm], 1)
+        python = [sys.executable, "-c"]
+        commands = [[*python, "pass"], [*python, FIVE], [*labpipe, "--help"], [*python, cold], warm]
+        empty, libraries, helped, first, again = least_costs(ROOT, commands, 5)
+        (worn,) = least_costs(ROOT, [[sys.executable, "-c", wear]], 2)
+    yield f"| `labpipe --help` | {helped.cpu:.2f} s | {helped.cpu / empty.cpu:.1f} times an empty Python |"
+    five = "times importing numpy, scipy, pandas, pyarrow and matplotlib"
+    yield f"| `labpipe run` of the pedestal, nothing there yet | {first.cpu:.2f} s | {first.cpu / libraries.cpu:.2f} {five} |"
+    yield f"| the same again, nothing changed | {again.cpu:.2f} s | {again.cpu / libraries.cpu:.2f} {five} |"
+    yield f"| `labpipe run` of wear-1 | {worn.cpu:.1f} s | |"
+
+
+def _run(pipeline: str, folder: str) -> str:
+    return f"['run', 'pipelines/{pipeline}.yaml', '-o', {folder}, '-q']"
+
+
+def file_rows(n_row: int) -> Iterator[str]:
+    """One row per kind of raw file."""
+    for kind in KINDS:
+        size, floor, own = measured(kind, n_row, 25_600, 2)
+        ratios = f"{own.cpu / floor.cpu:.2f} | {own.clock / floor.clock:.2f}"
+        yield f"| {kind} | {size / 1e6:.0f} MB | {floor.cpu:.1f} s | {ratios} | {own.memory:.0f} MB |"
+
+
+def page(n_row: int) -> str:
+    """The whole page."""
+    parts = [
+        HEAD,
+        f"Python {platform.python_version()}, numpy {np.__version__}, {platform.machine()}.\n",
+        "\n## FRF of records in memory\n\nH1 with covariance, ordinary, multiple and partial coherence, the look for a loop, drift and "
+        "aliasing, over `scipy.fft.rfft` of every block of every channel and nothing else.\n",
+        "| responses x forces | block | samples | bare FFTs | measure / bare |\n|---|---|---|---|---|",
+        *frf_rows(),
+        f"\n## A raw file to its FRF by the command\n\nTwo forces, two responses, {n_row} rows; beside it bare reading and bare FFTs. The "
+        "import of the libraries is subtracted on both sides. The bare side holds the whole file in memory.\n",
+        "| file | size | bare CPU | command / bare, CPU | by the clock | memory of the command |\n|---|---|---|---|---|---|",
+        *file_rows(n_row),
+        "\n## Maximum likelihood over many dofs and lines\n\nAll stiffness and damping coefficients of masses in a chain, with the test of "
+        "the given masses.\n",
+        "| dofs | lines | parameters | CPU | over the first |\n|---|---|---|---|---|",
+        *likelihood_rows(),
+        "\n## Commands\n\n| command | CPU | |\n|---|---|---|",
+        *command_rows(),
+    ]
+    return "\n".join(parts).replace(HEAD + "\n", HEAD) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rows", type=int, default=16_000_000)
+    if os.environ.get("OMP_NUM_THREADS") != "1":
+        parser.error("set OMP_NUM_THREADS=1")
+    PAGE.write_text(page(parser.parse_args().rows), encoding="utf-8")
+    print(f"written: {PAGE.relative_to(Path.cwd()) if PAGE.is_relative_to(Path.cwd()) else PAGE}")
+
+
+if __name__ == "__main__":
+    main()
