@@ -185,7 +185,8 @@ def test_files_hold_decays_and_fits_exactly(tmp_path) -> None:
 def test_the_report_shows_decay_residual_and_course_over_amplitude() -> None:
     fit = fitted(record(noisy([slipping(1.0, 0.3)], 1)))
     (section,) = [s for s in build(Identification((fit,), "t")).sections if s.heading == "Result: ring"]
-    decay, over, _ = [block for block in section.blocks if isinstance(block, Figure)]
+    # The correlation of the two estimates is a sentence.
+    decay, over = [block for block in section.blocks if isinstance(block, Figure)]
     assert decay.graphic.names == ("measured", "fitted", "residual") and over.graphic.names == ("stretches", "law")
     law = over.graphic.panels[0].series[1]
     assert law.y[-1] > law.y[0] > 0.3
