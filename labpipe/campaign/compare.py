@@ -188,9 +188,9 @@ def _sensitivity(settings: CompareSettings, evidence: Evidence, theory: Magnetic
         hint = "one pipeline per setting of the loop"
         raise ConfigError(f"a sensitivity is that of one test, not of {len(evidence.responses)}", hint=hint)
     response = evidence.responses[0]
-    found = loop_sensitivity(settings, response, None if theory is None else theory(None, ""))
+    comparison = loop_sensitivity(settings, response, None if theory is None else theory(None, ""))
     # The quotient of both sides of the sum does not need the recorded excitation.
-    return _with_doubts_left_out(found, [port for port in response.outputs if port.label in (settings.before, settings.after)])
+    return _with_doubts_left_out(comparison, [port for port in response.outputs if port.label in (settings.before, settings.after)])
 
 
 def _certificate(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory | None) -> Comparison:
@@ -200,8 +200,8 @@ def _certificate(settings: CompareSettings, evidence: Evidence, theory: Magnetic
     if len(tests) != 1:
         raise ConfigError(f"a certificate is that of one test, not of {len(tests)}", hint="one pipeline per setting of the loop")
     response = evidence.responses[0] if evidence.responses else per_injection(evidence.spectra[0])
-    found = certificate(settings, response, None if theory is None else theory(None, ""))
-    return _with_doubts_left_out(found, (*response.outputs, *response.inputs))
+    comparison = certificate(settings, response, None if theory is None else theory(None, ""))
+    return _with_doubts_left_out(comparison, (*response.outputs, *response.inputs))
 
 
 def _with_doubts_left_out(comparison: Comparison, ports: Iterable[Port], mass: bool = False) -> Comparison:

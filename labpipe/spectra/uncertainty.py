@@ -38,7 +38,7 @@ def covariance_of_random(
     rows = gain.reshape(n_frequency, -1, gain.shape[3])
     spread = (rows @ spectra @ hermitian(rows)).reshape(n_frequency, gain.shape[1], n_input, gain.shape[1], n_input)
     # B_p^H S_zz[p, o] B_o stands at [p, j, o, i]; the covariance needs it at [o, i, p, j].
-    return _joined(residual, spread.transpose(0, 3, 4, 1, 2) / max(averages - n_input, 1.0))
+    return without_rounding(_joined(residual, spread.transpose(0, 3, 4, 1, 2) / max(averages - n_input, 1.0)))
 
 
 def covariance_of_h1(
@@ -50,7 +50,8 @@ def covariance_of_h1(
     Equation (frf-covariance-h1).
     """
     residual = pooled_residual(residual_spectrum(spectra, response), response, half_width)
-    spread = inverse_force.swapaxes(1, 2) / max(averages - response.shape[2], 1.0)
+    # Both factors are Hermitian to the last digit, so their product is: it is large where there are many responses.
+    spread = without_rounding(inverse_force).swapaxes(1, 2) / max(averages - response.shape[2], 1.0)
     return _joined(residual, spread[:, None, :, None, :])
 
 

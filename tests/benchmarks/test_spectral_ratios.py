@@ -59,8 +59,10 @@ def bare_ffts(columns: np.ndarray, block: int = BLOCK) -> None:
         fft.rfft(columns[:, start : start + block], axis=1)
 
 
-@pytest.mark.parametrize("block", [BLOCK, 25_600])
-def test_mimo_frf_in_memory_against_the_bare_ffts_and_scipy(samples: np.ndarray, capsys: pytest.CaptureFixture[str], block: int) -> None:
+@pytest.mark.parametrize(("block", "least"), [(BLOCK, 6), (25_600, 4)])
+def test_mimo_frf_in_memory_against_the_bare_ffts_and_scipy(
+    samples: np.ndarray, capsys: pytest.CaptureFixture[str], block: int, least: float
+) -> None:
     recording, columns = Recording(CHANNELS, samples, RATE, "run"), np.ascontiguousarray(samples.T)
     settings = FrfSettings(excitation="random", block=block / RATE)
 
@@ -73,7 +75,7 @@ def test_mimo_frf_in_memory_against_the_bare_ffts_and_scipy(samples: np.ndarray,
     with capsys.disabled():
         print(f"\nMIMO FRF with covariance, blocks of {block}: {own:.2f} times the bare FFTs; scipy.signal.csd {peer:.1f} times")
     assert own < 5
-    assert peer > 4 * own
+    assert peer > least * own
 
 
 def test_the_matrix_is_that_of_scipy_to_1e10(samples: np.ndarray) -> None:

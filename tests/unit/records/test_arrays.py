@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labpipe.errors import DataError
-from labpipe.records.arrays import frozen_array
+from labpipe.records.arrays import frozen_array, handed_over
 
 SHAPES = st.lists(st.integers(1, 4), min_size=1, max_size=3).map(tuple)
 
@@ -56,6 +56,23 @@ def test_it_is_no_view_of_what_it_was_made_from() -> None:
     buffer[:] = 7.0
     np.testing.assert_array_equal(array, [1.0, 2.0])
     assert buffer.flags.writeable
+
+
+def test_what_was_handed_over_is_taken_without_a_copy_and_can_no_longer_be_written() -> None:
+    buffer = np.array([[1.0, 2.0], [3.0, 4.0]])
+    array = frozen_array(handed_over(buffer.T), np.float64, "x", (2, 2))
+    assert np.shares_memory(array, buffer)
+    with pytest.raises(ValueError, match="read-only"):
+        buffer[0, 0] = 7.0
+
+
+def test_a_read_only_view_of_what_can_be_written_is_copied() -> None:
+    buffer = np.array([1.0, 2.0])
+    view = buffer.view()
+    view.flags.writeable = False
+    array = frozen_array(view, np.float64, "x", (2,))
+    buffer[:] = 7.0
+    np.testing.assert_array_equal(array, [1.0, 2.0])
 
 
 def test_lists_and_whole_numbers_become_floats() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.spectra.estimators import ESTIMATORS, INSTRUMENTS
-from labpipe.spectra.uncertainty import covariance_of_periodic, covariance_of_random
+from labpipe.spectra.uncertainty import covariance_of_h1, covariance_of_periodic, covariance_of_random
 
 H = np.array([[1.0 + 2.0j, 0.3 - 0.1j], [0.2j, 2.0 - 1.0j]])
 MIX = np.array([[1.0, 0.4 + 0.3j], [0.0, 0.8]])
@@ -67,6 +67,19 @@ def test_h1_covariance_equals_its_literal_twin(rng: np.random.Generator) -> None
             for q in range(4):
                 expected = s_rr[p // 2, q // 2] * inverse[q % 2, p % 2] / 38
                 assert covariance[line, p, q] == pytest.approx(expected, rel=1e-10)
+
+
+@pytest.mark.parametrize("half_width", [0, 2])
+def test_the_short_way_for_h1_is_the_general_one_with_forces_as_instruments(rng: np.random.Generator, half_width: int) -> None:
+    u, y = complex_normal(rng, 9, 2, 40), complex_normal(rng, 9, 3, 40)
+    both = np.concatenate([u, y], axis=1)
+    joint = both @ both.conj().swapaxes(1, 2) / 40
+    response = ESTIMATORS["H1"](joint[:, :2, :2], joint[:, 2:, :2], joint[:, 2:, 2:])
+    instruments = INSTRUMENTS["H1"](response, np.einsum("faa->fa", joint).real)
+    general = covariance_of_random(joint, response, instruments, 40.0, half_width)
+    short = covariance_of_h1(joint, response, np.linalg.inv(joint[:, :2, :2]), 40.0, half_width)
+    np.testing.assert_allclose(short, general, rtol=0, atol=1e-12 * np.max(np.abs(general)))
+    np.testing.assert_array_equal(short, short.conj().swapaxes(1, 2))
 
 
 def test_periodic_data_with_noise_on_force_and_response() -> None:
