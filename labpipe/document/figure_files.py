@@ -5,15 +5,15 @@ from __future__ import annotations
 import csv
 import io
 import math
-import re
 
-from labpipe.document.saving import canvas_of, png_bytes, svg_text
+from labpipe.document.names import short_name
+from labpipe.document.saving import canvas_of, png_bytes
+from labpipe.document.svg_file import svg_file
 from labpipe.report.chart import Chart, Panel, Series
 from labpipe.report.document import Document, Figure
 from labpipe.spreadsheet_cells import cell
 
 COLUMNS = ("panel", "series", "x axis", "x", "y axis", "y", "low", "high", "interval")
-MOST_LETTERS = 48
 
 
 def figure_files(document: Document) -> dict[str, bytes]:
@@ -22,18 +22,11 @@ def figure_files(document: Document) -> dict[str, bytes]:
     contents: dict[str, bytes] = {}
     for number, figure in enumerate(figures, 1):
         stem = f"figure-{number:02d}-{short_name(figure.caption)}".rstrip("-")
-        canvas = canvas_of(figure.graphic)
-        contents[f"{stem}.svg"] = ('<?xml version="1.0" encoding="utf-8"?>\n' + svg_text(canvas)).encode()
-        contents[f"{stem}.png"] = png_bytes(canvas)
+        contents[f"{stem}.svg"] = svg_file(figure).encode()
+        contents[f"{stem}.png"] = png_bytes(canvas_of(figure.graphic))
         if isinstance(figure.graphic, Chart):
             contents[f"{stem}.csv"] = figure_csv(figure.graphic, figure.caption).encode()
     return contents
-
-
-def short_name(caption: str) -> str:
-    """A caption as part of a file's name: its first words in small letters."""
-    plain = re.sub(r"[^a-z0-9]+", "-", caption.lower()).strip("-")
-    return plain[:MOST_LETTERS].rpartition("-")[0] if len(plain) > MOST_LETTERS else plain
 
 
 def figure_csv(chart: Chart, caption: str) -> str:
@@ -66,7 +59,7 @@ def _point_rows(panel: Panel, name: str, series: Series) -> list[list[str]]:
     return [
         [
             name,
-            series.name or series.kind,
+            series.texts[0][n] if series.kind == "text" else series.name or series.kind,
             panel.x.label,
             _number(float(series.x[n])) if n < series.x.size else "",
             panel.y.label,

@@ -1,4 +1,4 @@
-"""The numbers of a chart as JSON inside a page: what its script draws, zooms and reads."""
+"""The numbers of a figure as JSON inside a page: what its script draws, zooms and reads, and the shapes that it turns and sways."""
 
 from __future__ import annotations
 
@@ -11,9 +11,12 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.document.palette import heat
 from labpipe.report.chart import GREY, Axis, Chart, Series
+from labpipe.report.shape_figure import REACH, ShapeSketch
 
 # Digits of places along an axis, which zooming must tell apart, and the fewest of what is read there.
 DIGITS, READ_DIGITS = 7, 5
+# Digits of places of a structure, which is 1 in size.
+SHAPE_DIGITS = 4
 RULE = "var(--rule)"
 
 
@@ -111,6 +114,10 @@ def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
         "size": series.size,
         "hollow": series.hollow,
     }
+    if series.kind == "area":
+        entry["opacity"] = series.opacity
+    if series.kind == "text":
+        entry["texts"] = series.texts[0]
     if series.low is not None and series.high is not None:
         entry |= {
             "low": numbers.add(series.low, _read_digits(series)),
@@ -118,3 +125,17 @@ def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
             "interval": series.interval,
         }
     return entry
+
+
+def shape_numbers(sketch: ShapeSketch) -> dict[str, Any]:
+    """What the page's script draws: points, lines, and every mode's motion as real and imaginary part."""
+    return {
+        "names": sketch.names,
+        "positions": sketch.positions.round(SHAPE_DIGITS).tolist(),
+        "lines": sketch.lines.tolist(),
+        "reach": REACH,
+        "modes": [
+            {"title": title, "real": moved.real.round(SHAPE_DIGITS).tolist(), "imaginary": moved.imag.round(SHAPE_DIGITS).tolist()}
+            for title, moved in zip(sketch.titles, sketch.motion, strict=True)
+        ],
+    }

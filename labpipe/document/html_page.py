@@ -9,13 +9,12 @@ import io
 import re
 from functools import cache
 from html import escape
-from importlib.resources import files
 
-from labpipe.document.figure_files import short_name
-from labpipe.document.figure_numbers import figure_json, json_text
-from labpipe.document.saving import canvas_of, svg_text
-from labpipe.document.shape_drawing import shape_numbers
+from labpipe.document.figure_numbers import figure_json, json_text, shape_numbers
+from labpipe.document.names import short_name
+from labpipe.document.page_parts import page_part
 from labpipe.document.small_svg import smaller
+from labpipe.document.svg_chart import chart_svg
 from labpipe.report.chart import Chart, Graphic
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
 from labpipe.report.shape_figure import KIND as SHAPES
@@ -25,12 +24,6 @@ SCRIPTS = ("scale.js", "panel.js", "reading.js", "zoom.js", "choose.js", "figure
 LEAST_LISTED = 4
 # Rows of a table beyond which it is folded.
 LONG_TABLE = 30
-
-
-@cache
-def page_part(name: str) -> str:
-    """A file of the page: its style or a part of its script."""
-    return files("labpipe.document").joinpath("page", name).read_text(encoding="utf-8")
 
 
 @cache
@@ -55,7 +48,7 @@ def render_html(document: Document) -> str:
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{escape(policy())}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(document.title)}</title>\n<style>\n{page_part('report.css')}</style></head>\n<body>\n"
+        f"<title>{escape(document.title)}</title>\n<style>\n{page_part('report.css')}{page_part('drawing.css')}</style></head>\n<body>\n"
         '<a class="skip" href="#content">Skip to the content</a>\n<main id="content">\n'
         f"<header><h1>{escape(document.title)}</h1><p>{escape(document.subtitle)}</p></header>\n"
         f"{_contents(document)}{sections}\n</main>\n{script}</body></html>\n"
@@ -72,13 +65,15 @@ class _Figures:
         """A figure with its number: the drawing for print and without scripts, the numbers of a chart for the script, the caption."""
         self.count += 1
         numbers, kind = "", ""
+        # A drawing for print has the colours of paper; a chart has the page's.
+        ground = "" if isinstance(figure.graphic, Chart) else " paper"
         living = live_json(figure.graphic)
         if living is not None:
             self.alive = True
             kind, numbers = f' class="{living[0]}"', f'<script type="application/json">{living[1]}</script>'
         return (
             f'<figure id="figure-{self.count}" role="group" aria-label="{escape(figure.alternative)}"{kind}>'
-            f'<div class="static">{inline_svg(figure, self.count)}</div>{numbers}'
+            f'<div class="static{ground}">{inline_svg(figure, self.count)}</div>{numbers}'
             f"<figcaption><b>Figure {self.count}.</b> {escape(figure.caption)}</figcaption></figure>"
         )
 
@@ -91,7 +86,12 @@ def live_json(graphic: Graphic) -> tuple[str, str] | None:
 
 
 def inline_svg(figure: Figure, number: int) -> str:
-    """The drawing as SVG inside a page: named for those who cannot see it, its ids its own, its style not the page's."""
+    """The figure as SVG inside a page: named for those who cannot see it, its ids its own, its style not the page's."""
+    if isinstance(figure.graphic, Chart):
+        return chart_svg(figure.graphic, f"f{number}", figure.alternative)
+    # Matplotlib, which takes its time to load, is for drawings alone.
+    from labpipe.document.saving import canvas_of, svg_text
+
     text = svg_text(canvas_of(figure.graphic))
     text = re.sub(r"<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<!--.*?-->", "", text, flags=re.DOTALL)
     text = smaller(text)

@@ -9,6 +9,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
+from labpipe.document.chart_words import UPRIGHT, axis_titles, turn_of_names
 from labpipe.document.matplotlib_series import PAINTERS
 from labpipe.document.matplotlib_style import canvas_of_size, plain_logarithmic, styled
 from labpipe.report.chart import Chart, Panel
@@ -19,10 +20,6 @@ MOST_MEASURED = 6
 # Letters that fit side by side into a legend as wide as the page, and those of the sample beside each name.
 LETTERS, SAMPLE = 112, 11
 MOST_COLUMNS = 5
-# Letters that fit into an inch of an ordinate.
-LETTERS_UPWARDS = 13
-# Names of places with more letters than this to the inch of the whole figure are turned.
-MOST_LEVEL = 9
 # Kinds of series that a legend names, in the order in which matplotlib lists them, and what makes two entries the same: name and colour.
 HANDLED = ("line", "area")
 Entry = tuple[str, int]
@@ -77,31 +74,23 @@ def _axis(axes: Axes, which: str, chart: Chart, number: int) -> None:
     if axis.ticks:
         names = [name for _, name in axis.ticks]
         drawn.set_ticks([place for place, _ in axis.ticks], names)
-        if which == "x" and sum(len(name) + 1 for name in names) > MOST_LEVEL * chart.size[0]:
-            upright = any(series.kind == "cells" for series in panel.series)
-            drawn.set_tick_params(rotation=90 if upright else 25, labelsize=SMALL - 1)
+        turned = turn_of_names(chart, number) if which == "x" else 0.0
+        if turned:
+            drawn.set_tick_params(rotation=turned, labelsize=SMALL - 1)
             for label in drawn.get_ticklabels():
-                label.set_horizontalalignment("center" if upright else "right")
+                label.set_horizontalalignment("center" if turned == UPRIGHT else "right")
 
 
 def _titles(canvas: Canvas, places: list[Axes], chart: Chart) -> None:
-    """Labels of the axes: along a shared abscissa the lowest panel has it; a label common to all panels of a grid is written once."""
-    wide = chart.columns > 1
-    for which, once in (("x", wide and chart.rows > 1), ("y", wide)):
-        labels = [(panel.x if which == "x" else panel.y).label for panel in chart.panels]
-        if once and len(set(labels)) == 1:
-            (canvas.supxlabel if which == "x" else canvas.supylabel)(labels[0], fontsize=SMALL + 1)
-            continue
-        for number, (axes, label) in enumerate(zip(places, labels, strict=False)):
-            below = labels[number + chart.columns : number + chart.columns + 1]
-            if which == "y" or "x" not in chart.shared or not below:
-                (axes.set_xlabel if which == "x" else axes.set_ylabel)(_wrapped(label, chart, number) if which == "y" else label)
-
-
-def _wrapped(label: str, chart: Chart, number: int) -> str:
-    """A title of an ordinate that is longer than its panel is high has its unit on a second line."""
-    room = LETTERS_UPWARDS * chart.size[1] * chart.heights[number // chart.columns]
-    return label.replace(" [", "\n[") if len(label) > room else label
+    """The titles of the axes where they stand."""
+    titles = axis_titles(chart)
+    for axes, below, beside in zip(places, titles.below, titles.beside, strict=False):
+        axes.set_xlabel(below)
+        axes.set_ylabel(beside)
+    if titles.common_x:
+        canvas.supxlabel(titles.common_x, fontsize=SMALL + 1)
+    if titles.common_y:
+        canvas.supylabel(titles.common_y, fontsize=SMALL + 1)
 
 
 def _legends(canvas: Canvas, places: list[Axes], chart: Chart) -> None:

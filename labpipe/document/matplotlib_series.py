@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgb
 
-from labpipe.document.palette import HEAT, heat, ink_on, tone
+from labpipe.document.palette import GREY_TONE, HEAT, heat, ink_on, tone
 from labpipe.report.chart import Series
 
 SMALL = 7
@@ -37,7 +37,8 @@ def _line(axes: Axes, series: Series) -> None:
 
 
 def _area(axes: Axes, series: Series) -> None:
-    axes.fill(series.x, series.y, color=tone(series.colour), alpha=series.opacity, linewidth=0, label=_label(series))
+    face = (tone(series.colour), series.opacity)
+    axes.fill(series.x, series.y, facecolor=face, edgecolor=GREY_TONE, linewidth=series.width, label=_label(series))
 
 
 def _level(axes: Axes, series: Series) -> None:
@@ -78,6 +79,12 @@ def _arrow(axes: Axes, series: Series) -> None:
     axes.annotate("", head, tail, arrowprops={"arrowstyle": "-|>", "color": tone(series.colour)})
 
 
+def _text(axes: Axes, series: Series) -> None:
+    """Words with their middle at the points."""
+    for x, y, text in zip(series.x, series.y, series.texts[0], strict=True):
+        axes.text(x, y, text, ha="center", va="center", fontsize=series.size, color=tone(series.colour))
+
+
 def _label(series: Series) -> str:
     """The name for a legend; matplotlib leaves out what begins with an underscore."""
     return series.name or "_"
@@ -92,4 +99,5 @@ PAINTERS: dict[str, Callable[[Axes, Series], None]] = {
     "vspan": _upright_span,
     "cells": _cells,
     "arrow": _arrow,
+    "text": _text,
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from labpipe.document.html_page import render_html
 from labpipe.records.identification import Identification
 from labpipe.registry import Registry
 from labpipe.report.build import build
@@ -29,9 +30,6 @@ DOCUMENTS = Registry(
 
 def html_document(document: Document) -> bytes:
     """A document as the bytes of an HTML file that opens offline: style and drawings inside, nothing fetched, names from files escaped."""
-    # Pages hold drawings, and matplotlib takes its time to load.
-    from labpipe.document.html_page import render_html
-
     return render_html(document).encode()
 
 

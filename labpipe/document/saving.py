@@ -18,7 +18,6 @@ PRINT_DPI = 200
 DRAWINGS = Registry(
     "drawing",
     {
-        "rotor": "labpipe.document.rotor_drawing:rotor_canvas",
         "film": "labpipe.document.film_drawing:film_canvas",
         "surfaces": "labpipe.document.surface_drawing:surface_canvas",
         "mode-shapes": "labpipe.document.shape_drawing:shape_canvas",

@@ -1,8 +1,6 @@
-"""Mode shapes on the structure: views for print, and the numbers that a page turns and sways."""
+"""Mode shapes on the structure: views for print."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,7 +14,6 @@ from labpipe.report.shape_figure import REACH, VIEWS, ShapeSketch, projected
 
 # Room about the structure for its motion.
 ROOM = 1.2 * REACH
-DIGITS = 4
 
 
 def shape_canvas(sketch: ShapeSketch, size: tuple[float, float]) -> Canvas:
@@ -50,17 +47,3 @@ def _view(axes: Axes, sketch: ShapeSketch, mode: int, eye: tuple[float, float]) 
 def _draw(axes: Axes, sketch: ShapeSketch, seen: FloatArray, colour: str, style: str) -> None:
     axes.add_collection(LineCollection(list(seen[sketch.lines]), colors=colour, linestyles=style, linewidths=1.2))
     axes.plot(*seen.T, ".", color=colour, markersize=3)
-
-
-def shape_numbers(sketch: ShapeSketch) -> dict[str, Any]:
-    """What the page's script draws: points, lines, and every mode's motion as real and imaginary part."""
-    return {
-        "names": sketch.names,
-        "positions": sketch.positions.round(DIGITS).tolist(),
-        "lines": sketch.lines.tolist(),
-        "reach": REACH,
-        "modes": [
-            {"title": title, "real": moved.real.round(DIGITS).tolist(), "imaginary": moved.imag.round(DIGITS).tolist()}
-            for title, moved in zip(sketch.titles, sketch.motion, strict=True)
-        ],
-    }

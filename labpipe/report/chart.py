@@ -14,7 +14,7 @@ from labpipe.arrays import FloatArray
 Ends = tuple[ArrayLike, ArrayLike]
 Ticks = tuple[tuple[float, str], ...]
 
-KINDS = ("line", "area", "hline", "vline", "hspan", "vspan", "cells", "arrow")
+KINDS = ("line", "area", "hline", "vline", "hspan", "vspan", "cells", "arrow", "text")
 # Numbers of the palette for series; INK is that of the text, GREY that of reference values.
 PALETTE_SIZE, INK, GREY = 7, 6, -1
 LINES = ("-", "--", ":")
@@ -27,10 +27,12 @@ MARGIN = 0.05
 @dataclass(frozen=True, eq=False)
 class Series:
     """One entry of a panel. *kind*: 'line' (points, joined or not), 'area' (a closed outline), 'hline', 'vline', 'hspan', 'vspan',
-    'cells' (a matrix of values between -1 and 1 with a text in each) or 'arrow' (from the first point to the second).
+    'cells' (a matrix of values between -1 and 1 with a text in each), 'arrow' (from the first point to the second) or 'text' (words at
+    points).
 
     x, y: (n,) [units of the axes], NaN where nothing is shown; of a line or span across the panel one of them is empty.
-    cells: y is (n_row, n_column). low, high: (n,) ends of an interval around y, shown as *interval* ('shaded' or 'bar').
+    cells: y is (n_row, n_column), texts the same; of 'text' texts is one row (n,), size that of its letters [pt].
+    low, high: (n,) ends of an interval around y, shown as *interval* ('shaded' or 'bar').
     line: '-', '--', ':' or '-.', '' for none; marker: '.', 'o', 's' or 'v', '' for none; size, width: diameter and line [pt].
     entry: the name in the legend, where it is not *name*: series of one entry share it.
     """
@@ -67,7 +69,7 @@ class Series:
                 object.__setattr__(self, name, plain)
         if self.kind not in KINDS:
             raise ValueError(f"no series of kind '{self.kind}'")
-        if self.kind in ("line", "area", "arrow") and self.x.shape != self.y.shape:
+        if self.kind in ("line", "area", "arrow", "text") and self.x.shape != self.y.shape:
             raise ValueError(f"series '{self.name}': {self.x.shape} over {self.y.shape}")
         if (self.low is None) != (self.high is None) or any(end is not None and end.shape != self.y.shape for end in (self.low, self.high)):
             raise ValueError(f"series '{self.name}': both ends of its interval must be as long as its values")
@@ -133,9 +135,9 @@ def span(low: float, high: float, colour: int, opacity: float = 0.15) -> Series:
     return Series("hspan", "", x=np.empty(0), y=np.array([low, high]), colour=colour, opacity=opacity)
 
 
-def outline(name: str, x: ArrayLike, y: ArrayLike, colour: int = 0, opacity: float = 0.15) -> Series:
-    """The shaded inside of a closed path (n,)."""
-    return Series("area", name, x=np.asarray(x, float), y=np.asarray(y, float), colour=colour, opacity=opacity)
+def outline(name: str, x: ArrayLike, y: ArrayLike, colour: int = 0, opacity: float = 0.15, *, width: float = 0.0) -> Series:
+    """The shaded inside of a closed path (n,), which itself is drawn in grey where it has a *width* [pt]."""
+    return Series("area", name, x=np.asarray(x, float), y=np.asarray(y, float), colour=colour, opacity=opacity, width=width)
 
 
 def cells(values: ArrayLike, texts: Sequence[Sequence[str]], name: str = "") -> Series:
@@ -148,6 +150,11 @@ def arrow(tail: ArrayLike, head: ArrayLike, colour: int) -> Series:
     """An arrow from one point (2,) to another, for the sense of a motion."""
     across, along = np.array([tail, head], float).T
     return Series("arrow", "", x=across, y=along, colour=colour)
+
+
+def labels(x: ArrayLike, y: ArrayLike, texts: Sequence[str], colour: int = INK, *, size: float = 8.0) -> Series:
+    """Words (n,) in letters of *size* [pt] with their middle at points (n,)."""
+    return Series("text", "", x=np.asarray(x, float), y=np.asarray(y, float), colour=colour, size=size, texts=(tuple(texts),))
 
 
 def look(number: int) -> tuple[int, str]:

@@ -9,11 +9,16 @@ from typing import Any
 import numpy as np
 
 from labpipe.records.identification import Identification
-from labpipe.report.chart import WIDTH, Drawing
+from labpipe.report.chart import GREY, INK, Axis, Chart, Panel, Series, arrow, dots, labels, level, outline, stacked
 from labpipe.report.document import Figure, Section
 
 MM = 1e3
 HEIGHT = 2.9
+# Number and opacity of the colour of every part.
+LOOKS = {"shaft": (GREY, 0.3), "sleeve": (5, 0.8), "disc": (4, 0.8), "bearing": (0, 0.55)}
+# Where words stand, as parts of the largest radius: names of bearings, numbers of nodes, arrows of force and response.
+NAMES, ODD_NUMBERS, EVEN_NUMBERS, TAIL, TIP = 1.25, 1.75, 2.05, 1.55, 1.02
+PLACES = 1
 # A bearing is drawn so thick, as part of the largest radius.
 BEARING_WALL = 0.4
 
@@ -67,8 +72,36 @@ def rotor_figure(rig: Mapping[str, Any]) -> Figure:
     """A rotor from its entries (elements, discs, sleeves, bearings; SI units), lengths in mm, nodes numbered from 1."""
     discs = " Discs have the outline of a cylinder with their mass and moments of inertia." if rig["rotor"]["discs"] else ""
     caption = f"{rig['name']}: the rotor, its nodes numbered from the left. Diameters are drawn larger than lengths.{discs}"
-    drawing = Drawing("rotor", rotor_sketch(rig), (WIDTH, HEIGHT))
-    return Figure(drawing, caption, f"Drawing of the rotor {rig['name']} with its bearings")
+    return Figure(rotor_chart(rotor_sketch(rig)), caption, f"Drawing of the rotor {rig['name']} with its bearings")
+
+
+def rotor_chart(sketch: RotorSketch) -> Chart:
+    """The sketch over the length of the shaft [mm]; parts that lie within others are drawn on them."""
+    reach, length = sketch.reach, sketch.stations[-1]
+    series = [one for ring in sketch.rings for one in _drawn(ring)]
+    numbers = [str(number) for number in range(1, len(sketch.stations) + 1)]
+    lower = [-ODD_NUMBERS * reach if number % 2 == 0 else -EVEN_NUMBERS * reach for number in range(len(numbers))]
+    series += [
+        level(0.0, INK, "-.", width=0.6),
+        dots("node", sketch.stations, np.zeros(len(numbers)), INK, size=2.0),
+        labels(sketch.stations, lower, numbers, size=6.0),
+        labels([centre for _, centre in sketch.bearings], [-NAMES * reach] * len(sketch.bearings), [name for name, _ in sketch.bearings]),
+    ]
+    for name, x in sketch.places:
+        series += [arrow((x, TAIL * reach), (x, TIP * reach), PLACES), labels([x], [(TAIL + 0.15) * reach], [name], PLACES)]
+    along = Axis("along the shaft", "mm", -0.03 * length, 1.03 * length)
+    return stacked([Panel(along, Axis("radius", "mm", -2.3 * reach, 2.1 * reach), tuple(series))], HEIGHT, "above")
+
+
+def _drawn(ring: Ring) -> list[Series]:
+    """A ring's section in the colour of its part: above and below its bore, or one rectangle where it has none, each with its edge."""
+    colour, opacity = LOOKS[ring.part]
+    right = ring.left + ring.length
+    series = []
+    for bottom, height in ring.boxes:
+        x, y = [ring.left, right, right, ring.left], [bottom, bottom, bottom + height, bottom + height]
+        series.append(outline(ring.part, x, y, colour, opacity, width=0.7))
+    return series
 
 
 def rotor_sketch(rig: Mapping[str, Any]) -> RotorSketch:

@@ -123,16 +123,16 @@ def bearing_json(entry: dict[str, Any]) -> str:
 
 def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: OutputFolder) -> list[str]:
     """bearing.json, the heat map of the stiffness matrix, a film's pressure, a shaft's transfer matrix as FRF table; the files' names."""
-    from labpipe.document.saving import canvas_of, svg_text
+    from labpipe.document.svg_file import svg_file
     from labpipe.report.bearing_figures import stiffness_figure
     from labpipe.report.film_figure import film_figure
 
     coefficients = whole.coefficients
     output.write_path("bearing.json").write_text(bearing_json(bearing_entry(file, name, whole)), encoding="utf-8")
-    output.write_path("stiffness.svg").write_text(svg_text(canvas_of(stiffness_figure(name, coefficients).graphic)), encoding="utf-8")
+    output.write_path("stiffness.svg").write_text(svg_file(stiffness_figure(name, coefficients)), encoding="utf-8")
     names = ["bearing.json", "stiffness.svg"]
     if coefficients.film is not None:
-        output.write_path("pressure.svg").write_text(svg_text(canvas_of(film_figure(name, coefficients.film).graphic)), encoding="utf-8")
+        output.write_path("pressure.svg").write_text(svg_file(film_figure(name, coefficients.film)), encoding="utf-8")
         names.append("pressure.svg")
     response = file.kind.response and file.kind.response(file.settings(), coefficients)
     if response is not None:
@@ -143,7 +143,7 @@ def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: Output
 
 def write_sweep(name: str, sweep: Sweep, points: list[Evaluated], output: OutputFolder) -> list[str]:
     """sweep.csv with every coefficient, and their curves; the names of the files."""
-    from labpipe.document.saving import canvas_of, svg_text
+    from labpipe.document.svg_file import svg_file
     from labpipe.report.bearing_figures import sweep_figures
 
     columns = sweep_columns(sweep, points)
@@ -153,7 +153,7 @@ def write_sweep(name: str, sweep: Sweep, points: list[Evaluated], output: Output
             stream.write(",".join(value if isinstance(value, str) else f"{value:.9g}" for value in row) + "\n")
     names = ["sweep.csv"]
     for kind, figure in sweep_figures(name, sweep.label, sweep.values, [point.coefficients for point in points]).items():
-        output.write_path(f"sweep-{kind}.svg").write_text(svg_text(canvas_of(figure.graphic)), encoding="utf-8")
+        output.write_path(f"sweep-{kind}.svg").write_text(svg_file(figure), encoding="utf-8")
         names.append(f"sweep-{kind}.svg")
     return names
 

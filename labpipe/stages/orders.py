@@ -75,7 +75,7 @@ def track_run(
 
 def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
     """orders.csv and the figures; their names."""
-    from labpipe.document.saving import canvas_of, svg_text
+    from labpipe.document.svg_file import svg_file
     from labpipe.report.order_figures import gap_figure, orbit_series_figure, order_figure
 
     _write_table(run, output.write_path("orders.csv"))
@@ -86,7 +86,7 @@ def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
     if run.clearance is not None:
         figures["gap.svg"] = gap_figure(run.name, run.track, run.circles, run.clearance.gap, run.clearance.limit)
     for name, figure in figures.items():
-        output.write_path(name).write_text(svg_text(canvas_of(figure.graphic)), encoding="utf-8")
+        output.write_path(name).write_text(svg_file(figure), encoding="utf-8")
     return ["orders.csv", *figures]
 
 

@@ -10,7 +10,9 @@ from typing import Any
 
 import pytest
 
+from labpipe.document.page_parts import page_part
 from labpipe.document.render import html_document
+from labpipe.document.ticks import ticks_of
 from labpipe.report.chart import Axis, Chart, Panel, arrow, curve, level
 from labpipe.report.document import Document, Figure, Section
 
@@ -215,3 +217,18 @@ def test_keys_go_from_measured_point_to_measured_point(page: Any) -> None:
         places.append(float(told[1]))
         page.key("ArrowRight")
     assert places == [40.0, 41.0, 42.0]
+
+
+@pytest.mark.parametrize("logarithmic", [False, True])
+def test_the_script_sets_the_numbers_that_print_has(browser: Any, report_page: Path, logarithmic: bool) -> None:
+    """The page's script and the drawing for print are written in two languages after one rule."""
+    ends = [(1.0, 2.0), (0.02, 9000.0), (3.0, 4.5), (10.6, 11.1), (1e-9, 3e-8), (-198.0, 198.0), (-3.0, 1e7), (1048576.5, 1048577.0)]
+    cases = [(unit, limits, most) for unit in ("N", "deg") for limits in ends for most in (2, 4, 7) if not logarithmic or limits[0] > 0]
+    opened = browser.open(report_page)
+    asked = [[{"ticks": [], "log": logarithmic, "unit": unit}, limits, most] for unit, limits, most in cases]
+    found = opened.run(
+        f"(() => {{{page_part('scale.js')}; return {json.dumps(asked)}.map((one) => ticksOf(...one).map(([, text]) => text)); }})()"
+    )
+    opened.close()
+    expected = [[text for _, text in ticks_of(Axis("", unit, logarithmic=logarithmic), limits, most)] for unit, limits, most in cases]
+    assert found == expected

@@ -117,7 +117,7 @@ function legendButton(figure, legend, name) {
   if (one.line) element("path", { class: "curve", d: "M1 5H21", "stroke-dasharray": DASHES[one.line] || "", "stroke-width": 2 }, swatch);
   if (one.marker && one.hollow) element("circle", { class: "hollow", cx: 11, cy: 5, r: 3.5 }, swatch);
   else if (one.marker) drawDots({ ...one, size: 5 }, [[11, 5]], swatch);
-  if (!one.line && !one.marker) element("rect", { class: "shade", x: 1, y: 1, width: 20, height: 8 }, swatch);
+  if (!one.line && !one.marker) element("rect", { class: "shade", x: 1, y: 1, width: 20, height: 8, style: `fill-opacity: ${Math.max(one.opacity ?? 0.2, 0.2)}` }, swatch);
   node("span", { textContent: name }, made);
   made.onclick = () => {
     const hide = !figure.hidden.has(name);

@@ -76,6 +76,7 @@ function drawSeries(panel, one, inside) {
   const group = element("g", { style: `--own: ${inkOf(one.colour)}` }, inside);
   if (one.kind === "cells") drawCells(panel, one, group);
   else if (one.kind === "area") drawArea(panel, one, group);
+  else if (one.kind === "text") drawText(panel, one, group);
   else if (one.kind === "arrow") drawArrow(panel, one, group);
   else if (one.kind !== "line") drawAcross(panel, one, group);
   else drawCurve(panel, one, group);
@@ -116,7 +117,8 @@ function drawBars(panel, one, group) {
 
 function drawArea(panel, one, group) {
   const points = panel.pixels(one, one.y).filter((point) => point);
-  element("path", { class: "shade", d: `M${points.map((point) => point.join(" ")).join("L")}Z` }, group);
+  const edge = one.width ? `stroke: var(--rule); stroke-width: ${1.3 * one.width};` : "";
+  element("path", { class: "shade", d: `M${points.map((point) => point.join(" ")).join("L")}Z`, style: `${edge}fill-opacity: ${one.opacity}` }, group);
 }
 
 function drawAcross(panel, one, group) {
@@ -141,6 +143,14 @@ function drawArrow(panel, one, group) {
   const [x, y] = [(head[0] - tail[0]) / long, (head[1] - tail[1]) / long];
   const corners = [[head[0] + 5 * x, head[1] + 5 * y], [head[0] - 5 * x - 4 * y, head[1] - 5 * y + 4 * x], [head[0] - 5 * x + 4 * y, head[1] - 5 * y - 4 * x]];
   element("path", { class: "head", d: `M${corners.map((corner) => corner.join(" ")).join("L")}Z` }, group);
+}
+
+function drawText(panel, one, group) {
+  panel.pixels(one, one.y).forEach((point, n) => {
+    if (!point) return;
+    const look = { x: point[0], y: point[1] + 4, "text-anchor": "middle", style: `fill: var(--own); font-size: ${1.3 * one.size}px` };
+    element("text", look, group).textContent = one.texts[n];
+  });
 }
 
 function drawCells(panel, one, group) {

@@ -10,20 +10,32 @@ function scaleOf(limits, logarithmic, from, to) {
   };
 }
 
-function linearTicks(low, high, most) {
-  const rough = (high - low) / Math.max(most, 2);
+// Fewer numbers than three hardly tell a scale: the next smaller step has more. Many degrees are told in parts of a turn.
+function stepsOf(unit, rough, length) {
   const decade = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 2.5, 5, 10].map((part) => part * decade).find((one) => one >= rough * 0.999);
-  const ticks = [];
-  for (let n = Math.ceil(low / step - 1e-9); n * step <= high + 1e-9 * step; n += 1) {
-    ticks.push([n * step, plain(Number((n * step).toPrecision(10)))]);
-  }
-  return ticks;
+  const steps = unit === "deg" && length > 60 && length < 1080 ? [15, 30, 45, 90, 180, 360] : [0.1, 0.2, 0.25, 0.5, 1, 2, 2.5, 5, 10].map((part) => part * decade);
+  const found = steps.findIndex((one) => one >= rough * 0.999);
+  const first = found < 0 ? steps.length - 1 : found;
+  return steps.slice(Math.max(0, first - 3), first + 1).reverse();
 }
 
-function logTicks(low, high, most) {
+function linearTicks(low, high, most, unit) {
+  let [values, step] = [[], 1];
+  for (step of stepsOf(unit, (high - low) / Math.max(most, 2), high - low)) {
+    values = [];
+    for (let n = Math.ceil(low / step - 1e-9); n * step <= high + 1e-9 * step; n += 1) values.push(Number((n * step).toPrecision(10)));
+    if (values.length >= 3) break;
+  }
+  const texts = values.map(plain);
+  if (new Set(texts).size === texts.length && texts.some((text) => text.includes("e"))) return values.map((value, n) => [value, texts[n]]);
+  let decimals = 0;
+  while (decimals < 15 && Math.abs(Number(step.toFixed(decimals)) - step) >= 1e-9 * step) decimals += 1;
+  return values.map((value) => [value, value.toFixed(decimals).replace("-", "−")]);
+}
+
+function logTicks(low, high, most, unit) {
   const decades = Math.log10(high / low);
-  if (decades < 0.7) return linearTicks(low, high, most);
+  if (decades < 0.7) return linearTicks(low, high, most, unit);
   const parts = decades < 2.2 ? [1, 2, 5] : [1];
   const every = Math.max(1, Math.ceil(decades / Math.max(most, 2)));
   const ticks = [];
@@ -39,7 +51,7 @@ function logTicks(low, high, most) {
 function ticksOf(axis, limits, most) {
   if (axis.ticks.length) return axis.ticks.filter(([value]) => value >= Math.min(...limits) && value <= Math.max(...limits));
   const [low, high] = [Math.min(...limits), Math.max(...limits)];
-  return axis.log ? logTicks(low, high, most) : linearTicks(low, high, most);
+  return axis.log ? logTicks(low, high, most, axis.unit) : linearTicks(low, high, most, axis.unit);
 }
 
 function plain(value) {

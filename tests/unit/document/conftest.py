@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from labpipe.bearings.coefficients import PressureField
-from labpipe.config.rotor import load_rotor
 from labpipe.records.geometry import Geometry
 from labpipe.records.modes import Modes
 from labpipe.report.chart import (
@@ -24,6 +19,7 @@ from labpipe.report.chart import (
     cells,
     curve,
     dots,
+    labels,
     level,
     named_ticks,
     outline,
@@ -32,7 +28,6 @@ from labpipe.report.chart import (
     upright,
 )
 from labpipe.report.film_figure import film_figure
-from labpipe.report.rotor_figure import rotor_figure
 from labpipe.report.run_up_coefficients import CoefficientSurfaces
 from labpipe.report.shape_figure import shape_figures
 
@@ -41,7 +36,8 @@ X = np.array([1.0, 2.0, 4.0])
 
 @pytest.fixture
 def every_kind() -> Chart:
-    """Two panels over one speed: curves with bands and bars, lines and spans across, an outline, an arrow, a gap, hollow dots."""
+    """Two panels over one speed: curves with bands and bars, lines and spans across, an outline, an arrow, a gap, hollow dots,
+    words."""
     above = (
         curve("k", X, X**2, 0, marker=".", band=(X**2 - 0.5, X**2 + 1)),
         curve("gap", X, [1.0, np.nan, 100.0], 1, "--"),
@@ -56,6 +52,7 @@ def every_kind() -> Chart:
         outline("region", [1.0, 2.0, 2.0], [1.0, 1.0, 2.0]),
         arrow([1.0, 1.0], [2.0, 2.0], GREY),
         across_the_speed,
+        labels([1.5, 3.0], [2.0, 3.0], ["start", "end"], size=6.0),
     )
     speed = Axis("speed", "rpm")
     panels = (
@@ -75,8 +72,6 @@ def heat_map() -> Chart:
 @pytest.fixture(scope="session")
 def drawings() -> dict[str, Drawing]:
     """kind -> a drawing of that kind."""
-    rotors = Path(__file__).parents[3] / "configs" / "rotors"
-    rig = json.loads(json.dumps(dataclasses.asdict(load_rotor(rotors / "laval.yaml"))))
     theta = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     film = PressureField(theta, np.array([-0.005, 0.0, 0.005]), np.outer(1.5 + np.sin(theta), [1e5, 3e5, 1e5]), 5e-5 + 1e-5 * np.cos(theta))
     values = np.arange(24.0).reshape(4, 2, 3)
@@ -101,5 +96,5 @@ def drawings() -> dict[str, Drawing]:
     )
     (shapes,) = shape_figures("modes", modes)
     surface = Drawing("surfaces", surfaces, (7.2, 6.2))
-    graphics = (rotor_figure(rig).graphic, film_figure("journal", film).graphic, surface, shapes.graphic)
+    graphics = (film_figure("journal", film).graphic, surface, shapes.graphic)
     return {graphic.kind: graphic for graphic in graphics if isinstance(graphic, Drawing)}

@@ -43,8 +43,8 @@ def test_cells_are_named_by_row_and_column(heat_map: Chart) -> None:
 
 
 def test_a_chart_comes_as_svg_png_and_csv_and_a_drawing_without_numbers(every_kind: Chart, drawings: dict[str, Drawing]) -> None:
-    blocks = (Figure(every_kind, "Stiffness (over) speed: " + 60 * "x", "k"), Figure(drawings["rotor"], "The rotor", "rotor"))
+    blocks = (Figure(every_kind, "Stiffness (over) speed: " + 60 * "x", "k"), Figure(drawings["film"], "The film", "film"))
     files = figure_files(Document("T", "", (Section("All", blocks),)))
     assert [Path(name).suffix for name in files] == [".svg", ".png", ".csv", ".svg", ".png"]
-    assert next(iter(files)).startswith("figure-01-stiffness-over-speed.") and "figure-02-the-rotor.png" in files
-    assert files["figure-02-the-rotor.svg"].startswith(b'<?xml version="1.0" encoding="utf-8"?>\n<svg')
+    assert next(iter(files)).startswith("figure-01-stiffness-over-speed.") and "figure-02-the-film.png" in files
+    assert files["figure-02-the-film.svg"].startswith(b'<?xml version="1.0" encoding="utf-8"?>\n<svg')

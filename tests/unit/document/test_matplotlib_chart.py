@@ -59,7 +59,9 @@ def test_what_lies_across_a_panel_is_where_the_chart_says(every_kind: Chart) -> 
     low, high = above.transData.inverted().transform([[0, span.y0], [0, span.y1]])[:, 1]
     assert (low, high) == pytest.approx((2.0, 3.0))
     assert outline.get_path().vertices[:3].tolist() == [[1.0, 1.0], [2.0, 1.0], [2.0, 2.0]]
-    assert len(below.texts) == 1 and below.texts[0].xy == pytest.approx((2.0, 2.0))  # type: ignore[attr-defined]
+    head, *words = below.texts
+    assert head.xy == pytest.approx((2.0, 2.0)) and [text.get_text() for text in words] == ["start", "end"]  # type: ignore[attr-defined]
+    assert [text.get_position() for text in words] == [(1.5, 2.0), (3.0, 3.0)]
 
 
 def test_axes_have_the_limits_labels_and_scales_of_the_chart(every_kind: Chart) -> None:

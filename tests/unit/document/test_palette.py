@@ -6,7 +6,7 @@ import matplotlib as mpl
 import pytest
 from matplotlib.colors import to_rgb
 
-from labpipe.document.html_page import page_part
+from labpipe.document.page_parts import page_part
 from labpipe.document.palette import GREY_TONE, HEAT, PALETTE, heat, ink_on, tone
 from labpipe.report.chart import GREY, INK, PALETTE_SIZE
 
