@@ -1,153 +1,146 @@
-"""A chart drawn by matplotlib, for print and for pages without their script."""
+"""A chart drawn by matplotlib, for print and for notebooks: panels, numbers and legends stand where the chart's layout has them."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from labpipe.document.chart_words import UPRIGHT, axis_titles, turn_of_names
+from labpipe.document.chart_layout import GAP, MARK, POINTS_PER_INCH, TURNED_LETTERS, places, widest_beside
+from labpipe.document.chart_legend import APART, LETTERS, LINE, SAMPLE, Entries, height_above, legend_size, legends, place_inside
+from labpipe.document.chart_legend import GAP as SAMPLE_GAP
+from labpipe.document.chart_place import Box, Place
+from labpipe.document.chart_words import UPRIGHT, AxisTitles, axis_titles, is_leftmost, is_lowest, turn_of_names
+from labpipe.document.letters import LETTERS as WORDS
 from labpipe.document.matplotlib_series import PAINTERS
-from labpipe.document.matplotlib_style import canvas_of_size, plain_logarithmic, styled
+from labpipe.document.matplotlib_style import numbered, styled
 from labpipe.report.chart import Chart, Panel
 
-SMALL = 8
-# More panels than this are laid out by rule: measuring every label of theirs takes half a minute.
-MOST_MEASURED = 6
-# Letters that fit side by side into a legend as wide as the page, and those of the sample beside each name.
-LETTERS, SAMPLE = 112, 11
-MOST_COLUMNS = 5
-# Kinds of series that a legend names, in the order in which matplotlib lists them, and what makes two entries the same: name and colour.
-HANDLED = ("line", "area")
-Entry = tuple[str, int]
+TITLE, SMALL_TITLE = 9.0, 8.0
+# Matplotlib measures a legend in letters.
+LOOK: dict[str, Any] = {
+    "fontsize": LETTERS,
+    "borderaxespad": 0.0,
+    "borderpad": 0.0,
+    "handlelength": SAMPLE / LETTERS,
+    "handletextpad": SAMPLE_GAP / LETTERS,
+    "columnspacing": APART / LETTERS,
+    "labelspacing": LINE / LETTERS - 1.0,
+}
+# id of a series -> what was drawn for it, for the legend.
+Handles = dict[int, Artist]
 
 
 def chart_canvas(chart: Chart) -> Canvas:
     """The chart on a canvas of its size."""
     grid = not any(series.kind == "cells" for panel in chart.panels for series in panel.series)
+    above, inside = legends(chart)
+    width = POINTS_PER_INCH * chart.size[0]
+    there = places(chart, height_above(above, width))
+    titles = axis_titles(chart)
+    boxes = tuple(place.box for place in there)
+    handles: Handles = {}
     with styled(grid):
-        by_rule = len(chart.panels) > MOST_MEASURED
-        canvas = canvas_of_size(chart.size, measured=not by_rule)
-        places = canvas.subplots(
-            chart.rows,
-            chart.columns,
-            squeeze=False,
-            sharex="x" in chart.shared,
-            sharey="y" in chart.shared,
-            height_ratios=chart.heights,
-        ).reshape(-1)
-        for number, (axes, panel) in enumerate(zip(places, chart.panels, strict=False)):
-            _panel(axes, chart, number, panel)
-        for axes in places[len(chart.panels) :]:
-            axes.set_visible(False)
-        if by_rule:
-            _rooms(canvas, chart)
-        _titles(canvas, list(places), chart)
-        _legends(canvas, list(places), chart)
+        canvas = Canvas(figsize=chart.size)
+        drawn: list[Axes] = []
+        for number, (panel, place, entries) in enumerate(zip(chart.panels, there, inside, strict=True)):
+            axes = _axes(canvas, chart, place.box, drawn)
+            drawn.append(axes)
+            handles |= _painted(axes, panel)
+            _scales(axes, chart, number, place)
+            _titles(axes, chart, number, titles, widest_beside(chart, boxes, number % chart.columns))
+            if entries:
+                _legend_inside(axes, entries, panel, place, handles)
+        _common_titles(canvas, titles, boxes)
+        if above:
+            _legend_above(canvas, above, handles)
     return canvas
 
 
-def _panel(axes: Axes, chart: Chart, number: int, panel: Panel) -> None:
+def _axes(canvas: Canvas, chart: Chart, box: Box, drawn: list[Axes]) -> Axes:
+    """Axes in their box; those that move together do so in a window too."""
+    width, height = (POINTS_PER_INCH * size for size in chart.size)
+    where = (box.left / width, 1 - box.bottom / height, box.width / width, box.height / height)
+    first = drawn[0] if drawn else None
+    return canvas.add_axes(where, sharex=first if "x" in chart.shared else None, sharey=first if "y" in chart.shared else None)
+
+
+def _painted(axes: Axes, panel: Panel) -> Handles:
+    """What the series of a panel and its note look like; the drawn artists by series."""
+    handles: Handles = {}
     for series in panel.series:
-        PAINTERS[series.kind](axes, series)
-    if panel.title:
-        axes.set_title(panel.title, fontsize=SMALL if chart.columns > 1 else SMALL + 1)
+        artist = PAINTERS[series.kind](axes, series)
+        if artist is not None:
+            handles[id(series)] = artist
     if panel.note:
-        axes.text(0.5, 0.5, panel.note, transform=axes.transAxes, ha="center")
-    _axis(axes, "x", chart, number)
-    _axis(axes, "y", chart, number)
+        axes.text(0.5, 0.5, panel.note, transform=axes.transAxes, ha="center", va="center")
+    return handles
+
+
+def _scales(axes: Axes, chart: Chart, number: int, place: Place) -> None:
+    """Scales, ends and numbers of both axes; axes of one scale keep it in a window too."""
+    panel = chart.panels[number]
+    if panel.x.logarithmic:
+        axes.set_xscale("log")
+    if panel.y.logarithmic:
+        axes.set_yscale("log")
+    axes.set_xlim(*place.x.limits)
+    axes.set_ylim(*place.y.limits)
+    numbered(axes, "x", panel.x)
+    numbered(axes, "y", panel.y)
+    axes.tick_params(labelbottom=is_lowest(chart, number), labelleft=is_leftmost(chart, number))
     if panel.equal:
         axes.set_aspect("equal", adjustable="box" if chart.shared else "datalim")
+    turned = turn_of_names(chart, number)
+    if turned:
+        axes.tick_params(axis="x", labelrotation=turned, labelsize=TURNED_LETTERS)
+        for label in axes.get_xticklabels():
+            label.set_horizontalalignment("center" if turned == UPRIGHT else "right")
 
 
-def _axis(axes: Axes, which: str, chart: Chart, number: int) -> None:
-    """Scale, ends and, where places have names, these; of two axes with one scale matplotlib may move an end outwards."""
-    panel, limits = chart.panels[number], chart.limits(number, which)
-    axis, drawn = (panel.x, axes.xaxis) if which == "x" else (panel.y, axes.yaxis)
-    if axis.logarithmic:
-        (axes.set_xscale if which == "x" else axes.set_yscale)("log")
-        plain_logarithmic(drawn, *limits)
-    (axes.set_xlim if which == "x" else axes.set_ylim)(*limits, auto=panel.equal)
-    if axis.ticks:
-        names = [name for _, name in axis.ticks]
-        drawn.set_ticks([place for place, _ in axis.ticks], names)
-        turned = turn_of_names(chart, number) if which == "x" else 0.0
-        if turned:
-            drawn.set_tick_params(rotation=turned, labelsize=SMALL - 1)
-            for label in drawn.get_ticklabels():
-                label.set_horizontalalignment("center" if turned == UPRIGHT else "right")
+def _titles(axes: Axes, chart: Chart, number: int, titles: AxisTitles, widest: float) -> None:
+    """The titles of a panel and its axes; those of one column of panels stand below each other."""
+    if chart.panels[number].title:
+        axes.set_title(chart.panels[number].title, fontsize=SMALL_TITLE if chart.columns > 1 else TITLE, pad=GAP)
+    axes.set_xlabel(titles.below[number], labelpad=GAP)
+    axes.set_ylabel(titles.beside[number])
+    if titles.beside[number]:
+        across = -(MARK + widest + GAP) / (POINTS_PER_INCH * axes.get_position().width * chart.size[0])
+        axes.yaxis.set_label_coords(across, 0.5)
 
 
-def _titles(canvas: Canvas, places: list[Axes], chart: Chart) -> None:
-    """The titles of the axes where they stand."""
-    titles = axis_titles(chart)
-    for axes, below, beside in zip(places, titles.below, titles.beside, strict=False):
-        axes.set_xlabel(below)
-        axes.set_ylabel(beside)
+def _common_titles(canvas: Canvas, titles: AxisTitles, boxes: tuple[Box, ...]) -> None:
+    """Titles of axes that are written once for all panels."""
+    width, height = (POINTS_PER_INCH * size for size in canvas.get_size_inches())
     if titles.common_x:
-        canvas.supxlabel(titles.common_x, fontsize=SMALL + 1)
+        canvas.supxlabel(titles.common_x, x=0.5, y=GAP / height, ha="center", va="bottom", fontsize=WORDS)
     if titles.common_y:
-        canvas.supylabel(titles.common_y, fontsize=SMALL + 1)
+        middle = (min(box.top for box in boxes) + max(box.bottom for box in boxes)) / 2
+        canvas.supylabel(titles.common_y, x=GAP / width, y=1 - middle / height, ha="left", va="center", fontsize=WORDS)
 
 
-def _legends(canvas: Canvas, places: list[Axes], chart: Chart) -> None:
-    """Names once for each colour: in the first panel that has them, or all of them above."""
-    entries: dict[Entry, Artist] = {}
-    for axes, panel in zip(places, chart.panels, strict=False):
-        fresh = {entry: handle for entry, handle in _entries(axes, panel).items() if entry not in entries}
-        entries |= fresh
-        if chart.legend == "panels" and fresh:
-            names = [name for name, _ in fresh]
-            axes.legend(list(fresh.values()), names, ncols=_columns(names, chart.columns), fontsize=SMALL)
-    if chart.legend == "above":
-        _legend_above(canvas, entries, len(chart.panels) > MOST_MEASURED)
+def _legend_inside(axes: Axes, entries: Entries, panel: Panel, place: Place, handles: Handles) -> None:
+    """The legend within a panel, where it hides least."""
+    columns, _, left, top = place_inside(entries, panel, place)
+    corner = (left - place.box.left) / place.box.width, 1 - (top - place.box.top) / place.box.height
+    axes.legend(*_listed(entries, handles), ncols=columns, loc="upper left", bbox_to_anchor=corner, **LOOK)
 
 
-def _legend_above(canvas: Canvas, entries: dict[Entry, Artist], by_rule: bool) -> None:
+def _legend_above(canvas: Canvas, entries: Entries, handles: Handles) -> None:
     """The names of all panels above them."""
-    names = [name for name, _ in entries]
-    where: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 1.0)} if by_rule else {"loc": "outside upper center"}
-    size = SMALL - 1 if len(names) > SMALL else SMALL
-    canvas.legend(list(entries.values()), names, ncols=_columns(names, 1), fontsize=size, **where)
+    width, height = (POINTS_PER_INCH * size for size in canvas.get_size_inches())
+    columns, _, _ = legend_size(entries, width)
+    canvas.legend(*_listed(entries, handles), ncols=columns, loc="upper center", bbox_to_anchor=(0.5, 1 - GAP / height), **LOOK)
 
 
-def _entries(axes: Axes, panel: Panel) -> dict[Entry, Artist]:
-    """(name, colour) -> its legend handle, the first of each; matplotlib lists them as they were drawn, kind by kind."""
-    handles: dict[str, list[Artist]] = {}
-    for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
-        handles.setdefault(name, []).append(handle)
-    named = [series for kind in HANDLED for series in panel.series if series.kind == kind and series.name]
-    listed = [(series, handles[series.name].pop(0)) for series in named]
-    first: dict[Entry, Artist] = {}
-    for series in panel.series:
-        for other, handle in listed:
-            if other is series:
-                first.setdefault((series.listed, series.colour), handle)
-    return first
-
-
-def _columns(names: list[str], side_by_side: int) -> int:
-    """Number of names per row of the legend, by the width."""
-    longest = max((len(name) for name in names), default=0) + SAMPLE
-    return max(1, min(len(names), MOST_COLUMNS, int(LETTERS / side_by_side / longest)))
-
-
-def _rooms(canvas: Canvas, chart: Chart) -> None:
-    """Panels by rule, with room for labels in inches and a legend above."""
-    width, height = chart.size
-    above = 0.72 if chart.legend == "above" else 0.3
-    alone = {panel.y.label for panel in chart.panels} != {chart.panels[0].y.label}
-    wide, high = (width - 0.7) / chart.columns, (height - 0.48 - above) / chart.rows
-    across = 0.75 if alone else 0.45
-    upwards = 0.42 if any(panel.title for panel in chart.panels[chart.columns :]) else 0.25
-    canvas.subplots_adjust(
-        left=0.62 / width,
-        right=1 - 0.08 / width,
-        bottom=0.48 / height,
-        top=1 - above / height,
-        wspace=across / (wide - across),
-        hspace=upwards / float(np.maximum(high - upwards, 0.3)),
-    )
+def _listed(entries: Entries, handles: Handles) -> tuple[list[Any], list[str]]:
+    """Samples and names: of an entry its first line and its first marks, one on the other."""
+    samples: list[Any] = []
+    for series in entries.values():
+        lined = next((one for one in series if one.line), series[0])
+        marked = next((one for one in series if one.marker), lined)
+        drawn = tuple(dict.fromkeys(handles[id(one)] for one in (lined, marked)))
+        samples.append(drawn if len(drawn) > 1 else drawn[0])
+    return samples, [name for name, _ in entries]

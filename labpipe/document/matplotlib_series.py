@@ -6,20 +6,21 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgb
 
+from labpipe.document.chart_layout import POINTS_PER_INCH, SCALE_GAP, SCALE_NUMBERS, SCALE_WIDTH, SMALL
 from labpipe.document.palette import GREY_TONE, HEAT, heat, ink_on, tone
 from labpipe.report.chart import Series
 
-SMALL = 7
 # Bars of markers smaller than this [pt] have no caps: there are too many of them.
 LEAST_CAPPED = 3.0
 CAP = 2.0
 
 
-def _line(axes: Axes, series: Series) -> None:
+def _line(axes: Axes, series: Series) -> Artist:
     """Points joined or not, with the interval around them."""
     colour = tone(series.colour)
     if series.low is not None and series.high is not None:
@@ -33,12 +34,14 @@ def _line(axes: Axes, series: Series) -> None:
     if series.marker:
         look |= {"marker": series.marker, "markersize": series.size * (2 if series.marker == "." else 1)}
         look |= {"markerfacecolor": "none"} if series.hollow else {}
-    axes.plot(series.x, series.y, label=_label(series), **look)
+    (drawn,) = axes.plot(series.x, series.y, label=_label(series), **look)
+    return drawn
 
 
-def _area(axes: Axes, series: Series) -> None:
+def _area(axes: Axes, series: Series) -> Artist:
     face = (tone(series.colour), series.opacity)
-    axes.fill(series.x, series.y, facecolor=face, edgecolor=GREY_TONE, linewidth=series.width, label=_label(series))
+    (drawn,) = axes.fill(series.x, series.y, facecolor=face, edgecolor=GREY_TONE, linewidth=series.width, label=_label(series))
+    return drawn
 
 
 def _level(axes: Axes, series: Series) -> None:
@@ -68,7 +71,12 @@ def _cells(axes: Axes, series: Series) -> None:
     fills = [[heat(value) for value in row] for row in series.y.tolist()]
     axes.imshow(np.array([[to_rgb(fill) for fill in row] for row in fills]), aspect="auto")
     scale = ScalarMappable(Normalize(-1, 1), LinearSegmentedColormap.from_list("heat", HEAT))
-    axes.figure.colorbar(scale, ax=axes, shrink=0.9).set_label(series.name)
+    where = axes.get_position()
+    # Of the canvas's width, a point.
+    point = where.width / axes.bbox.width * axes.figure.dpi / POINTS_PER_INCH
+    beside = axes.figure.add_axes((where.x1 + SCALE_GAP * point, where.y0, SCALE_WIDTH * point, where.height), label="<colorbar>")
+    axes.figure.colorbar(scale, cax=beside, ticks=[-1, -0.5, 0, 0.5, 1]).set_label(series.name, fontsize=SMALL + 1, labelpad=0)
+    beside.tick_params(labelsize=SMALL, length=0, pad=SCALE_NUMBERS)
     for (row, column), fill in np.ndenumerate(np.array(fills)):
         text = series.texts[row][column]
         axes.text(column, row, text, ha="center", va="center", fontsize=SMALL, color=ink_on(str(fill)))
@@ -90,7 +98,7 @@ def _label(series: Series) -> str:
     return series.name or "_"
 
 
-PAINTERS: dict[str, Callable[[Axes, Series], None]] = {
+PAINTERS: dict[str, Callable[[Axes, Series], Artist | None]] = {
     "line": _line,
     "area": _area,
     "hline": _level,

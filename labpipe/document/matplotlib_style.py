@@ -5,9 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import matplotlib as mpl
-from matplotlib.axis import Axis as DrawnAxis
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
-from matplotlib.ticker import LogFormatter, NullFormatter
+from matplotlib.ticker import Formatter, Locator, NullLocator
+
+from labpipe.document.chart_layout import POINTS_PER_INCH, most_numbers
+from labpipe.document.ticks import plain, ticks_of
+from labpipe.report.chart import Axis, Ticks
 
 STYLE: Any = {
     "svg.hashsalt": "labpipe",
@@ -22,8 +26,6 @@ STYLE: Any = {
     "axes.spines.right": False,
     "legend.frameon": False,
 }
-# An axis from a value to less than so many times it has numbers between the decades.
-NARROW = 20.0
 
 
 def styled(grid: bool = True) -> Any:
@@ -36,14 +38,46 @@ def canvas_of_size(size: tuple[float, float], measured: bool = True) -> Canvas:
     return Canvas(figsize=size, layout="constrained" if measured else None)
 
 
-class PlainLog(LogFormatter):
-    """Labels such as 0.01, 20 or 3e-05."""
+class Numbers(Locator):
+    """The numbers of an axis by the rule of all drawings, at its present ends and size."""
 
-    def _num_to_string(self, x: float, vmin: float, vmax: float) -> str:  # noqa: ARG002 (matplotlib's signature)
-        return f"{x:g}"
+    def __init__(self, axes: Axes, which: str, axis: Axis) -> None:
+        self._axes, self._upright, self._axis = axes, which == "y", axis
+
+    def __call__(self) -> list[float]:
+        """Where the numbers stand."""
+        return [at for at, _ in self.ticks()]
+
+    def tick_values(self, vmin: float, vmax: float) -> list[float]:
+        """The same for given ends."""
+        return [at for at, _ in self._between((vmin, vmax))]
+
+    def ticks(self) -> Ticks:
+        """(place, text) of every number."""
+        return self._between(self._axes.get_ylim() if self._upright else self._axes.get_xlim())
+
+    def _between(self, limits: tuple[float, float]) -> Ticks:
+        box = self._axes.bbox
+        length = POINTS_PER_INCH / self._axes.figure.dpi * (box.height if self._upright else box.width)
+        return ticks_of(self._axis, limits, most_numbers(self._upright, length))
 
 
-def plain_logarithmic(axis: DrawnAxis, low: float, high: float) -> None:
-    """Plain numbers on a logarithmic axis between two values."""
-    axis.set_major_formatter(PlainLog())
-    axis.set_minor_formatter(PlainLog(minor_thresholds=(1.5, 0.4)) if high < NARROW * low else NullFormatter())
+class NumberTexts(Formatter):
+    """The texts of these numbers."""
+
+    def __init__(self, numbers: Numbers) -> None:
+        self._numbers = numbers
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """The text of the number at *x*, which is one of them or (in a window) a place under the pointer."""
+        near = min(self._numbers.ticks(), key=lambda tick: abs(tick[0] - x), default=None)
+        return near[1] if near is not None and pos is not None else plain(x)
+
+
+def numbered(axes: Axes, which: str, axis: Axis) -> None:
+    """Numbers along an axis, 'x' or 'y', by the rule of all drawings."""
+    drawn = axes.xaxis if which == "x" else axes.yaxis
+    numbers = Numbers(axes, which, axis)
+    drawn.set_major_locator(numbers)
+    drawn.set_major_formatter(NumberTexts(numbers))
+    drawn.set_minor_locator(NullLocator())

@@ -11,24 +11,24 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.document.chart_words import UPRIGHT, AxisTitles, axis_titles, is_leftmost, is_lowest, turn_of_names
-from labpipe.document.svg_layout import (
+from labpipe.document.chart_layout import (
     GAP,
-    LETTERS,
     MARK,
     POINTS_PER_INCH,
     TURNED_LETTERS,
     names_height,
     numbers_across,
     numbers_upwards,
-    panel_boxes,
-    shown_limits,
+    places,
     widest_beside,
 )
-from labpipe.document.svg_legend import height_above, legend_above, legend_inside, legends
-from labpipe.document.svg_place import Box, Place, Scale
+from labpipe.document.chart_legend import height_above, legends
+from labpipe.document.chart_place import Box, Scale
+from labpipe.document.chart_words import UPRIGHT, AxisTitles, axis_titles, is_leftmost, is_lowest, turn_of_names
+from labpipe.document.letters import CAPITAL, LETTERS, text_height, text_width
+from labpipe.document.svg_elements import PER_POINT, NamedPlace, path, rectangle, words
+from labpipe.document.svg_legend import legend_above, legend_inside
 from labpipe.document.svg_series import painted
-from labpipe.document.svg_text import CAPITAL, PER_POINT, path, rectangle, text_height, text_width, words
 from labpipe.report.chart import Chart, Panel, Ticks
 
 # What lies below what, by kind: shades under curves, arrows over them.
@@ -42,23 +42,21 @@ def chart_svg(chart: Chart, name: str, label: str) -> str:
     """The chart as an SVG element; *name*: what its own definitions begin with, *label*: what it shows, for those who cannot see it."""
     width, height = (POINTS_PER_INCH * size for size in chart.size)
     above, inside = legends(chart)
-    boxes = panel_boxes(chart, height_above(above, width))
     titles = axis_titles(chart)
+    there = places(chart, height_above(above, width))
+    boxes = tuple(place.box for place in there)
     widest = [widest_beside(chart, boxes, column) for column in range(chart.columns)]
     panels = []
-    for number, (box, entries) in enumerate(zip(boxes, inside, strict=True)):
-        x, y = shown_limits(chart, number, box)
-        panel = chart.panels[number]
-        scales = Scale(x, panel.x.logarithmic, box.left, box.right), Scale(y, panel.y.logarithmic, box.bottom, box.top)
-        place = Place(box, *scales, f"{name}-{number}")
-        words_of_axes = _axes(chart, number, place) + _titles(chart, number, box, titles, widest[number % chart.columns])
+    for number, (plain, entries) in enumerate(zip(there, inside, strict=True)):
+        panel, place = chart.panels[number], NamedPlace(plain.box, plain.x, plain.y, f"{name}-{number}")
+        words_of_axes = _axes(chart, number, place) + _titles(chart, number, place, titles, widest[number % chart.columns])
         panels.append(words_of_axes + _inside(panel, place) + legend_inside(entries, panel, place))
     content = "".join(panels) + legend_above(above, width) + _common(titles, width, height, boxes)
     size = f'width="{width:g}pt" height="{height:g}pt" viewBox="0 0 {PER_POINT * width:g} {PER_POINT * height:g}"'
     return f'<svg xmlns="http://www.w3.org/2000/svg" {size} class="drawing" role="img" aria-label="{escape(label)}">{content}</svg>'
 
 
-def _inside(panel: Panel, place: Place) -> str:
+def _inside(panel: Panel, place: NamedPlace) -> str:
     """What a panel shows, cut off at its edges, and its note."""
     series = "".join(painted(one, place) for one in sorted(panel.series, key=lambda one: DEPTHS[one.kind]))
     note = words(panel.note, *place.box.middle, LETTERS) if panel.note else ""
@@ -69,7 +67,7 @@ def _inside(panel: Panel, place: Place) -> str:
     return f'{cut}<g clip-path="url(#{place.name})">{series}</g>{note}'
 
 
-def _axes(chart: Chart, number: int, place: Place) -> str:
+def _axes(chart: Chart, number: int, place: NamedPlace) -> str:
     """Grid, frame and numbers of a panel."""
     panel, box = chart.panels[number], place.box
     across, upwards = numbers_across(panel, place.x.limits, box), numbers_upwards(panel, place.y.limits, box)
@@ -112,15 +110,15 @@ def _below(columns: list[tuple[float, str]], box: Box, turned: float) -> list[st
     return [words(text, at, foot + text_height(text, LETTERS) - text_height("", LETTERS), LETTERS) for at, text in columns[::every]]
 
 
-def _titles(chart: Chart, number: int, box: Box, titles: AxisTitles, widest: float) -> str:
+def _titles(chart: Chart, number: int, place: NamedPlace, titles: AxisTitles, widest: float) -> str:
     """The title of a panel and those of its axes; *widest*: of the numbers at the ordinates of its column [pt]."""
-    panel = chart.panels[number]
+    panel, box = chart.panels[number], place.box
     x, y = box.middle
     parts = []
     if panel.title:
         parts.append(words(panel.title, x, box.top - GAP, SMALL_TITLE if chart.columns > 1 else TITLE))
     if titles.below[number]:
-        names = _texts(numbers_across(panel, shown_limits(chart, number, box)[0], box))
+        names = _texts(numbers_across(panel, place.x.limits, box))
         down = box.bottom + MARK + names_height(names, turn_of_names(chart, number)) + GAP + CAPITAL * LETTERS
         parts.append(words(titles.below[number], x, down, LETTERS))
     if titles.beside[number]:

@@ -6,20 +6,18 @@ from collections.abc import Callable
 
 import numpy as np
 
+from labpipe.document.chart_layout import SCALE_GAP, SCALE_NUMBERS, SCALE_WIDTH, SMALL
+from labpipe.document.letters import LEADING, text_width
 from labpipe.document.palette import HEAT, heat, ink_on
-from labpipe.document.svg_place import Place, closed, joined, runs, stamped
-from labpipe.document.svg_text import LEADING, PER_POINT, path, rectangle, text_width, words
+from labpipe.document.svg_elements import PER_POINT, NamedPlace, closed, joined, path, rectangle, runs, stamped, words
 from labpipe.report.chart import GREY, Series
 
-SMALL = 7.0
 # Dashes and gaps as multiples of the line's width.
 DASHES = {"-": (), "--": (3.7, 1.6), ":": (1.0, 1.65), "-.": (6.4, 1.6, 1.0, 1.6)}
 # Marks are larger than their size by this [pt], so that the smallest are seen.
 RIM = 0.6
 BAR_WIDTH, BAR_CAP, LEAST_CAPPED = 0.8, 2.0, 3.0
 HEAD = 5.0
-# The scale beside a heat map [pt]: away from it, its width, and from it to its numbers.
-SCALE_GAP, SCALE_WIDTH, SCALE_NUMBERS = 9.0, 9.0, 4.0
 
 
 def ink(colour: int) -> str:
@@ -27,7 +25,7 @@ def ink(colour: int) -> str:
     return "var(--rule)" if colour == GREY else f"var(--c{colour})"
 
 
-def painted(series: Series, place: Place) -> str:
+def painted(series: Series, place: NamedPlace) -> str:
     """A series in its colour."""
     inside = PAINTERS[series.kind](series, place)
     return f'<g style="color:{ink(series.colour)}">{inside}</g>' if inside else ""
@@ -53,7 +51,7 @@ def marks(series: Series, points: np.ndarray) -> str:
     return path(stamped(points, "h0"), f'class="{kind}" stroke-width="{size}"')
 
 
-def _line(series: Series, place: Place) -> str:
+def _line(series: Series, place: NamedPlace) -> str:
     """Points joined or not, with the interval around them."""
     points = place.points(series.x, series.y)
     parts = [_interval(series, place)]
@@ -64,7 +62,7 @@ def _line(series: Series, place: Place) -> str:
     return "".join(parts)
 
 
-def _interval(series: Series, place: Place) -> str:
+def _interval(series: Series, place: NamedPlace) -> str:
     if series.low is None or series.high is None:
         return ""
     low, high = place.points(series.x, series.low), place.points(series.x, series.high)
@@ -87,21 +85,21 @@ def _shade(series: Series) -> str:
     return f'class="shade" style="fill-opacity:{series.opacity:g}"'
 
 
-def _area(series: Series, place: Place) -> str:
+def _area(series: Series, place: NamedPlace) -> str:
     points = place.points(series.x, series.y)
     edge = f"stroke:var(--rule);stroke-width:{PER_POINT * series.width:g};" if series.width else ""
     look = f'class="shade" style="{edge}fill-opacity:{series.opacity:g}"'
     return path(closed(points[np.isfinite(points).all(axis=1)]), look)
 
 
-def _level(series: Series, place: Place) -> str:
+def _level(series: Series, place: NamedPlace) -> str:
     """A line across with its name at its end."""
     (down,) = place.y.places(series.y)
     line = path(_rule(place.box.left, down, place.box.right, down), stroke(series.width, series.line))
     return line + (words(series.name, place.box.right - 4, down - 3, SMALL, "end") if series.name else "")
 
 
-def _upright(series: Series, place: Place) -> str:
+def _upright(series: Series, place: NamedPlace) -> str:
     (across,) = place.x.places(series.x)
     return path(_rule(across, place.box.bottom, across, place.box.top), stroke(series.width, series.line))
 
@@ -112,17 +110,17 @@ def _rule(*ends: float) -> str:
     return f"M{x} {y}L{to_x} {to_y}"
 
 
-def _level_span(series: Series, place: Place) -> str:
+def _level_span(series: Series, place: NamedPlace) -> str:
     low, high = place.y.places(series.y).tolist()
     return rectangle(place.box.left, min(low, high), place.box.width, abs(high - low), _shade(series))
 
 
-def _upright_span(series: Series, place: Place) -> str:
+def _upright_span(series: Series, place: NamedPlace) -> str:
     low, high = place.x.places(series.x).tolist()
     return rectangle(min(low, high), place.box.top, abs(high - low), place.box.height, _shade(series))
 
 
-def _cells(series: Series, place: Place) -> str:
+def _cells(series: Series, place: NamedPlace) -> str:
     """A heat map with the text of every cell and the scale beside it."""
     across, down = place.box.width / series.y.shape[1], place.box.height / series.y.shape[0]
     parts = []
@@ -135,7 +133,7 @@ def _cells(series: Series, place: Place) -> str:
     return "".join(parts) + _scale_of_heat(series.name, place)
 
 
-def _scale_of_heat(title: str, place: Place) -> str:
+def _scale_of_heat(title: str, place: NamedPlace) -> str:
     """The colours from -1 to 1 with their numbers and what they say, right of the matrix."""
     box, left = place.box, place.box.right + SCALE_GAP
     stops = "".join(f'<stop offset="{part / (len(HEAT) - 1):g}" stop-color="{colour}"/>' for part, colour in enumerate(HEAT))
@@ -149,7 +147,7 @@ def _scale_of_heat(title: str, place: Place) -> str:
     return ground + bar + "".join(texts) + named
 
 
-def _arrow(series: Series, place: Place) -> str:
+def _arrow(series: Series, place: NamedPlace) -> str:
     """A line with a head, whose tip is the second point."""
     tail, tip = place.points(series.x, series.y)
     long = float(np.hypot(*(tip - tail)))
@@ -162,14 +160,14 @@ def _arrow(series: Series, place: Place) -> str:
     return path(joined(np.array([tail, foot])), stroke(1.0)) + path(closed(corners), 'class="head"')
 
 
-def _text(series: Series, place: Place) -> str:
+def _text(series: Series, place: NamedPlace) -> str:
     """Words with their middle at the points."""
     across, down = place.x.places(series.x), place.y.places(series.y) + 0.36 * series.size
     places = zip(across.tolist(), down.tolist(), series.texts[0], strict=True)
     return "".join(words(text, x, y, series.size, colour="currentColor") for x, y, text in places)
 
 
-PAINTERS: dict[str, Callable[[Series, Place], str]] = {
+PAINTERS: dict[str, Callable[[Series, NamedPlace], str]] = {
     "line": _line,
     "area": _area,
     "hline": _level,

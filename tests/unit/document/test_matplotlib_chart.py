@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from labpipe.document.matplotlib_chart import chart_canvas
 from labpipe.document.matplotlib_series import PAINTERS
 from labpipe.document.palette import GREY_TONE, PALETTE
 from labpipe.document.saving import DRAWINGS, canvas_of, png_bytes, svg_text
+from labpipe.document.svg_chart import chart_svg
 from labpipe.report.chart import KINDS, Axis, Chart, Drawing, Panel, curve, dots, named_ticks, stacked
 
 X = np.array([1.0, 2.0, 4.0])
@@ -86,11 +88,11 @@ def test_every_name_stands_in_one_legend(every_kind: Chart) -> None:
     assert [text.get_text() for text in names.get_texts()] == ["k", "c"]
 
 
-def test_a_grid_says_the_same_labels_once_and_hides_what_it_has_no_panel_for() -> None:
+def test_a_grid_says_the_same_labels_once_and_has_no_axes_without_a_panel() -> None:
     panels = tuple(Panel(Axis("x", "um"), Axis("y", "um"), (curve("orbit", X, X),), equal=True) for _ in range(7))
     canvas = chart_canvas(Chart(panels, 2, 4, shared="xy", legend="above"))
     assert canvas.get_supxlabel() == "x [um]" and canvas.get_supylabel() == "y [um]"
-    assert [axes.get_visible() for axes in canvas.axes] == [True] * 7 + [False]
+    assert len(canvas.axes) == 7
     assert len(canvas.legends) == 1 and canvas.axes[0].get_aspect() == 1.0
 
 
@@ -152,3 +154,24 @@ def test_names_of_many_cells_stand_upright(heat_map: Chart) -> None:
     panel = replace(heat_map.panels[0], x=axis, y=axis)
     (axes,) = panels_of(chart_canvas(replace(heat_map, panels=(panel,))))
     assert {label.get_rotation() for label in axes.get_xticklabels()} == {90.0}
+
+
+def test_panels_stand_where_the_page_has_them(every_kind: Chart) -> None:
+    """One layout for all formats: the boxes of the drawing in SVG, read from its clip paths (tenths of a point)."""
+    boxes = re.findall(r'<clipPath[^>]*><rect x="(\d+)" y="(\d+)" width="(\d+)" height="(\d+)"', chart_svg(every_kind, "f", ""))
+    assert len(boxes) == 2
+    width, height = (720 * size for size in every_kind.size)
+    for axes, box in zip(chart_canvas(every_kind).axes, boxes, strict=True):
+        left, top, wide, high = map(float, box)
+        where = axes.get_position()
+        assert (where.x0 * width, (1 - where.y1) * height, where.width * width, where.height * height) == pytest.approx(
+            (left, top, wide, high), abs=1
+        )
+
+
+def test_numbers_follow_the_ends_of_an_axis_in_a_window(every_kind: Chart) -> None:
+    axes = chart_canvas(every_kind).axes[1]
+    axes.set_xlim(2.0, 2.5)
+    axes.figure.draw_without_rendering()  # type: ignore[union-attr]
+    texts = [text.get_text() for text in axes.get_xticklabels()]
+    assert texts == ["2.0", "2.1", "2.2", "2.3", "2.4", "2.5"] and axes.format_xdata(2.25) == "2.25"

@@ -12,12 +12,13 @@ from matplotlib.font_manager import FontProperties, findfont
 from matplotlib.ft2font import FT2Font
 from matplotlib.textpath import TextPath
 
+from labpipe.document.chart_place import Scale
+from labpipe.document.letters import text_width
 from labpipe.document.palette import PALETTE
 from labpipe.document.svg_chart import DEPTHS, chart_svg
+from labpipe.document.svg_elements import _thinned, joined, runs, stamped
 from labpipe.document.svg_file import svg_file
-from labpipe.document.svg_place import Scale, _thinned, joined, runs, stamped
 from labpipe.document.svg_series import PAINTERS
-from labpipe.document.svg_text import text_width
 from labpipe.report.chart import KINDS, Axis, Chart, Drawing, Panel, cells, curve, dots, named_ticks, stacked
 from labpipe.report.document import Figure
 from labpipe.report.rotor_figure import Ring, RotorSketch, rotor_chart

@@ -5,27 +5,37 @@ from __future__ import annotations
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.document.chart_place import Box, Place, Scale
 from labpipe.document.chart_words import UPRIGHT, AxisTitles, axis_titles, is_leftmost, is_lowest, turn_of_names
-from labpipe.document.svg_place import Box
-from labpipe.document.svg_series import SCALE_GAP, SCALE_NUMBERS, SCALE_WIDTH, SMALL
-from labpipe.document.svg_text import text_height, text_width
+from labpipe.document.letters import LETTERS, text_height, text_width
 from labpipe.document.ticks import ticks_of
 from labpipe.report.chart import Chart, Panel, Ticks
 
 POINTS_PER_INCH = 72.0
-LETTERS = 9.0
-TURNED_LETTERS = 7.0
+TURNED_LETTERS = SMALL = 7.0
 # Room [pt]: from an axis to its numbers, from these to the title, around a panel.
 MARK, GAP, ROOM = 5.0, 5.0, 7.0
 # Room for one number along an ordinate and along an abscissa [pt], and the least numbers of each.
 UP_ROOM, ACROSS_ROOM, LEAST_UP, LEAST_ACROSS = 26.0, 50.0, 3, 2
 LEAST_INSIDE = 20.0
+# The scale beside a heat map [pt]: away from it, its width, and from it to its numbers.
+SCALE_GAP, SCALE_WIDTH, SCALE_NUMBERS = 9.0, 9.0, 4.0
 # The layout depends on the numbers, and these on the layout.
 ROUNDS = 2
 
 
-def panel_boxes(chart: Chart, above: float) -> tuple[Box, ...]:
-    """The inside of every panel on a drawing of the chart's size, under a strip of height *above* [pt]."""
+def places(chart: Chart, above: float) -> tuple[Place, ...]:
+    """Every panel on a drawing of the chart's size, under a strip of height *above* [pt]."""
+    return tuple(_placed(chart, number, box) for number, box in enumerate(_boxes(chart, above)))
+
+
+def _placed(chart: Chart, number: int, box: Box) -> Place:
+    panel = chart.panels[number]
+    x, y = _shown_limits(chart, number, box)
+    return Place(box, Scale(x, panel.x.logarithmic, box.left, box.right), Scale(y, panel.y.logarithmic, box.bottom, box.top))
+
+
+def _boxes(chart: Chart, above: float) -> tuple[Box, ...]:
     width, height = (POINTS_PER_INCH * size for size in chart.size)
     even = Box(0.0, 0.0, width / chart.columns, height / chart.rows)
     boxes = (even,) * len(chart.panels)
@@ -36,15 +46,20 @@ def panel_boxes(chart: Chart, above: float) -> tuple[Box, ...]:
 
 def numbers_across(panel: Panel, limits: tuple[float, float], box: Box) -> Ticks:
     """The numbers along the abscissa of a panel."""
-    return ticks_of(panel.x, limits, max(LEAST_ACROSS, int(box.width // ACROSS_ROOM)))
+    return ticks_of(panel.x, limits, most_numbers(False, box.width))
 
 
 def numbers_upwards(panel: Panel, limits: tuple[float, float], box: Box) -> Ticks:
     """The numbers along the ordinate of a panel."""
-    return ticks_of(panel.y, limits, max(LEAST_UP, int(box.height // UP_ROOM)))
+    return ticks_of(panel.y, limits, most_numbers(True, box.height))
 
 
-def shown_limits(chart: Chart, number: int, box: Box) -> tuple[tuple[float, float], tuple[float, float]]:
+def most_numbers(upright: bool, length: float) -> int:
+    """About how many numbers an axis of a *length* [pt] has room for."""
+    return max(LEAST_UP, int(length // UP_ROOM)) if upright else max(LEAST_ACROSS, int(length // ACROSS_ROOM))
+
+
+def _shown_limits(chart: Chart, number: int, box: Box) -> tuple[tuple[float, float], tuple[float, float]]:
     """Ends of both axes of a panel [their units]; where both have one scale and the box is what it is, one of them is wider."""
     x, y = chart.limits(number, "x"), chart.limits(number, "y")
     if not chart.panels[number].equal or chart.shared:
@@ -107,7 +122,7 @@ def _rooms(chart: Chart, number: int, box: Box, titles: AxisTitles, widest: floa
         left += GAP + text_height(titles.beside[number], LETTERS)
     below = ROOM
     if is_lowest(chart, number):
-        across = numbers_across(panel, shown_limits(chart, number, box)[0], box)
+        across = numbers_across(panel, _shown_limits(chart, number, box)[0], box)
         below = MARK + names_height([text for _, text in across], turn_of_names(chart, number))
     if titles.below[number]:
         below += GAP + text_height(titles.below[number], LETTERS)
@@ -118,7 +133,7 @@ def _rooms(chart: Chart, number: int, box: Box, titles: AxisTitles, widest: floa
 def widest_beside(chart: Chart, boxes: tuple[Box, ...], column: int) -> float:
     """The width of the widest number at the ordinates of a column of panels [pt]."""
     panels = [(number, box) for number, box in enumerate(boxes) if number % chart.columns == column and is_leftmost(chart, number)]
-    return max((_widest(chart.panels[number], shown_limits(chart, number, box)[1], box) for number, box in panels), default=0.0)
+    return max((_widest(chart.panels[number], _shown_limits(chart, number, box)[1], box) for number, box in panels), default=0.0)
 
 
 def _widest(panel: Panel, limits: tuple[float, float], box: Box) -> float:

@@ -1,75 +1,26 @@
-"""Where things stand in a drawing: boxes of panels, scales of axes, and paths through points."""
+"""Elements of a drawing in SVG: words, paths and rectangles."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 
 from labpipe.arrays import FloatArray, IntArray
-from labpipe.document.svg_text import PER_POINT
+from labpipe.document.chart_place import Place
+from labpipe.document.letters import LEADING
 
-# Places beyond this [pt] are drawn here: outside every panel, and no longer number than needed.
-FAR = 3000.0
+# Places are whole numbers, so many of them to the point (1/72 in): as finely as print shows them.
+PER_POINT = 10
 # Points per unit of the width beyond which only the outermost of each unit are drawn.
 CROWDED = 4
 
 
 @dataclass(frozen=True)
-class Box:
-    """The inside of a panel: left and right from the left edge of the drawing, top and bottom from its upper edge [pt]."""
+class NamedPlace(Place):
+    """A panel in a drawing in SVG; *name*: what its own definitions are called by, different for every panel of a page."""
 
-    left: float
-    top: float
-    right: float
-    bottom: float
-
-    @property
-    def width(self) -> float:
-        """From left to right [pt]."""
-        return self.right - self.left
-
-    @property
-    def height(self) -> float:
-        """From top to bottom [pt]."""
-        return self.bottom - self.top
-
-    @property
-    def middle(self) -> tuple[float, float]:
-        """Its centre (x, y) [pt]."""
-        return (self.left + self.right) / 2, (self.top + self.bottom) / 2
-
-
-@dataclass(frozen=True)
-class Scale:
-    """An axis from *limits* [its unit] to places from *start* to *end* [pt]."""
-
-    limits: tuple[float, float]
-    logarithmic: bool
-    start: float
-    end: float
-
-    def places(self, values: FloatArray) -> FloatArray:
-        """(n,) [pt] places of values (n,) [unit of the axis], NaN where they are; no logarithm: beyond the start."""
-        low, high = self._straight(np.array(self.limits))
-        with np.errstate(invalid="ignore"):
-            part = (self._straight(values) - low) / ((high - low) or 1.0)
-            return np.asarray(np.clip(self.start + part * (self.end - self.start), -FAR, FAR))
-
-    def _straight(self, values: FloatArray) -> FloatArray:
-        if not self.logarithmic:
-            return values
-        positive = np.where(values > 0, values, 1.0)
-        return np.where(values > 0, np.log10(positive), np.where(np.isnan(values), np.nan, -np.inf))
-
-
-@dataclass(frozen=True)
-class Place:
-    """A panel in the drawing; *name*: what its own definitions are called by, different for every panel of a page."""
-
-    box: Box
-    x: Scale
-    y: Scale
     name: str
 
     def points(self, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -77,6 +28,31 @@ class Place:
         points = np.rint(PER_POINT * np.column_stack([self.x.places(x), self.y.places(y)]))
         points[~np.isfinite(points).all(axis=1)] = np.nan
         return points
+
+
+def words(text: str, x: float, y: float, size: float, anchor: str = "middle", *, turned: float = 0.0, colour: str = "") -> str:
+    """A text whose foot (of several lines: that of the last) stands at (x, y) [pt], turned clockwise by an angle [deg]."""
+    lines = text.split("\n")
+    across, down, letters = (round(PER_POINT * value) for value in (x, y, size))
+    look = f' text-anchor="{anchor}"' if anchor != "start" else ""
+    look += f' transform="rotate({turned:g} {across} {down})"' if turned else ""
+    look += f' style="fill:{colour}"' if colour else ""
+    above = [round(LEADING * letters * number) for number in range(len(lines) - 1, -1, -1)]
+    spans = [escape(line, quote=False) for line in lines]
+    if len(lines) > 1:
+        spans = [f'<tspan x="{across}" y="{down - step}">{line}</tspan>' for line, step in zip(spans, above, strict=True)]
+    return f'<text x="{across}" y="{down}" font-size="{letters}"{look}>{"".join(spans)}</text>'
+
+
+def path(data: str, look: str) -> str:
+    """A path with the attributes *look*; nothing where it has no data."""
+    return f'<path {look} d="{data}"/>' if data else ""
+
+
+def rectangle(left: float, top: float, width: float, height: float, look: str) -> str:
+    """A rectangle [pt] with the attributes *look*."""
+    x, y, right, bottom = (round(PER_POINT * value) for value in (left, top, left + width, top + height))
+    return f'<rect x="{x}" y="{y}" width="{right - x}" height="{bottom - y}" {look}/>'
 
 
 def runs(there: FloatArray) -> list[slice]:
