@@ -19,6 +19,7 @@ from labpipe.pipeline.run import Manner, measure_tests
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.free_decay import FreeDecays
 from labpipe.records.identification import Fit
+from labpipe.records.response import FrequencyResponse
 from labpipe.stages.measured import MeasuredTest
 from tests.draws.responses import response_worlds
 from tests.draws.usual import Errors, with_given_off, with_usual_doubts, with_usual_mass
@@ -59,13 +60,22 @@ def cases_of_fit(settings: FitSettings, tests: Sequence[MeasuredTest], most: int
         label, alone, test, term = chosen[place]
         single = replace(with_usual_mass(alone), monte_carlo=0, bootstrap=0)
         single = single.kind.begin(single, fits)
-        if not identify(test, single, judging=False):
+        found = identify(test, single, judging=False)
+        if not found or not _of_measured_terms(test, found[0]):
             continue
         worlds, fit = _worlds(test, single)
         fit = replace(fit, test=test.name)
         fits.append(fit)
         cases.append(Case(label, with_usual_mass(_free(alone, fit)), worlds, fit, test.name, term))
     return cases
+
+
+def _of_measured_terms(test: MeasuredTest, fit: Fit) -> bool:
+    """Whether the fitted curve is one of the measured terms: of a directional FRF it is not, and no world can be made about it."""
+    if not isinstance(test, FrequencyResponse) or fit.curve is None:
+        return True
+    labels = {port.label for port in (*test.outputs, *test.inputs)}
+    return labels >= {*fit.curve.outputs, *fit.curve.inputs} and fit.curve.form == test.form
 
 
 def _free(settings: FitSettings, fit: Fit) -> FitSettings:
