@@ -16,18 +16,64 @@ from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port
 from tests.draws.usual import Errors, angle_error, factor_of
 
+# With more averages than this the weights are as good as known.
+MOST_AVERAGES = 20.0
 # The matrix of a world (n_line, n_output, n_input), forces turned by angles (n_input,) [rad]; where the response's columns do not tell.
 Turned = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
+class Scatter:
+    """Covariances as the scatter of few periods tells them: *dof* of one line, means over *width* lines, *there*: (n, n) what is told.
+
+    Weights that are themselves estimated cost efficiency, which the stated standard errors hold; with weights that are known the scatter
+    of the estimates would be smaller than stated.
+    """
+
+    dof: int
+    width: int
+    there: np.ndarray
+
+    def estimated(self, root: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """(n_line, n, n): complex Wishart of unit mean, averaged over neighbouring lines, about the covariance *root* root^H."""
+        n_line, n = root.shape[:2]
+        parts = rng.standard_normal((2, n_line, n, self.dof)) / np.sqrt(2)
+        white = parts[0] + 1j * parts[1]
+        told = white @ white.conj().swapaxes(1, 2) / self.dof
+        sums = np.cumsum(np.concatenate([np.zeros((1, n, n)), told]), axis=0)
+        first = np.maximum(np.arange(n_line) - self.width // 2, 0)
+        last = np.minimum(first + self.width, n_line)
+        first = last - self.width if n_line >= self.width else first
+        means = (sums[last] - sums[first]) / (last - first)[:, None, None]
+        return np.asarray(root @ means @ root.conj().swapaxes(1, 2) * self.there)
+
+
+def scatter_of(response: FrequencyResponse) -> Scatter | None:
+    """Of responses of which every force was measured by itself over few periods; others have averages enough."""
+    covariance, averages = response.covariance, response.averages
+    assert covariance is not None
+    n_output, n_input = response.matrix.shape[1:]
+    there = np.abs(covariance).max(axis=0) > 0
+    alone = np.kron(np.ones((n_output, n_output)), np.eye(n_input)) > 0
+    dof = response.covariance_dof
+    if not np.isfinite(dof) or averages > MOST_AVERAGES or np.any(there & ~alone):
+        return None
+    width = max(round(dof / (averages - 1)), 1)
+    return Scatter(max(round(averages - 1), 1), width, there) if width * (averages - 1) > n_output else None
+
+
+@dataclass(frozen=True)
 class ResponseWorlds:
-    """Worlds about a *response* whose matrix is that of the model: recorded with errors and noise of the response's own covariance."""
+    """Worlds about a *response* whose matrix is that of the model: recorded with errors and noise of the response's own covariance.
+
+    scatter: how the covariance itself is estimated anew in every world; None where it is known, or has too many averages to matter.
+    """
 
     response: FrequencyResponse
     root: np.ndarray
     lines: SharedNoise | None
     turned: Turned | None = None
+    scatter: Scatter | None = None
 
     def recorded(self, errors: Errors, rng: np.random.Generator | None) -> FrequencyResponse:
         response = self.response
@@ -37,7 +83,10 @@ class ResponseWorlds:
         matrix = matrix / np.stack([factor_of(port.doubts, omega, errors) for port in response.inputs], axis=1)[:, None, :]
         # What sums of channels do to the matrix, to first order.
         matrix = matrix + sum(errors.of(one.doubt) / one.doubt.std_error * one.change for one in response.errors)
-        return replace(response, matrix=matrix if rng is None else matrix + self._noise(rng))
+        if rng is None:
+            return replace(response, matrix=matrix)
+        covariance = response.covariance if self.scatter is None else self.scatter.estimated(self.root, rng)
+        return replace(response, matrix=matrix + self._noise(rng), covariance=covariance)
 
     def _aimed(self, errors: Errors) -> np.ndarray:
         """Sensors and forces in the directions that they have, not in those that are written: written = true + error."""
@@ -99,7 +148,7 @@ def worlds_about(truth: FrequencyResponse) -> ResponseWorlds:
         spacing = np.min(np.diff(truth.frequency))
         gains = None if truth.line_gains is None else truth.line_gains.reshape(*truth.line_gains.shape[:2], -1)
         noise = SharedNoise(np.round(truth.frequency / spacing).astype(int), np.array(truth.line_correlation, complex), gains)
-    return ResponseWorlds(truth, root, noise)
+    return ResponseWorlds(truth, root, noise, scatter=scatter_of(truth))
 
 
 def _on_lines(response: FrequencyResponse, lines: np.ndarray) -> FrequencyResponse:
