@@ -6,13 +6,13 @@ K = -dF/dx and C = -dF/dx', F the force of the film on the journal.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.bearings.coefficients import BearingCoefficients
-from labpipe.bearings.journal_equilibrium import FilmState, film_at, film_equilibrium
+from labpipe.bearings.journal_equilibrium import TOLERANCE, FilmState, film_at, film_equilibrium
 from labpipe.bearings.journal_film import Film
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.bearings.kinds import OperatingPoint
@@ -127,6 +127,16 @@ class JournalEquilibrium:
         """C = -dF/dx' [N s/m], (2, 2), symmetric. Equation (jour-damping)."""
         return self.state.damping * (self.bearing.force_scale(self.speed) / (self.bearing.clearance * self.speed))
 
+    def moved(self, first: JournalEquilibrium, second: JournalEquilibrium) -> JournalEquilibrium:
+        """A start value beside this equilibrium: its state moved as that of *second* differs from that of *first*, on the same mesh."""
+        return replace(self, state=self.state.moved(first.state, second.state))
+
+    @property
+    def coarser(self) -> JournalEquilibrium | None:
+        """Roughly the same equilibrium on half the cells each way, a start value; None where it was not needed."""
+        mesh = self.mesh.halved()
+        return None if self.state.coarse is None or mesh is None else replace(self, mesh=mesh, state=self.state.coarse, error=None)
+
     @property
     def theta(self) -> FloatArray:
         """Angles of the cells [rad], (n_theta,)."""
@@ -155,17 +165,18 @@ def journal_equilibrium(
     speed: float,
     mesh: FilmMesh = DEFAULT_MESH,
     near: JournalEquilibrium | None = None,
+    tolerance: float = TOLERANCE,
 ) -> JournalEquilibrium:
     """Static equilibrium and coefficients under a *load* (2,) [N] in y and z, at *speed* [rad/s].
 
-    *near*: an equilibrium of a similar bearing on the same mesh as start value. ConfigError for a load of zero, FitError when there is
-    no equilibrium.
+    *near*: an equilibrium of a similar bearing on the same mesh as start value. *tolerance*: largest change of the displacement over
+    clearance [-] in Newton's last step. ConfigError for a load of zero, FitError when there is no equilibrium.
     """
     if not 0 < np.hypot(*load) < np.inf:
         raise ConfigError("a journal bearing needs a load for its equilibrium", hint="give the static load in newtons")
     start = near.state if near is not None and near.mesh == mesh else None
     scaled = np.asarray(load, np.float64) / bearing.force_scale(speed)
-    state = film_equilibrium(bearing.film(speed, mesh), scaled, start)
+    state = film_equilibrium(bearing.film(speed, mesh), scaled, start, tolerance)
     return JournalEquilibrium(bearing, speed, (float(load[0]), float(load[1])), mesh, state)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.bearings.journal_film import FilmEquations
+from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.errors import FitError
 
 
@@ -32,17 +33,29 @@ class FactoredFilm:
         # Imported here: settings of a rotor know bearings, and are read where nothing is solved.
         from scipy.linalg import lapack
 
-        solved, _ = lapack.dpbtrs(self.factors, sides[:, self.columns].reshape(sides.shape[0], -1).T, lower=1)
+        solved, _ = lapack.dpbtrs(self.factors, sides[:, self.columns].reshape(sides.shape[0], -1).T, lower=1, overwrite_b=1)
         full = sides / self.diagonal
         full[:, self.columns] = solved.T.reshape(sides.shape[0], self.columns.size, -1)
         return full
 
 
-def factored(equations: FilmEquations, curvature: FloatArray) -> FactoredFilm:
-    """Cholesky factors of A + diagonal; *curvature* (n_half, n_half) [-] of the grid. FitError when it is not positive definite."""
+def band_room(mesh: FilmMesh) -> FloatArray:
+    """Memory (n_room,) [-] for the band of a film, used again by every step of its solution.
+
+    Fresh pages would cost as much as the factors.
+    """
+    n_half = mesh.across // 2
+    return np.empty(mesh.around * n_half * (n_half + 1))
+
+
+def factored(equations: FilmEquations, curvature: FloatArray, room: FloatArray) -> FactoredFilm:
+    """Cholesky factors of A + diagonal; *curvature* (n_half, n_half) [-] of the grid. FitError when it is not positive definite.
+
+    *room* (n_room,) [-] of `band_room` may hold the factors until it is used again.
+    """
     cavitated: BoolArray = np.all(equations.cavitated, axis=1)
     columns = _open_ring(cavitated)
-    columns, band = _folded_band(equations) if columns is None else (columns, _open_band(equations, columns))
+    columns, band = _folded_band(equations) if columns is None else (columns, _open_band(equations, columns, room))
     diagonal = _diagonal(equations, curvature)
     band[:, :, 0] = diagonal[columns]
     band[:, :-1, 1] = equations.across[columns, None] * np.diagonal(curvature, 1)
@@ -70,10 +83,11 @@ def _open_ring(cavitated: BoolArray) -> IntArray | None:
     return (first + np.arange(cavitated.size + 1 - arcs[longest])) % cavitated.size
 
 
-def _open_band(equations: FilmEquations, columns: IntArray) -> FloatArray:
+def _open_band(equations: FilmEquations, columns: IntArray, room: FloatArray) -> FloatArray:
     """(n_column, n_half, n_half + 1), the lower band of every cell."""
     n_half = equations.diagonal.shape[1]
-    band = np.zeros((columns.size, n_half, n_half + 1))
+    band = room[: columns.size * n_half * (n_half + 1)].reshape(columns.size, n_half, n_half + 1)
+    band[:] = 0
     band[:-1, :, n_half] = -equations.around[columns[:-1], None]
     return band
 

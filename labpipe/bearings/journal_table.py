@@ -18,6 +18,7 @@ from scipy.interpolate import NdBSpline, make_interp_spline
 
 from labpipe.arrays import FloatArray
 from labpipe.bearings.journal import DEFAULT_MESH, JournalBearing, JournalEquilibrium, journal_equilibrium
+from labpipe.bearings.journal_equilibrium import TOLERANCE
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.errors import ConfigError, FitError
 from labpipe.processes import end_with_parent
@@ -25,15 +26,18 @@ from labpipe.processes import end_with_parent
 AXES = ("wear depth", "wear angle", "Sommerfeld number", "cavitation pressure")
 # In the order of the derivatives.
 PARAMETERS = ("wear_depth", "wear_angle", "viscosity", "clearance", "cavitation_pressure")
+# Degree of the splines, and fewest nodes along an axis; three allow a parabola.
+CUBIC, FEWEST_NODES = 3, 3
 # Root of depth over clearance below which the limit of the derivative at zero depth applies.
 LEAST_ROOT = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class TableRange:
-    """Ranges and numbers of nodes: depth from zero to *depth* [m], angle +-*angle* [rad], viscosity by a factor up and down, clearance
-    likewise, cavitation pressures down to *cavitation_pressure* [Pa] (zero: no axis). A factor of 1 on both: no Sommerfeld axis.
-    Derivatives by depth change sharply where the wear divides the film into two, hence the many nodes.
+    """Ranges and numbers of nodes: depth from zero to *depth* [m] (zero: no wear, no axes of depth and angle), angle +-*angle* [rad],
+    viscosity by a factor up and down, clearance likewise, cavitation pressures down to *cavitation_pressure* [Pa] (zero: no axis).
+    A factor of 1 on both: no Sommerfeld axis. Derivatives by depth change sharply where the wear divides the film into two, hence the
+    many nodes. *tolerance* [-] of the equilibria, as in `journal_equilibrium`.
     """
 
     depth: float = 50e-6
@@ -45,14 +49,15 @@ class TableRange:
     n_angle: int = 9
     n_sommerfeld: int = 4
     n_cavitation: int = 5
+    tolerance: float = TOLERANCE
 
     def __post_init__(self) -> None:
-        if not (self.depth > 0 and 0 < self.angle < np.pi / 2):
-            raise ConfigError("a table of wear needs a largest depth and an angle below 90 deg")
+        if not (self.depth >= 0 and 0 < self.angle < np.pi / 2):
+            raise ConfigError("a table of wear needs a largest depth, zero or more, and an angle below 90 deg")
         if min(self.viscosity_factor, self.clearance_factor) < 1 or self.cavitation_pressure > 0:
             raise ConfigError("a table's factors are 1 or more and its cavitation pressure zero or less")
-        if min(self.n_depth, self.n_angle, self.n_sommerfeld, self.n_cavitation) < 4:
-            raise ConfigError("cubic splines need at least four nodes along every axis of the table")
+        if min(self.n_depth, self.n_angle, self.n_sommerfeld, self.n_cavitation) < FEWEST_NODES:
+            raise ConfigError(f"splines need at least {FEWEST_NODES} nodes along every axis of the table")
 
     @property
     def sommerfeld_factor(self) -> float:
@@ -139,14 +144,13 @@ def journal_table(
     """
     ranges = ranges or TableRange()
     nodes = _nodes(bearing, float(np.hypot(*load)), speed, ranges)
-    lines = [(bearing, load, speed, mesh, root, nodes[1], s, p) for root, s, p in product(nodes[0], nodes[2], nodes[3])]
+    sheets = [_Sheet(bearing, load, speed, mesh, root, nodes, ranges.tolerance) for root in nodes[0].tolist()]
     if workers > 1:
         with ProcessPoolExecutor(workers, initializer=end_with_parent) as pool:
-            rows = list(pool.map(_line, lines, chunksize=max(1, len(lines) // (4 * workers))))
+            rows = list(pool.map(_sheet, sheets, chunksize=max(1, len(sheets) // (4 * workers))))
     else:
-        rows = [_line(line) for line in lines]
-    values = np.array(rows).reshape(*(axis.size for axis in (nodes[0], nodes[2], nodes[3], nodes[1])), 8)
-    return _fitted(bearing, load, nodes, np.moveaxis(values, 3, 1))
+        rows = [_sheet(sheet) for sheet in sheets]
+    return _fitted(bearing, load, nodes, np.array(rows))
 
 
 def _nodes(
@@ -157,33 +161,69 @@ def _nodes(
     half = np.log(ranges.sommerfeld_factor)
     deepest = np.sqrt(ranges.depth * ranges.clearance_factor / bearing.clearance)
     return (
-        np.linspace(0, deepest, ranges.n_depth),
-        np.linspace(-ranges.angle, ranges.angle, ranges.n_angle),
+        np.linspace(0, deepest, ranges.n_depth) if ranges.depth > 0 else np.zeros(1),
+        np.linspace(-ranges.angle, ranges.angle, ranges.n_angle) if ranges.depth > 0 else np.array([bearing.wear_angle]),
         np.linspace(centre - half, centre + half, ranges.n_sommerfeld) if half > 0 else np.array([centre]),
         np.linspace(ranges.cavitation_pressure / mean_pressure, 0, ranges.n_cavitation) if ranges.cavitation_pressure else np.zeros(1),
     )
 
 
-def _line(line: tuple[JournalBearing, tuple[float, float], float, FilmMesh, float, FloatArray, float, float]) -> FloatArray:
-    """Scaled coefficients (n_angle, 8) along the wear angle, each equilibrium started from the previous one."""
-    bearing, load, speed, mesh, root, angles, log_sommerfeld, cavitation = line
-    weight = float(np.hypot(*load))
-    viscosity = bearing.viscosity * np.exp(log_sommerfeld) * 6 * np.pi * weight / bearing.force_scale(speed)
-    pressure = cavitation * weight / (bearing.length * bearing.diameter)
-    equilibrium: JournalEquilibrium | None = None
-    rows = []
-    for angle in angles if root > 0 else angles[:1]:
+@dataclass(frozen=True)
+class _Sheet:
+    """The part of a table at one *root* of depth over clearance: its equilibria do not depend on those of other parts."""
+
+    bearing: JournalBearing
+    load: tuple[float, float]
+    speed: float
+    mesh: FilmMesh
+    root: float
+    nodes: tuple[FloatArray, ...]
+    tolerance: float
+
+    def equilibrium(self, angle: float, log_sommerfeld: float, cavitation: float, near: JournalEquilibrium | None) -> JournalEquilibrium:
+        """At a wear angle [rad], ln S [-] and p_cav L D / W [-]."""
+        bearing, weight = self.bearing, float(np.hypot(*self.load))
+        viscosity = bearing.viscosity * np.exp(log_sommerfeld) * 6 * np.pi * weight / bearing.force_scale(self.speed)
         worn = dataclasses.replace(
             bearing,
             viscosity=float(viscosity),
-            wear_depth=float(root**2 * bearing.clearance),
+            wear_depth=float(self.root**2 * bearing.clearance),
             wear_angle=float(angle),
-            cavitation_pressure=float(pressure),
+            cavitation_pressure=float(cavitation * weight / (bearing.length * bearing.diameter)),
         )
-        equilibrium = journal_equilibrium(worn, load, speed, mesh, equilibrium)
-        stiffness, damping = equilibrium.stiffness, equilibrium.damping * speed
-        rows.append(np.concatenate([stiffness.ravel(), damping.ravel()]) * bearing.clearance / weight)
-    return np.broadcast_to(rows, (angles.size, 8)) if root == 0 else np.array(rows)
+        return journal_equilibrium(worn, self.load, self.speed, self.mesh, near, self.tolerance)
+
+    def scaled(self, equilibrium: JournalEquilibrium) -> FloatArray:
+        """K c / W and C c Omega / W (8,) [-]."""
+        matrices = np.concatenate([equilibrium.stiffness.ravel(), equilibrium.damping.ravel() * self.speed])
+        return matrices * (self.bearing.clearance / float(np.hypot(*self.load)))
+
+
+def _sheet(sheet: _Sheet) -> FloatArray:
+    """Scaled coefficients (n_angle, n_sommerfeld, n_cavitation, 8) at one depth.
+
+    The angle changes the film most, so that it varies slowest; every equilibrium starts from its neighbours.
+    """
+    angles, places = sheet.nodes[1], list(product(sheet.nodes[2], sheet.nodes[3]))
+    rows = []
+    before: list[JournalEquilibrium] = []
+    for angle in angles if sheet.root > 0 else angles[:1]:
+        here: list[JournalEquilibrium] = []
+        for number, place in enumerate(places):
+            here.append(sheet.equilibrium(angle, *place, _start(here, before, number)))
+        rows.append([sheet.scaled(equilibrium) for equilibrium in here])
+        before = here
+    shape = (angles.size, sheet.nodes[2].size, sheet.nodes[3].size, 8)
+    return np.broadcast_to(np.reshape(rows, (len(rows), *shape[1:])), shape)
+
+
+def _start(here: list[JournalEquilibrium], before: list[JournalEquilibrium], number: int) -> JournalEquilibrium | None:
+    """The last equilibrium, moved as its neighbours at the angle *before* differ; that neighbour where there is no last one."""
+    if not here:
+        return before[number] if before else None
+    if not before:
+        return here[-1]
+    return here[-1].moved(before[number - 1], before[number])
 
 
 def _fitted(bearing: JournalBearing, load: tuple[float, float], nodes: tuple[FloatArray, ...], values: FloatArray) -> JournalTable:
@@ -192,11 +232,12 @@ def _fitted(bearing: JournalBearing, load: tuple[float, float], nodes: tuple[Flo
     values = values.reshape(*(nodes[axis].size for axis in active), 8)
     places = [nodes[axis] for axis in active]
     low, high = (np.array([place[end] for place in nodes]) for end in (0, -1))
-    places[0] = np.concatenate([-places[0][:0:-1], places[0]])
-    values = np.concatenate([values[:0:-1], values])
-    knots = []
-    for number, place in enumerate(places):
-        along = make_interp_spline(place, np.moveaxis(values, number, 0), 3)
+    if active[0] == 0:
+        places[0] = np.concatenate([-places[0][:0:-1], places[0]])
+        values = np.concatenate([values[:0:-1], values])
+    knots, degrees = [], tuple(min(CUBIC, place.size - 1) for place in places)
+    for number, (place, degree) in enumerate(zip(places, degrees, strict=True)):
+        along = make_interp_spline(place, np.moveaxis(values, number, 0), degree)
         knots.append(along.t)
         values = np.moveaxis(along.c, 0, number)
-    return JournalTable(bearing, load, active, low, high, NdBSpline(tuple(knots), np.ascontiguousarray(values), 3))
+    return JournalTable(bearing, load, active, low, high, NdBSpline(tuple(knots), np.ascontiguousarray(values), degrees))

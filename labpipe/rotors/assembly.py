@@ -28,6 +28,11 @@ class RotorMatrices:
         """C + Omega G, (n_dof, n_dof) [N s/m]; *speed* [rad/s]."""
         return self.damping + speed * self.gyroscopic
 
+    def between(self, first: int, second: int) -> RotorMatrices:
+        """The blocks (4, 4) of two nodes, counted from 0, in the same units."""
+        rows, columns = slice(4 * first, 4 * first + 4), slice(4 * second, 4 * second + 4)
+        return RotorMatrices(*(whole[rows, columns] for whole in (self.mass, self.damping, self.gyroscopic, self.stiffness)))
+
 
 def free_rotor(rotor: Rotor) -> RotorMatrices:
     """The rotor without supports; damping alpha M + beta K of the shaft alone, without discs and sleeves. Equation (rotor-motion)."""

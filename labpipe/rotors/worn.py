@@ -40,14 +40,22 @@ def response_with_slopes(
     Equation (rotor-slopes).
     """
     bearings = list(bearings)
-    supported = rotor.on(bearing.support for bearing in bearings)
-    omega = rotor.omega[:, None, None]
-    slopes: ComplexArray = np.zeros((1, 1, 1, 1), np.complex128)
-    for bearing in bearings:
-        stiffening = bearing.stiffness_slopes[:, None] + 1j * omega * bearing.damping_slopes[:, None]
-        node = bearing.support.node
-        slopes = slopes - supported.response(output, node) @ stiffening @ supported.response(node, force)
-    return supported.response(output, force), slopes
+    response, to_output, from_force = rotor.paths([bearing.support for bearing in bearings], output, force)
+    # Of every bearing and element of its coefficients H_ob H_bf: all parameters together are one product of matrices.
+    places = [(2 * number + row, 2 * number + column) for number in range(len(bearings)) for row, column in np.ndindex(2, 2)]
+    products = np.empty((2, len(places), rotor.omega.size, 2, 2), np.complex128)
+    for product, (row, column) in zip(products[0], places, strict=True):
+        np.multiply(to_output[:, :, row, None], from_force[:, column, None, :], out=product)
+    np.multiply(products[0], 1j * rotor.omega[:, None, None], out=products[1])
+    slopes = np.concatenate(
+        [_flat(bearing.stiffness_slopes for bearing in bearings), _flat(bearing.damping_slopes for bearing in bearings)], axis=1
+    )
+    return response, -(slopes @ products.reshape(slopes.shape[1], -1)).reshape(-1, *response.shape)
+
+
+def _flat(slopes: Iterable[FloatArray]) -> FloatArray:
+    """Derivatives (n, 2, 2) of several bearings side by side, (n, 4 n_bearing)."""
+    return np.concatenate([of_one.reshape(-1, 4) for of_one in slopes], axis=1)
 
 
 def forward_backward(matrix: ComplexArray) -> ComplexArray:

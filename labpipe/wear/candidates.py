@@ -23,7 +23,7 @@ from labpipe.rotors.worn import VaryingSupport, response_with_slopes
 from labpipe.wear.measured import PLACES
 from labpipe.wear.model import BETA_STEP
 from labpipe.wear.settings import ANGLE, DEPTH
-from labpipe.wear.tables import film_slope
+from labpipe.wear.tables import film_slopes
 
 MESH = FilmMesh(240, 30)
 
@@ -93,8 +93,8 @@ class ExpectedWear:
         own = [name for name in self.values if name != "beta" and (place.name == self.bearing or name not in (DEPTH, ANGLE))]
         bearing = replace(place.film("wear"), **{name: self.values[name] for name in own})
         film = journal_equilibrium(bearing, load, self.rig.omega, mesh)
-        for name in own:
-            slopes[:, tuple(self.values).index(name)] = film_slope(film, name)
+        for name, slope in film_slopes(film, own).items():
+            slopes[:, tuple(self.values).index(name)] = slope
         return VaryingSupport(Support(place.node, film.stiffness, film.damping), *slopes)
 
 

@@ -14,6 +14,8 @@ from labpipe.wear.search import Minimum, descend, refined
 
 # Increase of chi-square beyond which the integral over wear is that of one narrow peak.
 NARROW = 20.0
+# The same beyond which nothing that refining could change brings the probability of no wear back from zero.
+HOPELESS = 6000.0
 N_DEPTH, N_ANGLE = 13, 5
 # Mesh around the best wear, in standard errors.
 AROUND = np.linspace(-3.0, 3.0, 7)
@@ -25,7 +27,7 @@ def healthy_minimum(misfit: Misfit, best: Minimum) -> tuple[Misfit, Minimum]:
     """Minimum at zero depth, refined on the films; no start leads there, because the slope by depth is zero."""
     nuisances = range(2, len(misfit.model.names))
     healthy = descend(misfit, np.array([0.0, 0.0, *best.parameters[2:]]), nuisances)
-    refined_misfit, healthy = refined(misfit, healthy, nuisances)
+    refined_misfit, healthy = refined(misfit, healthy, nuisances, best.chi2 + HOPELESS)
     return refined_misfit, replace(healthy, starts=0)
 
 

@@ -19,11 +19,14 @@ SHALLOWEST_START = 1e-6
 # Distance (um, deg) below which two minima are the same; below this depth (um) at any angle.
 SAME, SHALLOW = 0.1, 0.5
 TOLERANCE = 1e-10
+# The same until the minima that starts share are known.
+START_TOLERANCE = 1e-5
 MOST_EVALUATIONS = 60
 # Change of a refined minimum, in standard errors, that counts as converged, and the largest number of corrections.
 SETTLED, MOST_REFINEMENTS = 0.03, 12
-# Corrections that compute the films' slopes again; they change little afterwards.
-SLOPE_ROUNDS = 2
+# The films' slopes cost several films each: they are computed once the last correction moved the minimum by less than NEAR standard
+# errors, at the latest in round LATEST (from 0), and again after one that moves it by more than FAR, SLOPE_ROUNDS times at most.
+NEAR, LATEST, FAR, SLOPE_ROUNDS = 3.0, 2, 1.0, 3
 
 
 @dataclass(frozen=True)
@@ -84,10 +87,23 @@ def descend(misfit: Misfit, start: FloatArray, free: Sequence[int] | None = None
 
 def minima(misfit: Misfit, starts: Sequence[FloatArray]) -> list[Minimum]:
     """The distinct minima of all scaled starts (n,) [1], the lowest first; FitError when no start leads to a finite misfit."""
-    candidates = sorted((descend(misfit, start) for start in starts), key=lambda minimum: (not minimum.converged, minimum.chi2))
+    rough = _ranked([descend(misfit, start, tolerance=START_TOLERANCE) for start in starts])
+    candidates = _ranked([_continued(misfit, minimum) for minimum in merged(rough)])
     if not np.isfinite(candidates[0].chi2):
         raise FitError("no start leads to a finite misfit", hint="check the rotor file and the response")
     return merged(candidates)
+
+
+def _ranked(candidates: Sequence[Minimum]) -> list[Minimum]:
+    return sorted(candidates, key=lambda minimum: (not minimum.converged, minimum.chi2))
+
+
+def _continued(misfit: Misfit, minimum: Minimum) -> Minimum:
+    """A minimum that was reached roughly, to the full tolerance."""
+    if not minimum.converged:
+        return minimum
+    end = descend(misfit, minimum.parameters)
+    return replace(end, starts=minimum.starts, evaluations=minimum.evaluations + end.evaluations)
 
 
 def merged(candidates: Sequence[Minimum]) -> list[Minimum]:
@@ -109,17 +125,23 @@ def _is_same(first: FloatArray, second: FloatArray) -> bool:
     return bool(apart[0] < SAME and (np.max(apart) < SAME or max(first[0], second[0]) < SHALLOW))
 
 
-def refined(misfit: Misfit, minimum: Minimum, free: Sequence[int] | None = None) -> tuple[Misfit, Minimum]:
+def refined(misfit: Misfit, minimum: Minimum, free: Sequence[int] | None = None, hopeless: float = np.inf) -> tuple[Misfit, Minimum]:
     """Minimum on the films instead of the tables: correct the tables at the minimum and descend, repeatedly.
 
-    The minimum is marked as not converged where this does not settle.
+    The first corrections have the tables' slopes, since they move the minimum furthest, the next one the films' own. The minimum is
+    marked as not converged where this does not settle; beyond a chi-square that is *hopeless* it is left as it stands.
     """
+    slopes, moved = 0, np.inf
     for number in range(MOST_REFINEMENTS):
         before = minimum.parameters
-        misfit = replace(misfit, model=misfit.model.refined(before, number < SLOPE_ROUNDS), _last=None)
+        with_slopes = slopes < SLOPE_ROUNDS and (moved > FAR if slopes else moved < NEAR or number >= LATEST)
+        slopes += with_slopes
+        misfit = replace(misfit, model=misfit.model.refined(before, with_slopes), _last=None)
         correction = descend(misfit, before, free)
         minimum = replace(correction, starts=minimum.starts, evaluations=minimum.evaluations + correction.evaluations)
-        moved = misfit.jacobian(minimum.parameters) @ (minimum.parameters - before)
-        if np.linalg.norm(moved) < SETTLED:
+        if minimum.chi2 > hopeless:
+            break
+        moved = float(np.linalg.norm(misfit.jacobian(minimum.parameters) @ (minimum.parameters - before)))
+        if slopes and moved < SETTLED:
             return misfit, minimum
     return misfit, replace(minimum, converged=False)

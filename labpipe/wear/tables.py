@@ -5,7 +5,7 @@ Tables are cached per bearing, load, speed, range and mesh: the fits of a pipeli
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -23,8 +23,13 @@ from labpipe.rotors.worn import VaryingSupport
 
 # Nodes of depth and angle by the number of further axes. The search uses tables; minima are refined on the films.
 WEAR_NODES = ((41, 9), (21, 7), (13, 5))
-# A table of a bearing without wear still has axes for it; only the row of zero depth is used.
-SHALLOW, FEWEST = 1e-6, 4
+# Further axes: nodes along them, and along the Sommerfeld number where it varies by less than this factor either way.
+FURTHER_NODES = 4
+NARROW, NARROW_NODES = 1.1, 3
+# Largest change of the displacement over clearance in the last step of a table's equilibria: far below what lies between its nodes.
+TABLE_TOLERANCE = 1e-5
+# The same of a film that corrects a table: tight, so that coefficients do not depend on the film it started from.
+FILM_TOLERANCE = 1e-9
 WEAR = ("wear_depth", "wear_angle")
 # Steps of the film's differences: depth [m], angle [rad], viscosity and clearance relative, cavitation pressure [Pa].
 STEPS = {"wear_depth": 1e-6, "wear_angle": float(np.deg2rad(1.0)), "viscosity": 0.01, "clearance": 0.01, "cavitation_pressure": 2e3}
@@ -48,18 +53,20 @@ class Ranges:
     def of_table(self, worn: bool) -> TableRange:
         """The table's axes, of a worn bearing or of one without wear."""
         further = (self.viscosity_factor > 1 or self.clearance_factor > 1) + (self.cavitation_pressure < 0)
-        n_depth, n_angle = WEAR_NODES[further] if worn else (FEWEST, FEWEST)
-        return TableRange(
-            depth=self.depth if worn else SHALLOW,
+        n_depth, n_angle = WEAR_NODES[further]
+        ranges = TableRange(
+            depth=self.depth if worn else 0.0,
             angle=self.angle,
             viscosity_factor=self.viscosity_factor,
             clearance_factor=self.clearance_factor,
             cavitation_pressure=self.cavitation_pressure,
             n_depth=n_depth,
             n_angle=n_angle,
-            n_sommerfeld=FEWEST,
-            n_cavitation=FEWEST,
+            n_sommerfeld=FURTHER_NODES,
+            n_cavitation=FURTHER_NODES,
+            tolerance=TABLE_TOLERANCE,
         )
+        return replace(ranges, n_sommerfeld=NARROW_NODES) if ranges.sommerfeld_factor < NARROW else ranges
 
 
 def _of_table(table: JournalTable, bearing: JournalBearing, speed: float) -> tuple[FloatArray, FloatArray]:
@@ -72,11 +79,23 @@ def _point(bearing: JournalBearing) -> FloatArray:
     return np.array([getattr(bearing, name) for name in PARAMETERS])
 
 
-def film_slope(film: JournalEquilibrium, name: str) -> FloatArray:
-    """Derivatives (2, 2, 2) of stiffness and damping by one parameter [N/m, N s/m per SI unit].
+def film_slopes(film: JournalEquilibrium, names: Collection[str]) -> dict[str, FloatArray]:
+    """Derivatives (2, 2, 2) of stiffness and damping by parameters *names* [N/m, N s/m per SI unit], by name.
 
-    By a difference wide enough for a film of finite cells.
+    By differences wide enough for a film of finite cells. Without wear K c / W and C c Omega / W depend on mu / c^2 only (and on the
+    cavitation pressure over the mean pressure): the derivative by clearance follows from that by viscosity, without films of its own.
     """
+    alike = film.bearing.wear_depth == 0 and "clearance" in names
+    own = dict.fromkeys([*names, *(["viscosity"] if alike else [])])
+    slopes = {name: _difference(film, name) for name in own if not (alike and name == "clearance")}
+    if alike:
+        scaled = np.stack([film.stiffness, film.damping]) + 2 * film.bearing.viscosity * slopes["viscosity"]
+        slopes["clearance"] = -scaled / film.bearing.clearance
+    return {name: slopes[name] for name in names}
+
+
+def _difference(film: JournalEquilibrium, name: str) -> FloatArray:
+    """The derivative (2, 2, 2) by one parameter, from one film on either side."""
     here = float(getattr(film.bearing, name))
     step = STEPS[name] * (here if name in ("viscosity", "clearance") else 1.0)
     ends = [here + step, here - step]
@@ -115,7 +134,10 @@ class Correction:
 
 @dataclass(frozen=True)
 class TabledBearing:
-    """A bearing on its node with its table; None: a bearing that nothing varies, with its coefficients in *fixed*."""
+    """A bearing on its node with its table; None: a bearing that nothing varies, with its coefficients in *fixed*.
+
+    film: the last film that corrected it, from which the next one starts.
+    """
 
     place: BearingPlace
     load: tuple[float, float]
@@ -124,6 +146,7 @@ class TabledBearing:
     table: JournalTable | None
     fixed: Support | None = None
     correction: Correction | None = None
+    film: JournalEquilibrium | None = None
 
     def support(self, values: Mapping[str, float], names: tuple[str, ...]) -> VaryingSupport:
         """Coefficients at *values* by name (SI units), with their derivatives by the parameters *names*."""
@@ -149,17 +172,25 @@ class TabledBearing:
         if not self.place.is_film:
             return self
         bearing = self._bearing(values)
-        film = journal_equilibrium(bearing, self.load, self.speed, mesh)
+        film = self._film(bearing, mesh)
         if self.table is None:
-            return replace(self, fixed=Support(self.place.node, film.stiffness, film.damping))
+            return replace(self, fixed=Support(self.place.node, film.stiffness, film.damping), film=film)
         matrices, by_parameter = _of_table(self.table, bearing, self.speed)
         slopes = np.zeros_like(by_parameter) if self.correction is None else self.correction.slopes
         if with_slopes:
             slopes = np.zeros_like(by_parameter)
-            for number, name in enumerate(PARAMETERS):
-                if name in values and (self.worn or name not in WEAR):
-                    slopes[:, number] = film_slope(film, name) - by_parameter[:, number]
-        return replace(self, correction=Correction(_point(bearing), np.stack([film.stiffness, film.damping]) - matrices, slopes))
+            own = [name for name in PARAMETERS if name in values and (self.worn or name not in WEAR)]
+            for name, slope in film_slopes(film, own).items():
+                number = PARAMETERS.index(name)
+                slopes[:, number] = slope - by_parameter[:, number]
+        correction = Correction(_point(bearing), np.stack([film.stiffness, film.damping]) - matrices, slopes)
+        return replace(self, correction=correction, film=film)
+
+    def _film(self, bearing: JournalBearing, mesh: FilmMesh) -> JournalEquilibrium:
+        """The film of a bearing on a mesh, started from the last one."""
+        if self.film is not None and self.film.bearing == bearing and self.film.mesh == mesh:
+            return self.film
+        return journal_equilibrium(bearing, self.load, self.speed, mesh, self.film, FILM_TOLERANCE)
 
     def mesh_error(self, values: Mapping[str, float], mesh: FilmMesh) -> FloatArray:
         """Estimated error of stiffness [N/m] and damping [N s/m] by the film's *mesh*, (2, 2, 2), as a standard deviation with its signs.
@@ -167,7 +198,8 @@ class TabledBearing:
         A third of the change from half the cells each way: the error of a second-order method.
         """
         bearing = self._bearing(values)
-        fine, coarse = (journal_equilibrium(bearing, self.load, self.speed, cells) for cells in (mesh, mesh.halved() or mesh))
+        fine = self._film(bearing, mesh)
+        coarse = journal_equilibrium(bearing, self.load, self.speed, mesh.halved() or mesh, fine.coarser)
         return np.array([fine.stiffness - coarse.stiffness, fine.damping - coarse.damping]) / 3
 
     def shifted(self, change: FloatArray) -> TabledBearing:

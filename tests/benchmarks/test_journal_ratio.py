@@ -9,14 +9,20 @@ from collections.abc import Callable
 from itertools import product
 
 import numpy as np
+import pytest
+from scipy.linalg import lapack
 from scipy.optimize import least_squares
 
+from labpipe.bearings import journal_equilibrium as equilibria
 from labpipe.bearings.journal import JournalBearing, JournalEquilibrium, journal_equilibrium
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.bearings.journal_table import JournalTable, journal_table
+from labpipe.identify.fitting import identify as fitted
+from labpipe.records.settings import Uncertain
 from labpipe.rotors.parts import Rotor, ShaftElement, Sleeve, Support
 from labpipe.rotors.reduction import reduced_rotor
 from labpipe.rotors.worn import VaryingSupport, WornRig, worn_response
+from tests.unit.wear.worn_cases import fit_settings, measured, worn_rig
 
 SPEED = 2 * np.pi * 50
 LOAD = (0.0, -58.85)
@@ -95,3 +101,52 @@ def test_steps_do_not_grow_with_the_mesh(capsys) -> None:  # type: ignore[no-unt
     with capsys.disabled():
         print(f"\n240 x 60 cells take {fine / coarse:.1f} times 120 x 30")
     assert fine < 24 * coarse
+
+
+def bare_factor_seconds(shape: tuple[int, int]) -> float:
+    """CPU of LAPACK's Cholesky factors of a band of as many cells as a film of *shape* (n_theta, n_half) has outside its cavity."""
+    n_cell, n_half = int(0.7 * shape[0]) * shape[1], shape[1]
+    band = np.full((n_half + 1, n_cell), -1.0 / (2 * n_half), order="F")
+    band[0] = 2.0
+    return cpu_seconds(lambda: lapack.dpbtrf(band, lower=1), 15)
+
+
+def cpu_seconds(action: Callable[[], object], repeats: int) -> float:
+    """The least CPU of one call."""
+    times = []
+    for _ in range(repeats):
+        start = time.process_time()
+        action()
+        times.append(time.process_time() - start)
+    return min(times)
+
+
+@pytest.mark.parametrize("mesh", [FilmMesh(120, 30), FilmMesh(480, 60)])
+def test_an_equilibrium_in_factorisations(mesh: FilmMesh, capsys) -> None:  # type: ignore[no-untyped-def]
+    """An equilibrium one degree from its neighbour, coefficients and all, over one bare factorisation of its equations."""
+    neighbour = journal_equilibrium(worn(25e-6, 0.15), LOAD, SPEED, mesh)
+    near = cpu_seconds(lambda: journal_equilibrium(worn(25e-6, 0.1675), LOAD, SPEED, mesh, neighbour), 9)
+    factor = bare_factor_seconds((mesh.around, mesh.across // 2))
+    with capsys.disabled():
+        print(f"\n{mesh.around} x {mesh.across}: {1e3 * near:.1f} ms, {near / factor:.0f} bare factorisations of {1e3 * factor:.2f} ms")
+    assert near < 100 * factor
+
+
+def test_a_whole_fit_in_factorisations(capsys, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
+    """A wear with two more parameters, from tables to intervals, over all its bare factorisations."""
+    shapes: list[tuple[int, int]] = []
+    factored = equilibria.factored
+
+    def counted(equations, curvature, room):  # type: ignore[no-untyped-def]
+        shapes.append(equations.diagonal.shape)
+        return factored(equations, curvature, room)
+
+    monkeypatch.setattr(equilibria, "factored", counted)
+    response = measured(worn_rig(22.27, 11.0), 0.02, np.random.default_rng(3), np.linspace(10, 100, 359))
+    known = {"viscosity": Uncertain(0.1044, 0.0004), "clearance": Uncertain(90e-6, 0.1e-6)}
+    settings = fit_settings(cells_around=120, cells_across=30, **known)
+    spent = cpu_seconds(lambda: fitted(response, settings), 1)
+    floor = sum(shapes.count(shape) * bare_factor_seconds(shape) for shape in sorted(set(shapes)))
+    with capsys.disabled():
+        print(f"\na fit of wear {spent:.2f} s: {spent / floor:.1f} times its {len(shapes)} bare factorisations")
+    assert spent < 30 * floor

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from labpipe.bearings.journal_band import factored
+from labpipe.bearings.journal_band import band_room, factored
 from labpipe.bearings.journal_equilibrium import film_at, film_equilibrium
 from labpipe.bearings.journal_film import LEAST_SLOPE, Film, film_equations, rounded_maximum
 from labpipe.bearings.journal_mesh import FilmMesh, film_grid, interpolation
@@ -35,7 +35,7 @@ def test_banded_factors_equal_dense_algebra(rng: np.random.Generator, cavitation
     film = Film.of(MESH, 1.7, 0.3, 0.2, cavitation)
     pressure = np.full((48, 4), cavitation) if not folded else rng.uniform(0, 0.1, (48, 4))
     equations = film_equations(film, np.array([0.2, -0.3]), np.zeros(2), pressure)
-    factors = factored(equations, film.grid.curvature)
+    factors = factored(equations, film.grid.curvature, band_room(MESH))
     assert (factors.columns.size == 48) == folded
     sides = np.concatenate([equations.residual[None], equations.by_displacement])
     sides[:, equations.cavitated] = 0
@@ -47,7 +47,7 @@ def test_a_film_that_is_not_positive_definite_is_refused() -> None:
     film = Film.of(MESH, 1.7)
     equations = film_equations(film, np.array([0.0, -1.5]), np.zeros(2), np.zeros((48, 4)))
     with pytest.raises(FitError, match="singular"):
-        factored(equations, film.grid.curvature)
+        factored(equations, film.grid.curvature, band_room(MESH))
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -96,6 +96,27 @@ def test_coarser_meshes_and_a_neighbour_lead_to_the_same_state() -> None:
     np.testing.assert_allclose(warm.displacement, cold.displacement, atol=1e-7)
     np.testing.assert_allclose(warm.stiffness, cold.stiffness, rtol=1e-4)
     assert warm.steps < 9
+
+
+def test_a_far_neighbour_of_many_cells_is_left_by_way_of_half_the_cells() -> None:
+    """Wear that divides the film against none: the front moves over many cells, which takes 14 steps on the cells themselves."""
+    mesh, load = FilmMesh(240, 60), np.array([0.0, -0.035])
+    healthy, worn = Film.of(mesh, 1.7), Film.of(mesh, 1.7, 0.3, 0.15)
+    cold, neighbour = film_equilibrium(healthy, load), film_equilibrium(worn, load)
+    near, plain = (film_equilibrium(healthy, load, start) for start in (neighbour, dataclasses.replace(neighbour, coarse=None)))
+    assert near.steps <= 6 < plain.steps
+    for state in (near, plain):
+        np.testing.assert_allclose(state.displacement, cold.displacement, atol=1e-7)
+        np.testing.assert_allclose(state.stiffness, cold.stiffness, atol=1e-5 * np.abs(cold.stiffness).max())
+
+
+def test_a_start_moved_as_two_neighbours_differ_is_nearer() -> None:
+    """The fourth corner of a parallelogram in load and angle: its start lies nearer than either neighbour."""
+    films, loads = [Film.of(MESH, 1.7, 0.3, angle) for angle in (0.1, 0.16)], [np.array([0.0, -w]) for w in (0.03, 0.031)]
+    states = [[film_equilibrium(film, load) for load in loads] for film in films]
+    start, end = states[1][0].moved(states[0][0], states[0][1]), states[1][1]
+    distances = [np.abs(one.displacement - end.displacement).max() for one in (start, states[1][0], states[0][1])]
+    assert distances[0] < 0.2 * min(distances[1:])
 
 
 def test_a_neighbour_that_is_none_does_no_harm() -> None:

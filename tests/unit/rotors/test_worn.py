@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError
+from labpipe.rotors.assembly import free_rotor
 from labpipe.rotors.parts import Rotor, Support
 from labpipe.rotors.reduction import reduced_rotor
-from labpipe.rotors.response import frequency_response
+from labpipe.rotors.response import dynamic_stiffness, frequency_response
 from labpipe.rotors.worn import VaryingSupport, WornRig, forward_backward, response_with_slopes, worn_response
 
 LINES = np.linspace(5.0, 120.0, 24)
@@ -36,6 +37,26 @@ def test_response_is_that_of_the_whole_rotor(rig: WornRig, mendes_rotor: Rotor) 
     supports = [Support(4, K, C), simple_wear(20e-6, 0.2).support]
     whole = frequency_response(mendes_rotor, supports, LINES, SPEED, mendes_rotor.dofs(14), mendes_rotor.dofs(10))
     np.testing.assert_allclose(response, whole, atol=1e-8 * np.abs(whole).max())
+
+
+@pytest.mark.parametrize("nodes", [(4, 10, 14), (14, 4), (1, 16, 9), (7,)])
+def test_reduced_rotor_is_that_of_all_nodes_together(mendes_rotor: Rotor, nodes: tuple[int, ...]) -> None:
+    """Node after node against the inverse of the whole dynamic stiffness; 1e-9, since a free rotor's is nearly singular at low lines."""
+    reduced = reduced_rotor(mendes_rotor, nodes, LINES, SPEED).receptance
+    whole = np.linalg.inv(dynamic_stiffness(free_rotor(mendes_rotor), 2 * np.pi * LINES, SPEED))
+    dofs = [dof for node in nodes for dof in mendes_rotor.dofs(node)]
+    np.testing.assert_allclose(reduced, whole[:, dofs][:, :, dofs], atol=1e-9 * np.abs(whole).max())
+
+
+def test_paths_are_parts_of_the_whole_response(mendes_rotor: Rotor) -> None:
+    free, supports = reduced_rotor(mendes_rotor, (4, 10, 14), LINES, SPEED), [Support(14, K, C), Support(4, K.T, C)]
+    standing = free.on(supports)
+    response, to_output, from_force = free.paths(supports, 10, 4)
+    np.testing.assert_allclose(response, standing.response(10, 4), rtol=1e-9)
+    for number, node in enumerate((14, 4)):
+        place = slice(2 * number, 2 * number + 2)
+        np.testing.assert_allclose(to_output[:, :, place], standing.response(10, node), rtol=1e-9)
+        np.testing.assert_allclose(from_force[:, place], standing.response(node, 4), rtol=1e-9)
 
 
 @pytest.mark.parametrize("directional", [False, True])

@@ -70,3 +70,8 @@ def test_combinations_in_words() -> None:
 def test_a_coefficient_near_zero_is_measured_against_the_direct_ones() -> None:
     start = np.array([[4.0, 3.0, 1e-6, 9.0, 1.0, 0.1, -0.5, 4.0]])
     np.testing.assert_allclose(scales(start)[0], [4, 3, 1.2, 9, 1, 0.4, 0.5, 4])
+
+
+def test_parts_that_look_alike_stand_in_the_order_of_the_names() -> None:
+    """Whatever their last digits, which differ from machine to machine."""
+    assert combination_text(("a", "b", "c"), np.array([0.25, 0.25 * (1 + 1e-12), -0.5])) == "c +1.00, a -0.50, b -0.50"

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.bearings.journal import journal_equilibrium
 from labpipe.bearings.journal_mesh import FilmMesh
 from labpipe.bearings.journal_table import PARAMETERS
 from labpipe.errors import ConfigError, FitError
@@ -15,7 +16,7 @@ from labpipe.rigs.rotor_rig import RotorRig
 from labpipe.simulate.journal_rig import receptance
 from labpipe.wear.model import WornModel, worn_model
 from labpipe.wear.settings import ANGLE, DEPTH
-from labpipe.wear.tables import Ranges, tabled
+from labpipe.wear.tables import Ranges, film_slopes, tabled
 from tests.unit.wear.worn_cases import COARSE, FINE, LINES, NUISANCES, RIG, wear_settings, worn_rig
 
 BETA = Uncertain(1.6e-4, 2e-5)
@@ -117,6 +118,22 @@ def test_a_second_wear_does_not_go_with_nuisances() -> None:
 def test_no_rotor() -> None:
     with pytest.raises(FitError, match="no rotor was read"):
         worn_model(wear_settings(rig=None), LINES)
+
+
+@pytest.mark.parametrize("name", ["viscosity", "clearance"])
+def test_slopes_of_an_unworn_film_equal_differences(name: str) -> None:
+    """Also that by clearance, which comes from that by viscosity; within .5 % of the largest, what films of finite cells allow."""
+    film = journal_equilibrium(RIG.bearings[0].bearing, (0.0, -35.4), RIG.omega, FINE)
+    step = 0.005 * getattr(film.bearing, name)
+    ends = [
+        journal_equilibrium(replace(film.bearing, **{name: getattr(film.bearing, name) + s}), film.load, film.speed, FINE)
+        for s in (step, -step)
+    ]
+    found = film_slopes(film, [name])
+    assert list(found) == [name]
+    for number, kind in enumerate(("stiffness", "damping")):
+        difference = (getattr(ends[0], kind) - getattr(ends[1], kind)) / (2 * step)
+        np.testing.assert_allclose(found[name][number], difference, atol=5e-3 * np.abs(difference).max())
 
 
 def test_slopes_stand_under_their_names() -> None:

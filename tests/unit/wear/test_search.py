@@ -8,6 +8,7 @@ from scipy import stats
 
 from labpipe.wear.healthy import _peak_share, healthy_minimum, healthy_probability
 from labpipe.wear.misfit import Misfit
+from labpipe.wear.model import WornModel
 from labpipe.wear.profile import joint_region, profile_distance, profile_interval
 from labpipe.wear.search import Minimum, descend, merged, minima, refined, start_mesh
 from labpipe.wear.settings import Gaussian
@@ -150,6 +151,18 @@ def test_probability_of_no_wear_moves_from_one_to_zero() -> None:
         found.append(healthy_probability(misfit, best, healthy.chi2))
     assert found[0] > 0.9 and found[2] < 0.05 and found[3] < 1e-10
     assert sorted(found, reverse=True) == found
+
+
+def test_no_wear_that_is_out_of_the_question_is_not_refined(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hardly any noise, much wear: the probability is zero, and one film per bearing says so."""
+    misfit = misfit_of(measured(worn_rig(*TRUTH), 1e-3, np.random.default_rng(8)))
+    misfit, best = refined(misfit, minima(misfit, start_mesh(wear_settings(), misfit))[0])
+    refinements: list[bool] = []
+    films = WornModel.refined
+    monkeypatch.setattr(WornModel, "refined", lambda model, here, slopes=True: refinements.append(slopes) or films(model, here, slopes))
+    _, healthy = healthy_minimum(misfit, best)
+    assert refinements == [False] and not healthy.converged
+    assert healthy.chi2 > best.chi2 + 6000 and healthy_probability(misfit, best, healthy.chi2) == 0
 
 
 def test_both_ways_to_the_probability_agree_where_they_meet(noisy: tuple[Misfit, Minimum]) -> None:
