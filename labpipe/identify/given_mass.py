@@ -20,9 +20,9 @@ from labpipe.identify.line_scatter import line_scatter
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel, Term, no_matrices
 from labpipe.identify.output_error import OutputError
-from labpipe.identify.regression import solve_scaled
+from labpipe.identify.regression import inverse_of
 from labpipe.identify.setup import Setup
-from labpipe.identify.weights import equal_weights, has_noise, weight_doubt, whitener
+from labpipe.identify.weights import fit_weights, has_noise, weight_doubt
 from labpipe.optimise.levenberg import minimise
 from labpipe.records.finding import Finding
 
@@ -98,20 +98,20 @@ def _free_fit(measured: Measured, model: DynamicModel, start: FloatArray) -> _Fr
     """
     weighted = has_noise(measured)
     try:
-        problem = OutputError(measured, expected(measured, model), whitener(measured) if weighted else equal_weights(measured))
-        minimum = minimise(problem, start, most_steps=MOST_STEPS)
+        problem = OutputError(measured, expected(measured, model), fit_weights(measured))
+        minimum = minimise(problem, start, most_steps=MOST_STEPS, linearise=problem.linearised)
         if not minimum.converged:
             return None
-        jacobian, residual = problem.jacobian(minimum.values), problem.residual(minimum.values)
-        inverse, dof = solve_scaled(jacobian, residual)[1], residual.size - minimum.values.size
+        linear = problem.linearised(minimum.values)
+        inverse, dof = inverse_of(linear), linear.n_equation - minimum.values.size
         if weighted:
             doubt = weight_doubt(measured, dof)
-            after, of_noise = float(residual @ residual), dof * doubt.excess
+            after, of_noise = linear.chi2, dof * doubt.excess
             if doubt.p_value(after / of_noise, dof) >= CONTRADICTED_P:
                 return _FreeFit(minimum.values, doubt.inflation * inverse, dof)
             if after - of_noise > (1 - EXPLAINED) * (problem.chi2(start) - of_noise):
                 return None
-        scatter = line_scatter(jacobian, residual, measured.omega.size)
+        scatter = line_scatter(problem.jacobian(minimum.values), problem.residual(minimum.values), measured.omega.size)
     except (FitError, np.linalg.LinAlgError):
         return None
     return _FreeFit(minimum.values, scatter.covariance, float(np.min(scatter.dof)))
@@ -129,9 +129,12 @@ def _least_square(whiten: FloatArray, off: FloatArray, limits: FloatArray) -> fl
 def _p_value(fit: _FreeFit, given: FloatArray) -> float:
     """Chance of masses so far from the *given* ones (n_mass,) if these are right within TOLERANCE: Hotelling's T^2 of all together."""
     n = given.size
-    whiten = np.linalg.inv(np.linalg.cholesky(fit.covariance[-n:, -n:]))
-    limits = TOLERANCE * given
-    square, rest = _least_square(whiten, fit.values[-n:] - given, limits), fit.dof - n + 1
+    covariance, off, limits = fit.covariance[-n:, -n:], fit.values[-n:] - given, TOLERANCE * given
+    if not np.any(covariance):
+        # FRFs that the model meets to the last digit.
+        return 1.0 if np.all(np.abs(off) <= limits) else 0.0
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+    square, rest = _least_square(whiten, off, limits), fit.dof - n + 1
     return f_tail(square * rest / (fit.dof * n), n, rest) if rest > 0 and square > 0 else 1.0
 
 

@@ -17,12 +17,12 @@ from labpipe.identify.leakage import expected, leaking_noise
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import FittedModel, ReceptanceModel, ResponseModel
 from labpipe.identify.output_error import OutputError
-from labpipe.identify.regression import solve_scaled, triangle_of
+from labpipe.identify.regression import inverse_of
 from labpipe.identify.shared_noise import shared_residual
 from labpipe.identify.starts import Start, starts
 from labpipe.identify.statistics import Estimate, determination
-from labpipe.identify.weights import WeightDoubt, complex_rows, equal_weights, fitted_doubt, has_noise, weight_doubt, whitener
-from labpipe.optimise.levenberg import MAX_ITERATIONS, Minimum, minimise
+from labpipe.identify.weights import WeightDoubt, complex_rows, fit_weights, fitted_doubt, has_noise, weight_doubt
+from labpipe.optimise.levenberg import MAX_ITERATIONS, Linearisation, Minimum, minimise
 from labpipe.records.identification import Goodness
 
 # p-value of a minimum below which, as without convergence, further starts are tried.
@@ -52,7 +52,7 @@ def maximum_likelihood(
         raise FitError(f"{measured.n_equation} real equations cannot determine {n_parameter} parameters", hint="widen the band")
     weighted = has_noise(measured)
     doubt = weight_doubt(measured, dof) if weighted else WeightDoubt()
-    problem = OutputError(measured, expected(measured, model), whitener(measured) if weighted else equal_weights(measured))
+    problem = OutputError(measured, expected(measured, model), fit_weights(measured))
     best, start = _best_minimum(problem, lambda chi2: weighted and doubt.p_value(chi2 / dof / doubt.excess, dof) < DOUBTFUL_P, most_steps)
     return _estimate(measured, model, problem, best, start.name)
 
@@ -62,18 +62,17 @@ def maximum_likelihood_from(measured: Measured, model: FittedModel, start: Float
     n_parameter = len(model.names)
     if measured.n_equation <= n_parameter:
         raise FitError(f"{measured.n_equation} real equations cannot determine {n_parameter} parameters", hint="widen the band")
-    whiten = whitener(measured) if has_noise(measured) else equal_weights(measured)
-    problem: OutputError[ReceptanceModel] = OutputError(measured, expected(measured, model), whiten)
-    return _estimate(measured, model, problem, minimise(problem, start), name)
+    problem: OutputError[ReceptanceModel] = OutputError(measured, expected(measured, model), fit_weights(measured))
+    return _estimate(measured, model, problem, minimise(problem, start, linearise=problem.linearised), name)
 
 
 def _estimate(measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], best: Minimum, start: str) -> Estimate:
     """The estimate at a minimum of *problem*, with its doubt."""
     n_parameter, dof = len(model.names), measured.n_equation - len(model.names)
     values, converged, iterations = best.values, best.converged, best.steps
-    jacobian = problem.jacobian(values)
-    assessed = assess(measured, model, problem, values)
-    design, amplification = triangle_of(jacobian), problem.size * np.sqrt(np.diag(assessed.inverse))
+    linear = problem.linearised(values)
+    assessed = assess(measured, model, problem, values, linear)
+    amplification = problem.size * np.sqrt(np.diag(assessed.inverse))
     r2, adjusted = determination(measured.matrix, measured.matrix - problem.model.receptance(values, measured.omega), n_parameter)
     notes: tuple[str, ...] = (f"ml: started from {start}.",)
     if not has_noise(measured):
@@ -82,7 +81,7 @@ def _estimate(measured: Measured, model: FittedModel, problem: OutputError[Recep
     return Estimate(
         values=values,
         covariance=assessed.covariance,
-        scaled_design=design,
+        scaled_design=linear.triangle,
         gof=gof,
         dof=dof,
         converged=converged,
@@ -90,7 +89,7 @@ def _estimate(measured: Measured, model: FittedModel, problem: OutputError[Recep
         notes=notes,
         parameter_dof=_interval_dof(measured, n_parameter, dof),
         amplification=amplification,
-        squares=problem.chi2(values),
+        squares=linear.chi2,
     )
 
 
@@ -108,21 +107,29 @@ class Assessed:
     p_value: float | None = None
 
 
-def assess(measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], values: FloatArray) -> Assessed:
+def assess(
+    measured: Measured,
+    model: FittedModel,
+    problem: OutputError[ReceptanceModel],
+    values: FloatArray,
+    linear: Linearisation | None = None,
+) -> Assessed:
     """The doubt of the minimum *values* (n,) [parameter units] of *problem*; *model*: that of the data, its parameters first among them.
 
-    Correction for weights from an estimated covariance and for noise that lines share as in `weights`. Equation (est-unweighted).
+    *linear*: the linearisation there, where it is at hand. Correction for weights from an estimated covariance and for noise that lines
+    share as in `weights`. Equation (est-unweighted).
     """
-    jacobian, residual = problem.jacobian(values), problem.residual(values)
-    _, inverse = solve_scaled(jacobian, residual)
-    squares, dof = float(residual @ residual), residual.size - values.size
+    linear = linear or problem.linearised(values)
+    inverse, squares, dof = inverse_of(linear), linear.chi2, linear.n_equation - values.size
     if not has_noise(measured):
         if measured.line_noise is None:
             return Assessed(squares / dof * (measured.shared_noise * inverse), inverse)
-        shared = shared_residual(measured.line_noise, complex_rows(jacobian, measured.omega.size), inverse)
+        shared = shared_residual(measured.line_noise, complex_rows(problem.jacobian(values), measured.omega.size), inverse)
         return Assessed(squares / shared.mean * shared.covariance, inverse)
-    noise = measured.noise or leaking_noise(measured, model, values[: len(model.names)])
-    covariance, doubt = fitted_doubt(measured, noise, weight_doubt(measured, dof), jacobian, inverse)
+    noise, doubt = measured.noise or leaking_noise(measured, model, values[: len(model.names)]), weight_doubt(measured, dof)
+    covariance = doubt.inflation * inverse
+    if noise is not None:
+        covariance, doubt = fitted_doubt(measured, noise, doubt, problem.jacobian(values), inverse)
     reduced = squares / dof / doubt.excess
     return Assessed(covariance, inverse, reduced, doubt.p_value(reduced, dof))
 
@@ -138,7 +145,7 @@ def _best_minimum(problem: OutputError[ResponseModel], doubtful: Callable[[float
     """The lowest minimum of the starts; further starts only where the last minimum's chi-square is *doubtful*."""
     minima: list[tuple[float, Minimum, Start]] = []
     for start in starts(problem):
-        minimum = minimise(problem, start.values, most_steps=most_steps)
+        minimum = minimise(problem, start.values, most_steps=most_steps, linearise=problem.linearised)
         minima.append((problem.chi2(minimum.values), minimum, start))
         if minimum.converged and not doubtful(minima[-1][0]):
             break

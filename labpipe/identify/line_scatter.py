@@ -61,8 +61,10 @@ def _bartlett(n_line: int) -> FloatArray:
 def _effective(influence: FloatArray, squares: FloatArray) -> FloatArray:
     """Number of lines that determine each variance, (n_parameter,) [1]: by the model's slopes and by the shares seen, whichever is less.
 
-    (sum v)^2 / sum v^2 of the variances v of the shares, (n_line, n_parameter); normal shares g have E g^4 = 3 v^2.
+    (sum v)^2 / sum v^2 of the variances v of the shares, (n_line, n_parameter); normal shares g have E g^4 = 3 v^2. A residual of zero
+    has no shares.
     """
     by_slopes = np.sum(influence, axis=0) ** 2 / np.sum(influence**2, axis=0)
-    by_shares = 3 * np.sum(squares, axis=0) ** 2 / np.sum(squares**2, axis=0)
+    fourth = np.sum(squares**2, axis=0)
+    by_shares = np.divide(3 * np.sum(squares, axis=0) ** 2, fourth, out=by_slopes.copy(), where=fourth > 0)
     return np.asarray(np.minimum(by_slopes, by_shares))

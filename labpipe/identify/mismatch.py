@@ -23,7 +23,7 @@ from labpipe.identify.output_error import OutputError
 from labpipe.identify.outside_modes import with_outside_modes
 from labpipe.identify.residual_structure import DRAWS, Null, Structure, residual_structure
 from labpipe.identify.statistics import Estimate, student_limit
-from labpipe.identify.weights import NOISE_FREE, equal_weights, has_noise, whitener
+from labpipe.identify.weights import NOISE_FREE, fit_weights, has_noise
 from labpipe.optimise.levenberg import minimise
 from labpipe.records.finding import Finding
 
@@ -126,7 +126,7 @@ class _Judge:
 
     @property
     def _whitener(self) -> np.ndarray:
-        return whitener(self.measured) if has_noise(self.measured) else equal_weights(self.measured)
+        return fit_weights(self.measured)
 
     def exact(self, model: ReceptanceModel, values: FloatArray) -> bool:
         """True for a residual at *values* (n_parameter,) [parameter units] that is rounding."""

@@ -210,10 +210,10 @@ class DynamicModel:
         by_input = (inverse @ whole.force).swapaxes(1, 2)
         outer = (inverse[:, :, None, :, None] * by_input[:, None, :, None, :]).reshape(n_line, n_dof, n_input, n_dof**2)
         for kind, factor in _line_factors(omega).items():
-            acting = self._acting[kind]
+            acting = self.acting[kind]
             if acting is not None:
                 slopes[..., acting.place] -= acting.combined(outer) * factor[:, None, None, None]
-        acting = self._acting["force"]
+        acting = self.acting["force"]
         if acting is not None:
             moved = np.einsum("loa,pai->loip", inverse, acting.matrices.T.reshape(-1, n_dof, n_input))
             slopes[..., acting.place] += moved
@@ -257,7 +257,7 @@ class DynamicModel:
         return np.array([np.concatenate([matrix.reshape(-1) for matrix in row]) for row in parts])
 
     @cached_property
-    def _acting(self) -> dict[str, ActingTerms | None]:
+    def acting(self) -> dict[str, ActingTerms | None]:
         """Of each kind of matrix, the terms that have one; None where no term has."""
         return {kind: ActingTerms.of(stack.reshape(len(self.terms), -1)) for kind, stack in self._stacks.items()}
 
@@ -269,6 +269,12 @@ class DynamicModel:
             matrices = [getattr(term.matrices, kind) for term in self.terms]
             stacks[kind] = np.stack(matrices) if matrices else np.zeros((0, *getattr(self.constant, kind).shape))
         return stacks
+
+
+def compliance(model: DynamicModel, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+    """Z(w)^-1 [m/N], (n_line, n_dof, n_dof), at *parameters* (n_parameter,) and *omega* (n_line,) [rad/s]; FitError where Z is singular."""
+    z = model.dynamic_stiffness(parameters, omega)
+    return _solved(z, np.eye(z.shape[-1], dtype=np.complex128))
 
 
 def _line_factors(omega: FloatArray) -> dict[str, NDArray[np.inexact]]:

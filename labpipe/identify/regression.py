@@ -14,6 +14,7 @@ from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.statistics import Estimate, condition_number, determination, inflation_factors, stacked, stacked_terms
 from labpipe.identify.weights import has_noise, weight_doubt, whitened, whitener
+from labpipe.optimise.levenberg import Linearisation
 from labpipe.optimise.triangle import scaled_triangle
 from labpipe.records.identification import Goodness
 
@@ -159,13 +160,7 @@ def solve_scaled(columns: FloatArray, right_side: FloatArray) -> tuple[FloatArra
     """
     n = columns.shape[1]
     scale, triangle, by_products = scaled_triangle(columns)
-    left_vectors, singular, right_vectors = linalg.svd(triangle)
-    if singular[-1] <= singular[0] * np.finfo(float).eps * max(columns.shape):
-        raise FitError(
-            "the excitation leaves parameters undetermined: columns of the regression are linearly dependent",
-            hint="excite a second force direction, or use a model with fewer parameters",
-        )
-    inverse = (right_vectors.T / singular**2) @ right_vectors / np.outer(scale, scale)
+    inverse, (left_vectors, singular, right_vectors) = _inverted(triangle, scale, max(columns.shape))
     if by_products:
         # Corrected seminormal equations (Bjoerck 1987): one refinement makes them as accurate as QR.
         values = inverse @ (columns.T @ right_side)
@@ -173,6 +168,23 @@ def solve_scaled(columns: FloatArray, right_side: FloatArray) -> tuple[FloatArra
     side = np.asarray(np.linalg.qr(np.column_stack([columns / scale, right_side]), mode="r"))[:n, n]
     # The right side keeps the signs of this factorisation, whose first columns are R up to rounding.
     return right_vectors.T @ ((left_vectors.T @ side) / singular) / scale, inverse
+
+
+def inverse_of(linear: Linearisation) -> FloatArray:
+    """(J^T J)^-1 (n_parameter, n_parameter) [parameter units squared] of a linearisation; FitError for linearly dependent columns."""
+    return _inverted(linear.triangle, linear.scale, linear.n_equation)[0]
+
+
+def _inverted(triangle: FloatArray, scale: FloatArray, n_row: int) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
+    """(W^T W)^-1 of W = Q R S, and the singular vectors and values of R."""
+    left_vectors, singular, right_vectors = linalg.svd(triangle)
+    if singular[-1] <= singular[0] * np.finfo(float).eps * n_row:
+        raise FitError(
+            "the excitation leaves parameters undetermined: columns of the regression are linearly dependent",
+            hint="excite a second force direction, or use a model with fewer parameters",
+        )
+    inverse = (right_vectors.T / singular**2) @ right_vectors / np.outer(scale, scale)
+    return inverse, (left_vectors, singular, right_vectors)
 
 
 def _solve(terms: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, FloatArray]:

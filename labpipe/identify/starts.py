@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
-from labpipe.identify.model import ResponseModel
+from labpipe.identify.line_products import NormalEquations, has_line_products, normal_equations
+from labpipe.identify.model import ResponseModel, compliance
 from labpipe.identify.output_error import OutputError
-from labpipe.identify.regression import least_squares, solve_scaled
+from labpipe.identify.regression import equation_solution, regression, solve_scaled
+from labpipe.optimise.triangle import triangle_of_products
 
 REWEIGHTINGS = 12
 # Share of the lowest chi-square that a useful pass must fall below.
@@ -32,8 +34,8 @@ def starts(problem: OutputError[ResponseModel]) -> list[Start]:
     Plain least squares is biased by noise; reweighting the equation error by Z^-1 of the last iterate (Sanathanan and Koerner 1963)
     makes it nearly an output error and needs no good start. It ends after two successive passes with hardly lower chi-square.
     """
-    linear, model = problem.model.linear, problem.model
-    values = least_squares(problem.measured, linear).values
+    model = problem.model
+    values = _least_squares(problem)
     attempts = [_start(problem, "least squares", model.from_linear(values))]
     idle = 0
     for number in range(1, REWEIGHTINGS + 1):
@@ -54,9 +56,47 @@ def _start(problem: OutputError[ResponseModel], name: str, values: FloatArray) -
     return Start(name, values, problem.chi2(values))
 
 
+def _least_squares(problem: OutputError[ResponseModel]) -> FloatArray:
+    """Least squares of the equation of motion, all lines alike."""
+    linear = problem.model.linear
+    values = _by_line_products(problem, None) if has_line_products(linear, problem.weights) else None
+    return equation_solution(regression(problem.measured, linear, "none"), linear)[0] if values is None else values
+
+
 def _reweighted(problem: OutputError[ResponseModel], last: FloatArray) -> FloatArray:
     """Least squares of the whitened equation error times Z_last^-1."""
     measured, linear = problem.measured, problem.model.linear
+    if has_line_products(linear, problem.weights):
+        values = _by_line_products(problem, last)
+        if values is not None:
+            return values
     terms = linear.filtered(last, linear.equation_terms(measured.matrix, measured.omega), measured.omega)
     right_side = linear.filtered(last, linear.equation_constant(measured.matrix, measured.omega)[None], measured.omega)[0]
     return solve_scaled(problem.whitened(terms).T, problem.whitened(right_side))[0]
+
+
+def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | None) -> FloatArray | None:
+    """The same from products line by line, without weights and Z_last^-1 where there is no *last*; None where they are too inexact."""
+    measured, linear = problem.measured, problem.model.linear
+    weights = np.ones_like(problem.weights) if last is None else problem.weights
+
+    def equations_at(values: FloatArray, products: bool) -> NormalEquations:
+        def lines_of(lines: slice) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+            omega, response = measured.omega[lines], measured.matrix[lines]
+            none = np.broadcast_to(np.eye(response.shape[1], dtype=np.complex128), (omega.size, *(response.shape[1:2] * 2)))
+            inverse = none if last is None else compliance(linear, last, omega)
+            return inverse, response, inverse @ (linear.whole(values).force - linear.dynamic_stiffness(values, omega) @ response)
+
+        return normal_equations(linear, measured.omega, weights, lines_of, products)
+
+    values = np.zeros(len(linear.terms))
+    equations = equations_at(values, True)
+    found = triangle_of_products(equations.products)
+    if found is None:
+        return None
+    scale, triangle = found
+    for projected in (equations.projected, None):
+        # The second round is the one refinement of the seminormal equations.
+        side = equations_at(values, False).projected if projected is None else projected
+        values = values + np.linalg.solve(triangle, np.linalg.solve(triangle.T, side / scale)) / scale
+    return values

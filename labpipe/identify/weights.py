@@ -132,8 +132,11 @@ def has_noise(measured: Measured) -> bool:
 def equal_weights(measured: Measured) -> ComplexArray:
     """Equal weights for all FRFs and lines, (n_line, n, n) [N/m], scaled by the FRF's size so that units have no influence."""
     n = measured.matrix.shape[1] * measured.matrix.shape[2]
-    size = np.sqrt(np.mean(np.abs(measured.matrix) ** 2))
-    return np.broadcast_to(np.eye(n) / size, (measured.omega.size, n, n)).astype(np.complex128)
+    return np.broadcast_to(np.eye(n) / _size(measured), (measured.omega.size, n, n)).astype(np.complex128)
+
+
+def _size(measured: Measured) -> float:
+    return float(np.sqrt(np.mean(np.abs(measured.matrix) ** 2)))
 
 
 def whitener(measured: Measured) -> ComplexArray:
@@ -147,6 +150,15 @@ def whitener(measured: Measured) -> ComplexArray:
     return weights
 
 
+def fit_weights(measured: Measured) -> ComplexArray:
+    """The whitener, or equal weights where no noise is known; as their diagonals (n_line, n) [N/m] where all else is zero."""
+    if not has_noise(measured):
+        return np.broadcast_to(1 / _size(measured), (measured.omega.size, measured.matrix[0].size)).astype(np.complex128)
+    assert measured.covariance is not None
+    std = _deviations(measured)
+    return (1 / std).astype(np.complex128) if np.count_nonzero(measured.covariance) == std.size else short_weights(whitener(measured))
+
+
 def singular_lines(measured: Measured) -> BoolArray:
     """Whether the covariance of a line (n, n) [m^2/N^2] has no inverse, for every line; FitError for a zero variance."""
     return _singular(_scaled(measured)[1])
@@ -155,10 +167,17 @@ def singular_lines(measured: Measured) -> BoolArray:
 def _scaled(measured: Measured) -> tuple[FloatArray, ComplexArray]:
     """Standard deviations (n_line, n) [m/N] and correlations (n_line, n, n) [1] of the FRFs; FitError for a zero variance."""
     assert measured.covariance is not None
-    std = np.sqrt(np.einsum("lii->li", measured.covariance).real)
+    std = _deviations(measured)
+    return std, measured.covariance / (std[:, :, None] * std[:, None, :])
+
+
+def _deviations(measured: Measured) -> FloatArray:
+    """Standard deviations (n_line, n) [m/N] of the FRFs; FitError for a zero variance."""
+    assert measured.covariance is not None
+    std: FloatArray = np.sqrt(np.einsum("lii->li", measured.covariance).real)
     if np.any(std == 0):
         raise FitError(f"the variance of the FRF is zero at {_first(measured, std == 0)}", hint="leave this line out with `exclude`")
-    return std, measured.covariance / (std[:, :, None] * std[:, None, :])
+    return std
 
 
 def _singular(scaled: ComplexArray) -> BoolArray:
@@ -168,12 +187,12 @@ def _singular(scaled: ComplexArray) -> BoolArray:
 def whitened(whitener: ComplexArray, values: ComplexArray) -> FloatArray:
     """FRFs (..., n_line, n_output, n_input) [m/N] as uncorrelated real equations (..., n_equation) [1] of variance 1.
 
-    *whitener* (n_line, n, n) [N/m]. Equation (est-whitened).
+    *whitener* (n_line, n, n) [N/m], or its diagonals (n_line, n). Equation (est-whitened).
     """
     flat = values.reshape(*values.shape[:-2], -1)
-    diagonal = _diagonal_of(whitener)
-    if diagonal is not None:
-        return np.sqrt(2.0) * stacked((flat * diagonal).reshape(*values.shape[:-3], -1))
+    whitener = short_weights(whitener)
+    if whitener.ndim == 2:
+        return np.sqrt(2.0) * stacked((flat * whitener).reshape(*values.shape[:-3], -1))
     white = np.matmul(whitener, np.moveaxis(flat, -2, 0).reshape(flat.shape[-2], -1, flat.shape[-1]).swapaxes(1, 2))
     lines = np.moveaxis(white, 2, 0).reshape(*values.shape[:-3], -1)
     return np.sqrt(2.0) * stacked(lines)
@@ -182,26 +201,28 @@ def whitened(whitener: ComplexArray, values: ComplexArray) -> FloatArray:
 def whitened_columns(whitener: ComplexArray, terms: ComplexArray) -> FloatArray:
     """Terms (n_term, n_line, n_output, n_input) [m/N per unit of the term] whitened as `whitened` does, as columns (n_equation, n_term).
 
-    *whitener* (n_line, n, n) [N/m].
+    *whitener* (n_line, n, n) [N/m], or its diagonals (n_line, n).
     """
     n_term, n_line, n = terms.shape[0], terms.shape[1], terms.shape[2] * terms.shape[3]
     by_line = terms.transpose(1, 2, 3, 0)
-    diagonal = _diagonal_of(whitener)
+    whitener = short_weights(whitener)
     stacked_columns = np.empty((2, n_line, n, n_term))
     n_chunk = max(16, CACHED_TERMS // (n * n_term))
     for start in range(0, n_line, n_chunk):
         lines = slice(start, start + n_chunk)
         columns = by_line[lines].reshape(-1, n, n_term)
-        white = whitener[lines] @ columns if diagonal is None else columns * diagonal[lines, :, None]
+        white = whitener[lines] @ columns if whitener.ndim == 3 else columns * whitener[lines, :, None]
         np.multiply(white.real, np.sqrt(2.0), out=stacked_columns[0, lines])
         np.multiply(white.imag, np.sqrt(2.0), out=stacked_columns[1, lines])
     return stacked_columns.reshape(2 * n_line * n, n_term)
 
 
-def _diagonal_of(whitener: ComplexArray) -> ComplexArray | None:
-    """The diagonals (n_line, n) of weights (n_line, n, n) where all else is zero: FRFs with independent noise. None otherwise."""
+def short_weights(whitener: ComplexArray) -> ComplexArray:
+    """Weights (n_line, n, n) [N/m] as their diagonals (n_line, n) where all else is zero: FRFs with independent noise."""
+    if whitener.ndim == 2:
+        return whitener
     diagonal: ComplexArray = np.einsum("lnn->ln", whitener)
-    return diagonal if np.count_nonzero(whitener) == np.count_nonzero(diagonal) else None
+    return diagonal if np.count_nonzero(whitener) == np.count_nonzero(diagonal) else whitener
 
 
 def _first(measured: Measured, at: BoolArray) -> str:

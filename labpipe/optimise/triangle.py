@@ -16,13 +16,23 @@ def scaled_triangle(columns: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
     *columns* (n_row, n) [any unit]; a column of zeros keeps its length 1. Products of columns (Cholesky) cost a fraction of Householder's
     QR and are as accurate while the condition number is far below 1 / sqrt(rounding); QR is used beyond that.
     """
-    products = columns.T @ columns
+    found = triangle_of_products(columns.T @ columns)
+    if found is not None:
+        return *found, True
+    lengths = np.linalg.norm(columns, axis=0)
+    scale = np.where(lengths > 0, lengths, 1.0)
+    return scale, np.asarray(np.linalg.qr(columns / scale, mode="r")), False
+
+
+def triangle_of_products(products: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """(lengths S of the columns [any unit], R (n, n) [1]) from the products (n, n) of columns with each other; None where R is too inexact.
+
+    Products of zero keep the length 1.
+    """
     scale = np.sqrt(np.diag(products))
     scale = np.where(scale > 0, scale, 1.0)
     try:
         triangle: FloatArray = np.linalg.cholesky(products / np.outer(scale, scale)).T
-        if np.linalg.cond(triangle) < WELL_CONDITIONED:
-            return scale, triangle, True
     except np.linalg.LinAlgError:
-        pass
-    return scale, np.asarray(np.linalg.qr(columns / scale, mode="r")), False
+        return None
+    return (scale, triangle) if np.linalg.cond(triangle) < WELL_CONDITIONED else None

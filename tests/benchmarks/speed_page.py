@@ -23,11 +23,10 @@ from scipy import fft
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 from tests.benchmarks.raw_files import KINDS, ROOT, least_costs, measured
-from tests.benchmarks.test_identify_ratios import cpu_time
+from tests.benchmarks.test_identify_ratios import chain, cpu_time
 
 PAGE = ROOT / "docs/pages/speed.md"
 RATE = 1024.0
@@ -67,19 +66,6 @@ def frf_rows() -> Iterator[str]:
         floor = cpu_time(bare, 7)
         own = cpu_time(lambda recording=recording, settings=settings: measure([recording], settings), 7)
         yield f"| {n_output} x {n_input} | {block} | {n_sample} | {1e3 * floor:.0f} ms | {own / floor:.2f} |"
-
-
-def chain(n_dof: int, n_line: int) -> FrequencyResponse:
-    """Masses 1, 2, ... kg in a chain of springs with damping, all FRFs with noise of known size."""
-    stiffness = 2 * np.eye(n_dof) - np.eye(n_dof, k=1) - np.eye(n_dof, k=-1)
-    w = np.linspace(0.05, 2.41, n_line)[:, None, None]
-    mass, damping = np.diag(1.0 + np.arange(n_dof)), 0.02 * stiffness + 0.01 * np.eye(n_dof)
-    h = np.linalg.inv(stiffness + 1j * w * damping - w**2 * mass)
-    rng, std = np.random.default_rng(1), 0.02 * np.median(np.abs(h))
-    noisy = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
-    dofs = [f"x{number}" for number in range(n_dof)]
-    outputs, inputs = tuple(Port(dof, dof, dof) for dof in dofs), tuple(Port(f"f{dof}", f"f{dof}", dof) for dof in dofs)
-    return FrequencyResponse(w[:, 0, 0] / (2 * np.pi), noisy, outputs, inputs, covariance=uncorrelated(np.full(h.shape, std**2)))
 
 
 def likelihood_rows() -> Iterator[str]:

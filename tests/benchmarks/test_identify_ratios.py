@@ -6,15 +6,23 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
+from labpipe.identify import output_error
+from labpipe.identify import starts as start_values
+from labpipe.identify.base_motion import form_view
 from labpipe.identify.fitting import identify
 from labpipe.identify.instrumental import instrumental_variables
 from labpipe.identify.mdof import mdof
-from labpipe.identify.measured import Measured
+from labpipe.identify.measured import Measured, measured_part
+from labpipe.identify.output_error import OutputError
 from labpipe.identify.regression import least_squares
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.setup import Setup
-from labpipe.records.response import FrequencyResponse, Port
+from labpipe.identify.starts import starts
+from labpipe.identify.weights import fit_weights
+from labpipe.optimise.levenberg import linearised
+from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from tests.unit.identify.conftest import DAMPING, DOFS, FORCES, MASS, STIFFNESS, with_noise
 from tests.unit.identify.literal import literal_iv
 
@@ -77,11 +85,54 @@ def four_dofs() -> FrequencyResponse:
     return with_noise(frequency, h, outputs, inputs, 0.01 * float(np.median(np.abs(h))), rng)
 
 
-def test_comparison_of_models_over_the_fit(record_property) -> None:  # type: ignore[no-untyped-def]
+def test_comparison_of_models_over_the_fit(record_property, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
+    """Over a fit that writes out its derivatives, as some of the models compared have to."""
     response = four_dofs()
     settings = FitSettings("mdof", symmetric=False)
-    fit = cpu_time(lambda: identify(response, settings), 3)
+    with monkeypatch.context() as patch:
+        for module in (output_error, start_values):
+            patch.setattr(module, "has_line_products", lambda *_: False)
+        fit = cpu_time(lambda: identify(response, settings), 3)
     ratio = cpu_time(lambda: identify(response, FitSettings("mdof", symmetric=False, compare=True)), 1) / fit
     record_property("compared_over_fit_4x4", round(ratio, 1))
     # Seven models are compared, three of them with up to three times the parameters of the fit.
     assert ratio < 10
+
+
+def chain(n_dof: int, n_line: int) -> FrequencyResponse:
+    """Masses 1, 2, ... kg in a chain of springs with damping, all FRFs with noise of known size."""
+    stiffness = 2 * np.eye(n_dof) - np.eye(n_dof, k=1) - np.eye(n_dof, k=-1)
+    w = np.linspace(0.05, 2.41, n_line)[:, None, None]
+    mass, damping = np.diag(1.0 + np.arange(n_dof)), 0.02 * stiffness + 0.01 * np.eye(n_dof)
+    h = np.linalg.inv(stiffness + 1j * w * damping - w**2 * mass)
+    rng, std = np.random.default_rng(1), 0.02 * np.median(np.abs(h))
+    noisy = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    dofs = [f"x{number}" for number in range(n_dof)]
+    outputs, inputs = tuple(Port(dof, dof, dof) for dof in dofs), tuple(Port(f"f{dof}", f"f{dof}", dof) for dof in dofs)
+    return FrequencyResponse(w[:, 0, 0] / (2 * np.pi), noisy, outputs, inputs, covariance=uncorrelated(np.full(h.shape, std**2)))
+
+
+def test_likelihood_over_dofs_and_lines(record_property) -> None:  # type: ignore[no-untyped-def]
+    """All coefficients of chains with known noise: 6 dofs over 3 (72 parameters over 18), and ten times the lines; goals 8 and 11."""
+
+    def spent(n_dof: int, n_line: int, repeats: int) -> float:
+        response = chain(n_dof, n_line)
+        settings = FitSettings("mdof", symmetric=False, estimator="ml", mass=tuple(1.0 + np.arange(n_dof)))
+        return cpu_time(lambda: identify(response, settings), repeats)
+
+    few, more_dofs, more_lines = spent(3, 1000, 4), spent(6, 1000, 2), spent(3, 10_000, 2)
+    record_property("ml_6_over_3_dofs", round(more_dofs / few, 1))
+    record_property("ml_10x_lines", round(more_lines / few, 1))
+    assert more_dofs < 12 * few and more_lines < 16 * few
+
+
+def test_a_linearisation_over_its_derivatives(record_property) -> None:  # type: ignore[no-untyped-def]
+    """What the products line by line spare at 6 dofs: the derivatives, their whitening and their triangle."""
+    response = chain(6, 1000)
+    data = measured_part(response, list(range(6)), list(range(6)), np.ones(1000, bool), form_view(response.form, FitSettings("mdof")))
+    model = mdof(Setup(response.outputs, response.inputs, FitSettings("mdof", mass=tuple(1.0 + np.arange(6)), symmetric=False)))
+    problem = OutputError(data, model, fit_weights(data))
+    here = starts(problem)[0].values
+    ratio = cpu_time(lambda: linearised(problem, here), 3) / cpu_time(lambda: problem.linearised(here), 8)
+    record_property("ml_linearisation_derivatives_over_own", round(ratio, 1))
+    assert ratio > 3

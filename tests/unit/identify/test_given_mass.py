@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from labpipe.identify.fitting import identify
+from labpipe.identify.given_mass import _FreeFit, _p_value
 from labpipe.identify.settings import FitSettings, Sliding
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Fit
@@ -128,3 +129,9 @@ def test_another_fault_is_not_called_a_mass() -> None:
     other = 1 / (1.1 * STIFFNESS - MASS * w**2 + 2j * RATIO * np.sqrt(STIFFNESS * MASS) * w)
     fit = single(replace(response, matrix=response.matrix + other[:, None, None]), MASS, "ml")
     assert findings(fit, "model-mismatch") and not findings(fit, "mass")
+
+
+def test_frfs_met_to_the_last_digit_tell_the_mass_for_certain() -> None:
+    """No scatter at all: masses within the tolerance of 1 % are right, others wrong."""
+    for mass, p_value in ((1.005, 1.0), (1.02, 0.0)):
+        assert _p_value(_FreeFit(np.array([5.0, mass]), np.zeros((2, 2)), 100.0), np.array([1.0])) == p_value

@@ -67,3 +67,9 @@ def test_degrees_of_freedom_are_those_of_the_lines_that_matter() -> None:
     # By the shares seen, whose fourth moment scatters: 3 (sum g^2)^2 / sum g^4 of 1000 is 1000 +- 15 %.
     assert all_lines == pytest.approx(1000 / share, rel=0.15)
     assert ten_lines <= 10 / share + 1e-6
+
+
+def test_a_residual_of_zero_scatters_nothing(rng: np.random.Generator) -> None:
+    """FRFs computed from the model itself: no variance, and the degrees of freedom that the slopes alone give."""
+    scatter = line_scatter(rng.normal(size=(80, 3)), np.zeros(80), 20)
+    assert not np.any(scatter.covariance) and np.all((scatter.dof > 1) & (scatter.dof <= 20))

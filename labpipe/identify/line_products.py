@@ -1,0 +1,114 @@
+"""Normal equations of an output error from products of small matrices line by line, without the derivatives themselves.
+
+An element (a, b) of a matrix K, C or M changes the response by an outer product: column a of Z^-1 times row b of the response. The sum over
+the lines of products of two such derivatives is therefore one product of (columns by columns) and (rows by rows), for FRFs with independent
+noise. The derivatives of all parameters on all lines, n^2 times as many numbers, are never made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.identify.model import CACHED_ELEMENTS, DynamicModel
+
+# By what a matrix of each kind stands in Z(w): factor and power of w.
+FACTORS = {"stiffness": (1.0, 0), "damping": (1j, 1), "mass": (-1.0, 2)}
+
+# From some lines to Z^-1 (n_line, n_dof, n_dof), the response (n_line, n_dof, n_input) and the residual, same shape.
+LinesOf = Callable[[slice], tuple[ComplexArray, ComplexArray, ComplexArray]]
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """J^T J as *products* (n, n) and J^T r as *projected* (n,) [1 per parameter unit each], r^T r as *square* [1]."""
+
+    products: FloatArray
+    projected: FloatArray
+    square: float
+
+
+def has_line_products(model: object, weights: ComplexArray) -> bool:
+    """Whether a model and *weights* (n_line, n) or (n_line, n, n) [N/m] have them: linear in K, C, M alone, FRFs of independent noise."""
+    return isinstance(model, DynamicModel) and weights.ndim == 2 and model.acting["force"] is None
+
+
+def normal_equations(
+    model: DynamicModel, omega: FloatArray, weights: ComplexArray, lines_of: LinesOf, with_products: bool = True
+) -> NormalEquations:
+    """Of the columns Z^-1 Z_p H and the residual that *lines_of* gives, whitened by *weights* (n_line, n) [N/m]; *omega* (n_line,) [rad/s].
+
+    *with_products*: else J^T J stays zero. Equation (est-line-products).
+    """
+    n_dof = model.constant.force.shape[0]
+    kinds = [kind for kind in FACTORS if model.acting[kind] is not None]
+    powers = sorted({FACTORS[first][1] + FACTORS[second][1] for first, second in product(kinds, kinds)})
+    sums: dict[int, ComplexArray] = {power: np.zeros((n_dof * (n_dof + 1) // 2, n_dof**2), np.complex128) for power in powers}
+    sides: dict[str, ComplexArray] = {kind: np.zeros((n_dof, n_dof), np.complex128) for kind in kinds}
+    square = 0.0
+    n_chunk = max(16, CACHED_ELEMENTS // n_dof**3)
+    for start in range(0, omega.size, n_chunk):
+        lines = slice(start, start + n_chunk)
+        inverse, response, residual = lines_of(lines)
+        power = 2 * np.abs(weights[lines].reshape(residual.shape)) ** 2
+        weighted = power * residual
+        square += float(np.sum((weighted * residual.conj()).real))
+        side = inverse.conj().swapaxes(1, 2) @ weighted @ response.conj().swapaxes(1, 2)
+        for kind in kinds:
+            sides[kind] += np.tensordot(omega[lines] ** FACTORS[kind][1], side, 1)
+        if with_products:
+            _add_products(inverse, response, power, omega[lines], sums)
+    return NormalEquations(_gathered(model, kinds, sums), _projected(model, sides), square)
+
+
+def _add_products(
+    inverse: ComplexArray, response: ComplexArray, power: FloatArray, omega: FloatArray, sums: dict[int, ComplexArray]
+) -> None:
+    """Add sum_li w^p conj(G_ia) G_ic sum_j power_ij conj(H_bj) H_dj, in the order (a <= c, bd), for the powers p of *sums*."""
+    n_line, n_dof = inverse.shape[:2]
+    first, second = np.triu_indices(n_dof)
+    columns = (inverse[:, :, first].conj() * inverse[:, :, second]).reshape(-1, first.size)
+    by_input = np.ascontiguousarray(response.swapaxes(1, 2))
+    outer = (by_input.conj()[:, :, :, None] * by_input[:, :, None, :]).reshape(n_line, -1, n_dof**2)
+    rows = (power @ outer.view(np.float64)).view(np.complex128)
+    for exponent, total in sums.items():
+        scaled = rows * (omega**exponent)[:, None, None] if exponent else rows
+        total += columns.T @ scaled.reshape(-1, n_dof**2)
+
+
+def _gathered(model: DynamicModel, kinds: list[str], sums: dict[int, ComplexArray]) -> FloatArray:
+    """The products (n_parameter, n_parameter) of all terms from those of their elements."""
+    n_dof, numbers = model.constant.force.shape[0], np.arange(len(model.terms))
+    products = np.zeros((numbers.size, numbers.size))
+    whole = {power: _whole(total, n_dof) for power, total in sums.items()}
+    for one, other in product(kinds, kinds):
+        (factor, exponent), (other_factor, other_exponent) = FACTORS[one], FACTORS[other]
+        elements = (np.conj(factor) * other_factor * whole[exponent + other_exponent]).real
+        acting, other_acting = model.acting[one], model.acting[other]
+        assert acting is not None and other_acting is not None
+        combined = acting.combined(other_acting.combined(elements).T).T.real
+        products[np.ix_(numbers[acting.place], numbers[other_acting.place])] = combined
+    return products
+
+
+def _whole(total: ComplexArray, n_dof: int) -> ComplexArray:
+    """Sums in the order (a <= c, bd) as a matrix (ab, cd), (n_dof^2, n_dof^2); those of (c, a) are the conjugates, b and d exchanged."""
+    first, second = np.triu_indices(n_dof)
+    part = total.reshape(-1, n_dof, n_dof)
+    whole = np.empty((n_dof,) * 4, np.complex128)
+    whole[second, first] = part.conj().swapaxes(1, 2)
+    whole[first, second] = part
+    return whole.transpose(0, 2, 1, 3).reshape(n_dof**2, n_dof**2)
+
+
+def _projected(model: DynamicModel, sides: dict[str, ComplexArray]) -> FloatArray:
+    projected = np.zeros(len(model.terms))
+    for kind, side in sides.items():
+        acting = model.acting[kind]
+        assert acting is not None
+        projected[acting.place] += acting.combined((np.conj(FACTORS[kind][0]) * side).real.reshape(-1)).real
+    return projected
