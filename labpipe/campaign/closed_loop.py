@@ -14,7 +14,8 @@ from labpipe.bearings.margins import margins
 from labpipe.bearings.open_loop import open_loop
 from labpipe.campaign.amount_budget import with_budget
 from labpipe.campaign.loop_file import with_unknowns
-from labpipe.campaign.loop_fit import BENT, REACH, LoopFit
+from labpipe.campaign.loop_fit import BENT, LoopFit
+from labpipe.campaign.loop_minimum import REACH
 from labpipe.errors import ConfigError
 from labpipe.records.budget import Budget
 from labpipe.records.doubt import Doubt

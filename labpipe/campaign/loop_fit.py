@@ -11,12 +11,12 @@ from labpipe.arrays import FloatArray
 from labpipe.campaign.amount_budget import with_budget
 from labpipe.campaign.amounts import chance, with_error
 from labpipe.campaign.loop_file import unknown
+from labpipe.campaign.loop_minimum import UNDETERMINED, LoopMinimum
 from labpipe.campaign.loop_problem import LoopObservation, LoopProblem
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import FitError
 from labpipe.identify.diagnostics import COLLINEAR_CONDITION
 from labpipe.identify.measured import Measured
 from labpipe.identify.statistics import correlation, student_limit
-from labpipe.identify.systematic import explained, steps_by
 from labpipe.identify.weights import has_noise, weight_doubt
 from labpipe.optimise.levenberg import Minimum, linearised, minimise
 from labpipe.records.budget import Budget
@@ -24,12 +24,10 @@ from labpipe.records.doubt import Doubt
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Parameter
 
-# Condition number of the scaled Jacobian beyond which rounding determines the unknowns.
-UNDETERMINED = 1e6
 # Distance to the minimum in standard errors at which a descent that can go no further has ended.
 SETTLED = 0.5
-# Second order is looked for so many combined standard errors away, and said where it is above this share of first order.
-REACH, BENT = 2.0, 0.25
+# Shares of first order above which second order is followed by intervals, and above which it is said.
+CURVED, BENT = 0.05, 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,70 +128,6 @@ def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
     return _with_errors(whole, at_end, doubt.inflation, dof) if whole.usable else whole
 
 
-@dataclass(frozen=True)
-class LoopMinimum:
-    """The problem at the end *u* (n_parameter,) [1] of its descent.
-
-    residual (n_equation,) [1], jacobian (n_equation, n_parameter) [1], inverse (n_parameter, n_parameter) [1] of J^T J; sources and
-    their changes (n_source, n_equation) [1] of the residual.
-    """
-
-    problem: LoopProblem
-    u: FloatArray
-    residual: FloatArray
-    jacobian: FloatArray
-    inverse: FloatArray
-    sources: tuple[Doubt, ...]
-    changes: FloatArray
-
-    @classmethod
-    def of(cls, problem: LoopProblem, u: FloatArray) -> LoopMinimum:
-        """The problem at u (n_parameter,) [1]."""
-        jacobian = problem.jacobian(u)
-        length = np.linalg.norm(jacobian, axis=0)
-        length[length == 0] = 1.0
-        _, singular, turn = np.linalg.svd(jacobian / length, full_matrices=False)
-        # What the responses do not tell has no step.
-        told = singular > singular.max(initial=0.0) / UNDETERMINED
-        inverse = (turn[told].T / singular[told] ** 2) @ turn[told] / np.outer(length, length)
-        return cls(problem, u, problem.residual(u), jacobian, inverse, *problem.changes(u))
-
-    def chi2(self, excess: float) -> float:
-        """Chi-square for weights that are too large by *excess*, without what systematic errors explain of it."""
-        scale = np.sqrt(excess)
-        told = explained(self.residual / scale, self.changes / scale, self.jacobian, self.inverse)
-        return float(self.residual @ self.residual) / excess - told
-
-    @property
-    def steps(self) -> FloatArray:
-        """Change (n_source, n_parameter) [1] of u by one standard uncertainty of every source, those of the support the last."""
-        n = len(self.problem.unknowns)
-        return np.vstack([steps_by(self.changes, self.jacobian, self.inverse), self.inverse[n:]])
-
-    def random(self, inflation: float) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [1] of u by the noise of the responses, without what the support's doubt adds."""
-        of_support = self.inverse[:, len(self.problem.unknowns) :]
-        return np.asarray(inflation * (self.inverse - of_support @ of_support.T))
-
-    def bent(self, covariance: FloatArray) -> FloatArray:
-        """Second order over first order (n_unknown,) [1] of each unknown, REACH combined standard errors away.
-
-        covariance (n_parameter, n_parameter) [1] of u, combined. Equation (comp-bent).
-        """
-        found = np.zeros(len(self.problem.unknowns))
-        errors = np.sqrt(np.diag(covariance))
-        for column in range(found.size):
-            for sign in (1.0, -1.0):
-                away = sign * REACH * covariance[:, column] / errors[column]
-                try:
-                    beyond = self.problem.residual(self.u + away) - self.residual - self.jacobian @ away
-                except ConfigError:
-                    return np.full(found.size, np.inf)
-                shift = steps_by(beyond[None], self.jacobian, self.inverse)[0]
-                found = np.maximum(found, np.abs(shift / errors)[: found.size] / REACH)
-        return found
-
-
 def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tuple[str, ...]]:
     """The condition number of the scaled Jacobian, and the unknowns that cause it."""
     idle = _without_influence(problem, jacobian)
@@ -209,7 +143,7 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int) 
     problem = at_end.problem
     n, values = len(problem.unknowns), np.array([entry.value for entry in problem.unknowns])
     random, steps = at_end.random(inflation), at_end.steps
-    whole = random + steps.T @ steps
+    whole = at_end.combined(inflation)
     covariance = np.outer(values, values) * random[:n, :n]
     limit = student_limit(dof)
     plain = [
@@ -221,7 +155,20 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int) 
     related = correlation(np.outer(values, values) * whole[:n, :n])
     pairs = tuple((plain[i].name, plain[j].name, float(related[i, j])) for i in range(n) for j in range(i))
     bent = tuple((one.name, float(size)) for one, size in zip(plain, at_end.bent(whole), strict=True))
+    if max(size for _, size in bent) > CURVED:
+        parameters = tuple(_curved(parameter, at_end, number, inflation, limit) for number, parameter in enumerate(parameters))
     return replace(fit, parameters=parameters, correlations=pairs, covariance=covariance, budget=budget, bent=bent)
+
+
+def _curved(parameter: Parameter, at_end: LoopMinimum, number: int, inflation: float, limit: float) -> Parameter:
+    """The unknown with an interval that follows the response; as it is where an end is not found."""
+    factor = parameter.coverage_factor or limit
+    ends = [at_end.end(number, sign * factor, inflation) for sign in (-1.0, 1.0)]
+    if ends[0] is None or ends[1] is None:
+        return parameter
+    start = at_end.problem.unknowns[number].value
+    low, high = sorted(start * (1 + end) for end in ends if end is not None)
+    return replace(parameter, ci95=(low, high), significant=not low <= 0 <= high)
 
 
 def _by_name(sources: Sequence[Doubt], changes: FloatArray) -> tuple[list[Doubt], FloatArray]:

@@ -13,12 +13,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.bearings.magnetic_kind import MagneticFile
 from labpipe.bearings.magnetic_stability import sensitivity
 from labpipe.campaign.certificate import certificate
 from labpipe.campaign.compare import Evidence, compare
 from labpipe.campaign.loop_file import with_unknowns
 from labpipe.campaign.loop_fit import LoopFit, identifiability_findings, loop_fit
 from labpipe.campaign.loop_matrix import sensitivity_matrix
+from labpipe.campaign.loop_problem import LoopObservation
 from labpipe.campaign.loop_view import View, receptance
 from labpipe.campaign.measured_margins import measured_margins
 from labpipe.campaign.per_injection import per_injection
@@ -26,6 +28,7 @@ from labpipe.campaign.prediction import prediction
 from labpipe.campaign.sensitivity import loop_sensitivity, measured_sensitivity, peak_of
 from labpipe.campaign.settings import CompareSettings, TheorySettings
 from labpipe.config.rules import Rule
+from labpipe.identify.measured import Measured
 from labpipe.identify.settings import Support
 from labpipe.records.channel_spectra import ChannelSpectra, UncertainFactor
 from labpipe.records.comparison import Comparison
@@ -444,6 +447,38 @@ def test_errors_that_first_order_does_not_tell_are_said() -> None:
     assert not identifiability_findings(one)
 
 
+def test_intervals_follow_the_course_of_the_response() -> None:
+    """A response in proportion to 1 / bandwidth, a gain with a doubt: its interval is the reciprocal of a straight line's, in closed form.
+
+    Estimate and error of x = 1000 Hz / bandwidth from H = x + noise over n lines: mean, s / root of 2 n by noise, x u by the gain.
+    """
+    n, noise, gain, gap = 40, 0.5, 0.05, 0.9
+    port, force = (Port(name, name, name) for name in ("y", "f"))
+    measured_x = Measured(
+        omega=np.arange(1.0, n + 1),
+        matrix=np.full((n, 1, 1), gap, complex),
+        covariance=np.full((n, 1, 1), noise**2, complex),
+        noise_dof=np.inf,
+        noise_lines=1.0,
+        outputs=(port,),
+        inputs=(force,),
+    )
+
+    def predict(file: MagneticFile, _: tuple[float, float]) -> np.ndarray:
+        return np.full((n, 1, 1), 1000.0 / file.loop.bandwidth, complex)
+
+    error = MatrixError(Doubt("y.gain", gain, "1"), -gain * measured_x.matrix)
+    fit = loop_fit([LoopObservation(measured_x, predict, GEOMETRY, errors=lambda *_: (error,))], ("bandwidth",))
+    (found,) = fit.parameters
+    u = np.hypot(noise / np.sqrt(2 * n), gap * gain)
+    ends = 1000.0 / (gap + found.coverage_factor * u), 1000.0 / (gap - found.coverage_factor * u)
+    assert found.value == pytest.approx(1000.0 / gap, rel=1e-6)
+    assert found.combined == pytest.approx(1000.0 * u / gap**2, rel=1e-5)
+    assert found.ci95 == pytest.approx(ends, rel=1e-3)
+    # That of first order is even.
+    assert ends[0] - (found.value - found.expanded) > 10 and ends[1] - (found.value + found.expanded) > 10
+
+
 def test_an_unknown_at_the_edge_of_the_possible_ends_the_fit_without_an_error() -> None:
     """The response of a loop without delay, off by a gain: a negative delay would fit best, and none can be."""
     fast = with_unknowns(GEOMETRY, {"delay": 1e-9})
@@ -452,6 +487,9 @@ def test_an_unknown_at_the_edge_of_the_possible_ends_the_fit_without_an_error() 
     fit = fitted([late], ("delay",))
     assert 0 <= fit.parameters[0].value < 1e-6
     assert [finding.code for finding in identifiability_findings(fit)] in (["no-convergence"], ["first-order"])
+    # Chi-square stays one, though no unknown can take what is left.
+    told = fitted([replace(late, response=with_doubts(late.response, *SIZES))], ("delay",))
+    assert 0 < told.chi2_reduced <= fit.chi2_reduced
 
 
 @pytest.fixture(scope="module")
