@@ -225,8 +225,8 @@ def _bent_findings(fit: LoopFit) -> list[Finding]:
     largest = max(size for _, size in fit.bent)
     size = f"by {100 * largest:.0f} % of the way" if np.isfinite(largest) else "since such values are none that a bearing can have"
     what = (
-        f"two standard errors away from the fitted {' and '.join(names)} first order fails, {size}: their intervals, and those of what the "
-        "fitted loop says, are rough and one-sided"
+        f"two standard errors away from the fitted {' and '.join(names)} first order fails, {size}: standard errors, and what the fitted "
+        "loop says, are rough; intervals of the unknowns follow the response as far as it tells their ends"
     )
     return [Finding("first-order", what)]
 

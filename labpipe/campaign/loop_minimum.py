@@ -18,7 +18,7 @@ UNDETERMINED = 1e6
 REACH = 2.0
 # An end of an interval is known to this share of a combined standard error, in so many steps, each halved so often to stay possible.
 # It is approached in stages, so that none is far.
-CLOSE, MOST_STEPS, MOST_HALVINGS, STAGES = 1e-3, 20, 20, 4
+CLOSE, MOST_STEPS, MOST_HALVINGS, STAGES = 1e-2, 30, 12, 3
 
 
 @dataclass(frozen=True)
@@ -81,29 +81,25 @@ class LoopMinimum:
         """
         here: LoopMinimum = self
         for stage in range(1, STAGES + 1):
-            found = here.at_distance(column, distance * stage / STAGES, inflation)
-            if found is None or (found.u[column] - self.u[column]) * distance < 0:
-                return None
-            here = found
-        return float(here.u[column])
+            here, ended = here.at_distance(column, distance * stage / STAGES, inflation)
+        aside = (here.u[column] - self.u[column]) * distance < 0
+        return None if aside or not ended else float(here.u[column])
 
-    def at_distance(self, column: int, distance: float, inflation: float) -> LoopMinimum | None:
+    def at_distance(self, column: int, distance: float, inflation: float) -> tuple[LoopMinimum, bool]:
         """The problem where the step to its estimate is *distance* combined standard errors of a parameter long, begun from here.
 
-        At the edge of what a bearing can have, the problem there; None where the search does not end.
+        At the edge of what a bearing can have, the problem there. False where the search did not end.
         """
         here: LoopMinimum = self
         for _ in range(MOST_STEPS):
             covariance = here.combined(inflation)
             error = float(np.sqrt(covariance[column, column]))
             move = steps_by(here.residual[None], here.jacobian, here.inverse)[0] + distance * covariance[:, column] / error
-            if abs(move[column]) < CLOSE * error:
-                return here
             there = here.moved(move)
-            if there is None:
-                return here
+            if there is None or abs(there.u[column] - here.u[column]) < CLOSE * error:
+                return here, True
             here = there
-        return None
+        return here, False
 
     def moved(self, move: FloatArray) -> LoopMinimum | None:
         """The problem *move* (n_parameter,) [1] away, as much of it as is possible; None where nothing is."""
