@@ -28,6 +28,7 @@ from labpipe.campaign.prediction import prediction
 from labpipe.campaign.sensitivity import loop_sensitivity, measured_sensitivity, peak_of
 from labpipe.campaign.settings import CompareSettings, TheorySettings
 from labpipe.config.rules import Rule
+from labpipe.identify.fitting import identify
 from labpipe.identify.measured import Measured
 from labpipe.identify.settings import Support
 from labpipe.records.channel_spectra import ChannelSpectra, UncertainFactor
@@ -45,9 +46,11 @@ from tests.unit.campaign.certified import response as of_signals
 from tests.unit.campaign.loop_cases import SUPPORT, bearing, measured
 from tests.unit.campaign.test_certificate import OWN
 
-SIZES = {"gain": 0.01, "delay": 5e-6, "phase": 0.01}
+SIZES = {"gain": 0.002, "delay": 1e-6, "phase": 0.002}
 GEOMETRY = bearing("hmb-geometry")
 STEP = 1e-3
+# The current has a kink over the delay where the command arrives as it is sampled, at 75 us.
+LATER = with_unknowns(FILE, {"delay": 85e-6})
 
 
 def doubted(port: Port, *effects: str, source: str = "") -> Port:
@@ -58,6 +61,11 @@ def doubted(port: Port, *effects: str, source: str = "") -> Port:
 def with_doubts(response: FrequencyResponse, *effects: str, source: str = "") -> FrequencyResponse:
     ports = {name: tuple(doubted(port, *effects, source=source) for port in getattr(response, name)) for name in ("outputs", "inputs")}
     return replace(response, **ports)
+
+
+def thinned(response: FrequencyResponse, every: int) -> FrequencyResponse:
+    lines = slice(None, None, every)
+    return replace(response, frequency=response.frequency[lines], matrix=response.matrix[lines], covariance=response.covariance[lines])
 
 
 def off(response: FrequencyResponse, label: str, effect: str, error: float) -> FrequencyResponse:
@@ -318,9 +326,8 @@ def test_unknowns_of_a_sensitivity_follow_the_channels() -> None:
 @pytest.mark.parametrize("before", ["before", ""])
 def test_what_a_certificate_says_follows_the_channels(before: str) -> None:
     """Unknowns, margins, modes and measured peak; with both sides of the sum, and per recorded excitation."""
-    # The current has a kink over the delay where the command arrives as it is sampled, at 75 us.
-    plain = of_signals(None, 1e-3, with_unknowns(FILE, {"delay": 85e-6}))
-    plain = replace(plain, frequency=plain.frequency[::4], matrix=plain.matrix[::4], covariance=plain.covariance[::4])
+    plain = of_signals(None, 1e-3, LATER)
+    plain = thinned(plain, 8)
     own = {**OWN, "after": ["after"], **({"before": [before]} if before else {})}
     asked = CompareSettings(kind="certificate", theory=TheorySettings("b.yaml"), estimate=UNKNOWNS, certificate=own)
     wanted = (*UNKNOWNS, "sensitivity_peak", "phase_margin", "log_decrement_1", "pole_real_1", "f_n_1")
@@ -332,8 +339,7 @@ def test_what_a_certificate_says_follows_the_channels(before: str) -> None:
     whole = certificate(asked, with_doubts(plain, "gain", "delay"), FILE)
     changes = {name: budget for budget in whole.budgets for name in budget.names}
     sizes = np.array([whole.amount(name).combined for name in wanted])
-    labels = ["before", "after", "x", "i"] if before else ["after", "x", "i", "e"]
-    for label, effect in zip(labels, ["gain", "delay", "gain", "delay"], strict=True):
+    for label, effect in [("before", "gain"), ("x", "delay")] if before else [("after", "delay"), ("e", "gain")]:
         told = np.array([changes[name].change_by(f"{label}.{effect}", name) for name in wanted])
         expected = slopes(lambda d, of=(label, effect): found(off(plain, *of, d)), SIZES[effect])
         np.testing.assert_allclose(told / sizes, expected / sizes, atol=2e-3, err_msg=f"{label}.{effect}")
@@ -343,7 +349,7 @@ def test_what_a_certificate_says_follows_the_channels(before: str) -> None:
 
 def test_a_gain_of_all_signals_cancels_where_both_sides_of_the_sum_are_recorded() -> None:
     """Nor do gain and delay of the recorded excitation count; without *before* both do."""
-    plain = of_signals(np.random.default_rng(2), 0.02)
+    plain = thinned(of_signals(np.random.default_rng(2), 0.02, LATER), 4)
     asked = CompareSettings(
         kind="certificate",
         theory=TheorySettings("b.yaml"),
@@ -357,7 +363,7 @@ def test_a_gain_of_all_signals_cancels_where_both_sides_of_the_sum_are_recorded(
         said = certificate(asked, other, FILE)
         assert said.amounts == silent.amounts and not said.budgets
     alone = replace(asked, certificate={**OWN, "after": ["after"]})
-    assert certificate(alone, excited, FILE).budgets and certificate(alone, common, FILE).budgets
+    assert certificate(alone, excited, FILE).budgets
 
 
 def test_chi_square_does_not_reject_what_doubts_explain() -> None:
@@ -378,14 +384,13 @@ def test_chi_square_does_not_reject_what_doubts_explain() -> None:
 
 def test_bands_hold_what_given_numbers_leave() -> None:
     """A gain that is off by its doubt moves all bands; intervals by noise alone would miss the prediction."""
-    view = measured(GEOMETRY, np.random.default_rng(5), noise=1e-3, fits=True, support=(134.5e3, 3.68))
+    view = measured(GEOMETRY, np.random.default_rng(5), noise=2e-4, support=(134.5e3, 3.68))
+    view = replace(view, settings=replace(view.settings, band=(1.0, 130.0)))
     asked = CompareSettings(kind="prediction", fit="sliding", theory=TheorySettings("b.yaml"))
-    moved = off(view.response, "y", "gain", 0.01)
+    moved = off(view.response, "y", "gain", SIZES["gain"])
 
     def share(response: FrequencyResponse) -> float:
-        from labpipe.identify.fitting import identify
-
-        one = replace(view, response=response, fits=identify(response, view.settings))
+        one = replace(view, response=response, fits=identify(response, view.settings, judging=False))
         return prediction(asked, [one]).amount("share_k").value
 
     assert share(moved) < 0.6 < 0.9 <= share(with_doubts(moved, "gain"))
@@ -407,7 +412,7 @@ def spectra(response: FrequencyResponse, factors: tuple[UncertainFactor, ...]) -
 
 def test_spectra_carry_the_doubts_of_channels_and_of_sums() -> None:
     """Factors of all channels' gains do what the same doubts do at the ports of the response; one in a sum moves its channel alone."""
-    plain = of_signals(None, 1e-3)
+    plain = thinned(of_signals(None, 1e-3, LATER), 8)
     gains = []
     for number, name in enumerate(["e", *(port.label for port in plain.outputs)]):
         derivative = np.zeros((5, 5), complex)
@@ -501,7 +506,7 @@ def certified() -> Comparison:
         estimate=UNKNOWNS,
         certificate={**OWN, "after": ["after"], "before": ["before"]},
     )
-    return certificate(asked, with_doubts(of_signals(np.random.default_rng(1), 0.02), "gain"), FILE)
+    return certificate(asked, with_doubts(thinned(of_signals(np.random.default_rng(1), 0.02, LATER), 4), "gain"), FILE)
 
 
 def test_the_report_shows_the_shares_of_the_sources(certified: Comparison) -> None:
