@@ -27,7 +27,7 @@ from labpipe.records.identification import Parameter
 # Distance to the minimum in standard errors at which a descent that can go no further has ended.
 SETTLED = 0.5
 # Shares of first order above which second order is followed by intervals, and above which it is said.
-CURVED, BENT = 0.05, 0.25
+CURVED, BENT = 0.1, 0.25
 
 
 @dataclass(frozen=True, kw_only=True)

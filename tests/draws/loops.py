@@ -68,7 +68,8 @@ def _with_ports(test: FrequencyResponse | ChannelSpectra) -> FrequencyResponse:
         return test
     response, doubts = per_injection(test), {channel.name: channel.doubts for channel in test.channels}
     ports = {name: tuple(replace(port, doubts=doubts[port.label]) for port in getattr(response, name)) for name in ("outputs", "inputs")}
-    return replace(response, errors=(), **ports)
+    # Spectra of all channels have a covariance of every line's own.
+    return replace(response, errors=(), averages=response.covariance_dof + 1, **ports)
 
 
 def _prediction(settings: CompareSettings, pipeline: Pipeline, tests: list[FrequencyResponse]) -> LoopWorlds:

@@ -40,7 +40,7 @@ def test_combined_uncertainties_are_those_of_drawn_worlds(name: str, draws: int,
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("name", "draws"), [("preload-calibration", 300), ("magnetic-gains", 100), ("repeatability", 20)])
+@pytest.mark.parametrize(("name", "draws"), [("preload-calibration", 300), ("magnetic-gains", 60), ("repeatability", 20)])
 @pytest.mark.filterwarnings("ignore")
 def test_results_beside_fits_scatter_as_they_say(name: str, draws: int) -> None:
     """Lines of calibrations, unknowns of a loop under three gains, and what repeats give, within three deviations of so many draws."""
