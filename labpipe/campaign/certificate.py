@@ -15,21 +15,26 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.magnetic_kind import MagneticFile
 from labpipe.bearings.magnetic_stability import ZONES, zone_of
 from labpipe.bearings.open_loop import open_loop
+from labpipe.campaign.amount_budget import with_budget
 from labpipe.campaign.amounts import with_error
 from labpipe.campaign.certificate_settings import CertificateSettings
-from labpipe.campaign.closed_loop import ClosedLoop, closed_loop
+from labpipe.campaign.closed_loop import ClosedLoop, bent_findings, closed_loop
 from labpipe.campaign.limits import Limit, below, verdict_of, words
 from labpipe.campaign.loop_file import with_unknowns
-from labpipe.campaign.loop_fit import LoopFit, LoopObservation, fit_statement, goodness, identifiability_findings, loop_fit
+from labpipe.campaign.loop_fit import LoopFit, fit_statement, goodness, identifiability_findings, loop_fit
 from labpipe.campaign.loop_matrix import SensitivityMatrix, sensitivity_matrix
+from labpipe.campaign.loop_problem import LoopObservation
 from labpipe.campaign.measured_margins import measured_margins
 from labpipe.campaign.sensitivity import MeasuredSensitivity, Peak, peak_of
 from labpipe.campaign.settings import CompareSettings
 from labpipe.distributions import normal_quantile
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.diagnostics import MISMATCH_P
+from labpipe.identify.matrix_errors import matrix_errors
 from labpipe.identify.measured import chosen_ports, measured_part
+from labpipe.records.budget import Budget
 from labpipe.records.comparison import Comparison, Curve
+from labpipe.records.doubt import MatrixError
 from labpipe.records.finding import Finding, note
 from labpipe.records.identification import Parameter
 from labpipe.records.response import FrequencyResponse
@@ -43,24 +48,26 @@ def certificate(settings: CompareSettings, response: FrequencyResponse, file: Ma
 
     ConfigError for channels and settings that do not fit together, FitError without a covariance.
     """
-    own = settings.certificate or CertificateSettings()
-    own = own if own.after else replace(own, before=own.before or (settings.before,), after=(settings.after,))
+    own = resolved(settings)
     matrix = sensitivity_matrix(response, own.before, own.after)
     peaks = _peaks(matrix, response)
-    amounts, limits = _measured_amounts(matrix, peaks), []
+    told, budget = _measured_amounts(matrix, peaks)
+    amounts, budgets, limits = list(told), [budget], []
     worst = max(peaks, key=lambda peak: peak.value)
     fit, loop = None, None
     if file is not None:
         fit, loop = _fitted(settings, own, response, matrix, file)
     if loop is None or loop.unstable or "sensitivity_peak" not in loop.amounts:
-        limits.append(_zone_limit(own, worst.value, worst.error, "measured"))
+        limits.append(_zone_limit(own, worst.value, worst.combined, "measured"))
     else:
         limits.append(_zone_limit(own, loop.amounts["sensitivity_peak"], loop.error("sensitivity_peak"), "of the fitted loop"))
     if loop is not None:
-        amounts += loop.parameters(normal_quantile(0.975))
+        of_loop, budget = loop.parameters(normal_quantile(0.975))
+        amounts, budgets = [*amounts, *of_loop], [*budgets, budget]
         limits += [_decrement_limit(own, loop)] if loop.modes() and not loop.unstable else []
     amounts += [Parameter(f"probability_{limit.name}", limit.probability, "1", derived=True) for limit in limits]
-    amounts += [] if fit is None else [*goodness(fit), *fit.parameters]
+    if fit is not None:
+        amounts, budgets = [*amounts, *goodness(fit), *fit.parameters], [*budgets, fit.budget]
     verdict = verdict_of(limits, own.confidence)
     return Comparison(
         name=settings.name,
@@ -74,7 +81,14 @@ def certificate(settings: CompareSettings, response: FrequencyResponse, file: Ma
         curves=_curves(matrix, file, fit, own),
         correlations=() if fit is None else fit.correlations,
         findings=_findings(worst, file, fit, loop),
+        budgets=tuple(one for one in budgets if one is not None),
     )
+
+
+def resolved(settings: CompareSettings) -> CertificateSettings:
+    """The settings of the certificate, with the points of the comparison where it names none behind the sums."""
+    own = settings.certificate or CertificateSettings()
+    return own if own.after else replace(own, before=own.before or (settings.before,), after=(settings.after,))
 
 
 def _peaks(matrix: SensitivityMatrix, response: FrequencyResponse) -> list[Peak]:
@@ -83,24 +97,31 @@ def _peaks(matrix: SensitivityMatrix, response: FrequencyResponse) -> list[Peak]
     for number in range(len(matrix.loops)):
         size, error = matrix.size(number)
         phased = matrix.values[:, number, number]
-        found.append(peak_of(MeasuredSensitivity(matrix.frequency, phased, np.maximum(error, 1e-15 * size), matrix.quantile, response)))
+        above = np.maximum(error, 1e-15 * size)
+        found.append(peak_of(MeasuredSensitivity(matrix.frequency, phased, above, matrix.quantile, response, matrix.errors_of(number))))
     return found
 
 
-def _measured_amounts(matrix: SensitivityMatrix, peaks: Sequence[Peak]) -> list[Parameter]:
-    """Measured peaks and margins of all loops, and of several the largest singular value."""
-    amounts = []
+def _measured_amounts(matrix: SensitivityMatrix, peaks: Sequence[Peak]) -> tuple[tuple[Parameter, ...], Budget | None]:
+    """Measured peaks and margins of all loops, and of several the largest singular value, with what systematic errors add."""
+    amounts: list[Parameter] = []
+    changes: list[FloatArray] = []
     for number, (loop, peak) in enumerate(zip(matrix.loops, peaks, strict=True)):
         suffix = f"_{loop}" if len(peaks) > 1 else ""
-        amounts.append(with_error(f"peak{suffix}", "1", peak.value, peak.error, matrix.quantile))
-        amounts.append(Parameter(f"peak_frequency{suffix}", peak.frequency, "Hz", derived=True))
-        amounts += measured_margins(matrix.frequency, matrix.loop_transfer(number), matrix.quantile, suffix)
+        amounts += peak.amounts(matrix.quantile, suffix)
+        changes += [peak.changes, peak.frequency_changes]
+        transfer, moved = matrix.loop_transfer(number), matrix.transfer_changes(number)
+        for margin, change in measured_margins(matrix.frequency, transfer, moved, matrix.quantile, suffix):
+            amounts.append(margin)
+            changes.append(change)
     if len(peaks) > 1:
         size, error = matrix.largest()
         top = int(np.argmax(size))
         amounts.append(with_error("largest_singular_value", "1", float(size[top]), float(error[top]), matrix.quantile))
         amounts.append(Parameter("largest_frequency", float(matrix.frequency[top]), "Hz", derived=True))
-    return amounts
+        changes += [matrix.largest_changes()[:, top], np.zeros(len(matrix.errors))]
+    dof = 2 * matrix.dof if np.isfinite(matrix.dof) else None
+    return with_budget(amounts, [error.doubt for error in matrix.errors], np.array(changes).T, dof)
 
 
 def _fitted(
@@ -131,18 +152,31 @@ def _observation(own: CertificateSettings, response: FrequencyResponse, file: Ma
     measured = measured_part(replace(response, form="receptance"), list(signals.values()), [0], lines)
     if measured.covariance is None:
         raise FitError("the noise of the response is not known, so nothing has an interval", hint="average several periods or blocks")
-    weights, vectors = np.linalg.inv(measured.covariance), measured.matrix[:, :, 0]
+    weights = np.linalg.inv(measured.covariance)
+
+    def per_added(changed: MagneticFile) -> ComplexArray:
+        signal = open_loop(changed.levitated(), measured.omega, rate, own.filtered).signals(own.injection)
+        return np.stack([signal[name] for name in signals], axis=1)
+
+    def along(per: ComplexArray, vectors: ComplexArray) -> ComplexArray:
+        """The part of vectors (n_line, n_signal) that some true addition explains, the most likely one."""
+        weighted = np.einsum("la,lab->lb", per.conj(), weights)
+        added = np.sum(weighted * vectors, axis=1) / np.sum(weighted * per, axis=1)
+        return np.asarray(per * added[:, None])
 
     def predict(changed: MagneticFile, _: tuple[float, float]) -> ComplexArray:
-        signal = open_loop(changed.levitated(), measured.omega, rate, own.filtered).signals(own.injection)
-        per_added = np.stack([signal[name] for name in signals], axis=1)
-        if own.before:
-            weighted = np.einsum("la,lab->lb", per_added.conj(), weights)
-            added = np.sum(weighted * vectors, axis=1) / np.sum(weighted * per_added, axis=1)
-            per_added = per_added * added[:, None]
-        return np.asarray(per_added[:, :, None])
+        per = per_added(changed)
+        return np.asarray((along(per, measured.matrix[:, :, 0]) if own.before else per)[:, :, None])
 
-    return LoopObservation(measured, predict, file, nuisance=2 * measured.omega.size if own.before else 0)
+    def errors(changed: MagneticFile, support: tuple[float, float]) -> Sequence[MatrixError]:
+        if not own.before:
+            return matrix_errors(measured)
+        # Changes of the predicted signals: what is common to all of them is added then, and cancels to the last digit.
+        found = matrix_errors(replace(measured, matrix=predict(changed, support)))
+        per = per_added(changed)
+        return [replace(error, change=error.change - along(per, error.change[:, :, 0])[:, :, None]) for error in found]
+
+    return LoopObservation(measured, predict, file, nuisance=2 * measured.omega.size if own.before else 0, errors=errors)
 
 
 def _zone_limit(own: CertificateSettings, peak: float, error: float, whose: str) -> Limit:
@@ -176,9 +210,9 @@ def _curves(matrix: SensitivityMatrix, file: MagneticFile | None, fit: LoopFit |
     curves = []
     fitted = _fitted_size(matrix.frequency, file, fit, own)
     several = len(matrix.loops) > 1
-    named = [(f"sensitivity {name}" if several else "sensitivity", matrix.size(n)) for n, name in enumerate(matrix.loops)]
+    named = [(f"sensitivity {name}" if several else "sensitivity", matrix.combined_size(n)) for n, name in enumerate(matrix.loops)]
     if several:
-        named.append(("largest singular value", matrix.largest()))
+        named.append(("largest singular value", matrix.combined_largest()))
     for quantity, (size, error) in named:
         reach = matrix.quantile * error
         curves.append(_curve(matrix.frequency, quantity, size, (size - reach, size + reach), fitted))
@@ -215,6 +249,7 @@ def _findings(worst: Peak, file: MagneticFile | None, fit: LoopFit | None, loop:
         findings.append(Finding("unstable-loop", f"the fitted loop is unstable: {loop.unstable} poles grow; check signs, mass and delay"))
     if fit is not None:
         findings += identifiability_findings(fit)
+        findings += [] if loop is None else bent_findings(loop)
         if fit.chi2_p < MISMATCH_P:
             excess = f"chi-square per degree of freedom {fit.chi2_reduced:.3g}"
             what = f"the fitted loop leaves more than noise ({excess}): its intervals are too short"

@@ -37,3 +37,8 @@ class CertificateSettings(Settings):
             raise ConfigError("'rate' must be above zero", field="rate")
         if self.before and len(self.before) != len(self.after):
             raise ConfigError(f"{len(self.before)} points ahead of a sum and {len(self.after)} behind", hint="one per loop", field="before")
+
+    @property
+    def recorded(self) -> tuple[str, ...]:
+        """The responses that it names."""
+        return tuple(name for name in (*self.before, *self.after, self.output, self.displacement, self.current) if name)

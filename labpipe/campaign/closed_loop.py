@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,8 +12,14 @@ from labpipe.bearings.magnetic_kind import MagneticFile
 from labpipe.bearings.magnetic_stability import Levitated, closed_loop_poles, sampled, sampled_poles, unstable_poles
 from labpipe.bearings.margins import margins
 from labpipe.bearings.open_loop import open_loop
+from labpipe.campaign.amount_budget import with_budget
 from labpipe.campaign.loop_file import with_unknowns
-from labpipe.campaign.loop_fit import LoopFit
+from labpipe.campaign.loop_fit import BENT, LoopFit
+from labpipe.campaign.loop_minimum import REACH
+from labpipe.errors import ConfigError
+from labpipe.records.budget import Budget
+from labpipe.records.doubt import Doubt
+from labpipe.records.finding import Finding
 from labpipe.records.identification import Parameter
 
 # Step of differences in standard errors of the unknowns.
@@ -25,29 +31,42 @@ LOGARITHMIC = ("sensitivity_peak", "gain_margin_lower", "gain_margin_upper", "di
 UNITS = {"phase_margin": "rad", "delay_margin": "s", "sensitivity_frequency": "Hz", "f_n": "Hz", "pole_real": "1/s", "pole_imag": "rad/s"}
 
 
+# From values of the unknowns by name to the amounts by name.
+Amounts = Callable[[Mapping[str, float]], dict[str, float]]
+
+
 @dataclass(frozen=True)
 class ClosedLoop:
-    """Amounts by name at the fitted unknowns, their covariance by noise (n, n) [their units], in the same order; *unstable* poles."""
+    """Amounts by name at the fitted unknowns, their covariance by noise (n, n) [their units], in the same order; *unstable* poles.
+
+    changes (n_source, n) [their units]: by one standard uncertainty of each of the *sources*. bent: names of the amounts that do not
+    follow the unknowns in a straight line within their errors.
+    """
 
     amounts: dict[str, float]
     covariance: FloatArray
     unstable: int
+    sources: tuple[Doubt, ...] = ()
+    changes: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    bent: tuple[str, ...] = ()
 
     def error(self, name: str) -> float:
-        """Standard error of an amount [its unit]."""
+        """Combined standard uncertainty of an amount [its unit]."""
         place = list(self.amounts).index(name)
-        return float(np.sqrt(max(self.covariance[place, place], 0.0)))
+        systematic = float(np.sum(self.changes[:, place] ** 2)) if len(self.changes) else 0.0
+        return float(np.sqrt(max(self.covariance[place, place], 0.0) + systematic))
 
     def modes(self) -> list[str]:
         """Names of the logarithmic decrements."""
         return [name for name in self.amounts if name.startswith("log_decrement")]
 
-    def parameters(self, quantile: float) -> list[Parameter]:
-        """All amounts with 95 % intervals, *quantile* standard errors to either side; those of a factor by its logarithm."""
-        return [self._parameter(name, quantile) for name in self.amounts]
+    def parameters(self, quantile: float) -> tuple[tuple[Parameter, ...], Budget | None]:
+        """All amounts with 95 % intervals, *quantile* standard errors to either side, of factors by their logarithm, and their budget."""
+        plain = [self._parameter(number, name, quantile) for number, name in enumerate(self.amounts)]
+        return with_budget(plain, self.sources, self.changes, logarithmic=LOGARITHMIC) if self.sources else (tuple(plain), None)
 
-    def _parameter(self, name: str, quantile: float) -> Parameter:
-        value, error = self.amounts[name], self.error(name)
+    def _parameter(self, number: int, name: str, quantile: float) -> Parameter:
+        value, error = self.amounts[name], float(np.sqrt(max(self.covariance[number, number], 0.0)))
         unit = next((unit for start, unit in UNITS.items() if name.startswith(start)), "1")
         ends = (value - quantile * error, value + quantile * error)
         if name in LOGARITHMIC and value > 0:
@@ -72,11 +91,33 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
 
     here = at(values)
     slopes = np.array([_slope(at, values, parameter, list(here)) for parameter in fit.parameters]).reshape(len(fit.parameters), len(here))
-    covariance = slopes.T @ unknowns_covariance(fit) @ slopes
-    return ClosedLoop(here, covariance, unstable)
+    if not fit.usable:
+        return ClosedLoop(here, np.zeros((len(here), len(here))), unstable)
+    changes = fit.changes @ slopes
+    sources = () if fit.budget is None else fit.budget.sources
+    bent = _bent(at, values, slopes, fit.covariance + fit.changes.T @ fit.changes)
+    return ClosedLoop(here, slopes.T @ fit.covariance @ slopes, unstable, sources, changes, bent)
 
 
-Amounts = Callable[[Mapping[str, float]], dict[str, float]]
+def _bent(at: Amounts, values: Mapping[str, float], slopes: FloatArray, covariance: FloatArray) -> tuple[str, ...]:
+    """Names of the amounts whose course is not straight where the unknowns move REACH combined standard errors along an amount's slope."""
+    here = at(values)
+    errors = np.sqrt(np.maximum(np.einsum("ji,jk,ki->i", slopes, covariance, slopes), 0.0))
+    bent = []
+    for column, (name, error) in enumerate(zip(here, errors, strict=True)):
+        if not error > 0:
+            continue
+        away = REACH * covariance @ slopes[:, column] / error
+        for sign in (1.0, -1.0):
+            moved = {entry: value + sign * float(step) for (entry, value), step in zip(values.items(), away, strict=True)}
+            try:
+                reached = at(moved).get(name, np.nan)
+            except ConfigError:
+                reached = np.nan
+            if not abs(reached - here[name] - sign * REACH * error) <= BENT * REACH * error:
+                bent.append(name)
+                break
+    return tuple(bent)
 
 
 def _slope(at: Amounts, values: Mapping[str, float], parameter: Parameter, names: list[str]) -> FloatArray:
@@ -86,15 +127,13 @@ def _slope(at: Amounts, values: Mapping[str, float], parameter: Parameter, names
     return np.array([(ahead.get(name, np.nan) - behind.get(name, np.nan)) / (2 * step) for name in names])
 
 
-def unknowns_covariance(fit: LoopFit) -> FloatArray:
-    """Covariance (n, n) of the fitted unknowns [their units]."""
-    errors = np.array([parameter.std_error or 0.0 for parameter in fit.parameters])
-    names = [parameter.name for parameter in fit.parameters]
-    matrix = np.diag(errors**2)
-    for one, other, value in fit.correlations:
-        i, j = names.index(one), names.index(other)
-        matrix[i, j] = matrix[j, i] = value * errors[i] * errors[j]
-    return matrix
+def bent_findings(loop: ClosedLoop) -> list[Finding]:
+    """A warning where what the fitted loop says does not follow its unknowns in a straight line within their errors."""
+    if not loop.bent:
+        return []
+    names = ", ".join(loop.bent)
+    what = f"two standard errors away from the fitted unknowns, first order fails for {names} of the fitted loop: their intervals are rough"
+    return [Finding("first-order", what)]
 
 
 def loop_poles(plant: Levitated, rate: float | None) -> ComplexArray:

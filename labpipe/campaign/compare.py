@@ -7,10 +7,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from labpipe.campaign.bandwise import bandwise, two_tests
-from labpipe.campaign.certificate import certificate
+from labpipe.campaign.certificate import certificate, resolved
 from labpipe.campaign.components import repeatability
 from labpipe.campaign.decrements import decrement_certificate
 from labpipe.campaign.difference import difference
+from labpipe.campaign.loop_sources import directions_left_out
 from labpipe.campaign.loop_view import View, checked_view
 from labpipe.campaign.observations import Campaign, campaign_of, condition_of, group_of
 from labpipe.campaign.per_injection import per_injection
@@ -153,11 +154,7 @@ def _reciprocity(settings: CompareSettings, evidence: Evidence, _: Theory | None
 def _prediction(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory | None) -> Comparison:
     if theory is None:
         raise ConfigError("a prediction needs a theory", hint="theory: {bearing: FILE}")
-    views = [checked_view(view) for view in _views(settings, evidence, theory)]
-    ports = [view.response.outputs[row] for view in views for row in view.ports[0]]
-    ports += [view.response.inputs[column] for view in views for column in view.ports[1]]
-    mass = any(number.std_error > 0 for view in views for name, number in view.settings.doubts if name == "mass")
-    return _with_doubts_left_out(prediction(settings, views), ports, mass)
+    return prediction(settings, [checked_view(view) for view in _views(settings, evidence, theory)])
 
 
 def _views(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory) -> list[View]:
@@ -189,8 +186,7 @@ def _sensitivity(settings: CompareSettings, evidence: Evidence, theory: Magnetic
         raise ConfigError(f"a sensitivity is that of one test, not of {len(evidence.responses)}", hint=hint)
     response = evidence.responses[0]
     comparison = loop_sensitivity(settings, response, None if theory is None else theory(None, ""))
-    # The quotient of both sides of the sum does not need the recorded excitation.
-    return _with_doubts_left_out(comparison, [port for port in response.outputs if port.label in (settings.before, settings.after)])
+    return _with_directions_left_out(comparison, [port for port in response.outputs if port.label in (settings.before, settings.after)])
 
 
 def _certificate(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory | None) -> Comparison:
@@ -201,18 +197,17 @@ def _certificate(settings: CompareSettings, evidence: Evidence, theory: Magnetic
         raise ConfigError(f"a certificate is that of one test, not of {len(tests)}", hint="one pipeline per setting of the loop")
     response = evidence.responses[0] if evidence.responses else per_injection(evidence.spectra[0])
     comparison = certificate(settings, response, None if theory is None else theory(None, ""))
-    return _with_doubts_left_out(comparison, (*response.outputs, *response.inputs))
+    own = resolved(settings)
+    outputs = [port for port in response.outputs if port.label in own.recorded]
+    return _with_directions_left_out(comparison, [*outputs, *(() if own.before else response.inputs)])
 
 
-def _with_doubts_left_out(comparison: Comparison, ports: Iterable[Port], mass: bool = False) -> Comparison:
-    """The comparison of a loop with a finding on the doubts of its *ports*, and of the *mass*, which its intervals do not hold."""
-    names = list(dict.fromkeys([*(port.label for port in ports if port.doubts), *(["the mass"] if mass else [])]))
+def _with_directions_left_out(comparison: Comparison, ports: Iterable[Port]) -> Comparison:
+    """The comparison with a finding on the directions of its *ports* that have a doubt: nothing tells what they read across."""
+    names = directions_left_out(ports)
     if not names:
         return comparison
-    message = (
-        f"doubts of {', '.join(names)}: peaks, margins and unknowns of a loop have intervals by noise and by the doubt of a support alone, "
-        "which do not hold these"
-    )
+    message = f"doubts of the directions of {', '.join(names)} are not propagated: no other channel tells the motion across"
     return replace(comparison, findings=(*comparison.findings, Finding("number-doubt", message)))
 
 

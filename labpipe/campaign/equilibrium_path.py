@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.campaign.common_sources import change_in, random_error
 from labpipe.campaign.matrix_settings import EquilibriumSettings
 from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError
@@ -95,23 +97,38 @@ def _slope_weights(loads: FloatArray, n: int) -> FloatArray:
     return weights
 
 
+@dataclass(frozen=True)
+class _Compliance:
+    """One fit's displacement per force *value* (2,) [m/N], its covariance (2, 2) by noise, and its change (2,) by every source."""
+
+    value: FloatArray
+    covariance: FloatArray
+    changes: Mapping[str, FloatArray]
+
+
 def _shaken(settings: EquilibriumSettings, fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray] | None:
-    """Displacement per force along the load, (K + k_s I)^-1 u (2,) [m/N], mean of the repeats, and its covariance (2, 2)."""
+    """Displacement per force along the load, (K + k_s I)^-1 u (2,) [m/N], mean of the repeats, and its covariance (2, 2).
+
+    Noise is independent from repeat to repeat; an error that repeats have in common does not shrink in their mean.
+    """
     results = [result for fit in fits if (result := _compliance(settings, fit)) is not None]
     if not results:
         return None
-    values = np.array([value for value, _ in results])
-    covariance = sum(part for _, part in results) / len(results) ** 2
-    return np.asarray(values.mean(axis=0)), np.asarray(covariance)
+    mean = np.mean([result.value for result in results], axis=0)
+    covariance = sum(result.covariance for result in results) / len(results) ** 2
+    for source in dict.fromkeys(source for result in results for source in result.changes):
+        change = sum(result.changes.get(source, np.zeros(2)) for result in results) / len(results)
+        covariance = covariance + np.outer(change, change)
+    return np.asarray(mean), np.asarray(covariance)
 
 
-def _compliance(settings: EquilibriumSettings, fit: Fit) -> tuple[FloatArray, FloatArray] | None:
-    """One fit's (K + k_s I)^-1 u with its covariance, d(K^-1 u) = -K^-1 dK K^-1 u; None where a coefficient or an error is missing."""
+def _compliance(settings: EquilibriumSettings, fit: Fit) -> _Compliance | None:
+    """One fit's (K + k_s I)^-1 u with its errors, d(K^-1 u) = -K^-1 dK K^-1 u; None where a coefficient or an error is missing."""
     estimated = [parameter.name for parameter in fit.parameters if not parameter.derived]
     if not all(name in estimated for name in STIFFNESS):
         return None
     chosen = [fit.parameter(name) for name in STIFFNESS]
-    errors = np.array([np.nan if parameter.full_error is None else parameter.full_error for parameter in chosen])
+    errors = np.array([np.nan if (error := random_error(fit, parameter)) is None else error for parameter in chosen])
     stiffness = np.array([parameter.value for parameter in chosen]).reshape(2, 2) + settings.support * np.eye(2)
     if not np.all(np.isfinite(errors)) or abs(np.linalg.det(stiffness)) == 0:
         return None
@@ -120,7 +137,9 @@ def _compliance(settings: EquilibriumSettings, fit: Fit) -> tuple[FloatArray, Fl
     slopes = np.column_stack([-inverse[:, row] * displacement[column] for row in (0, 1) for column in (0, 1)])
     places = [estimated.index(name) for name in STIFFNESS]
     covariance = fit.correlation[np.ix_(places, places)] * np.outer(errors, errors)
-    return displacement, slopes @ covariance @ slopes.T
+    sources = () if fit.budget is None else fit.budget.sources
+    changes = {source.source: slopes @ np.array([change_in(fit, source.source, name) for name in STIFFNESS]) for source in sources}
+    return _Compliance(displacement, slopes @ covariance @ slopes.T, changes)
 
 
 def _chance(difference: FloatArray, covariance: FloatArray) -> float | None:

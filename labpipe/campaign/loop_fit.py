@@ -2,57 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.bearings.magnetic_kind import MagneticFile
+from labpipe.arrays import FloatArray
+from labpipe.campaign.amount_budget import with_budget
 from labpipe.campaign.amounts import chance, with_error
-from labpipe.campaign.loop_file import Unknown, unknown, with_unknowns
-from labpipe.errors import ConfigError, FitError
+from labpipe.campaign.loop_file import unknown
+from labpipe.campaign.loop_minimum import UNDETERMINED, LoopMinimum
+from labpipe.campaign.loop_problem import LoopObservation, LoopProblem
+from labpipe.errors import FitError
 from labpipe.identify.diagnostics import COLLINEAR_CONDITION
 from labpipe.identify.measured import Measured
-from labpipe.identify.settings import Support
-from labpipe.identify.statistics import student_limit
-from labpipe.identify.weights import has_noise, weight_doubt, whitened, whitener
+from labpipe.identify.statistics import correlation, student_limit
+from labpipe.identify.weights import has_noise, weight_doubt
 from labpipe.optimise.levenberg import Minimum, linearised, minimise
+from labpipe.records.budget import Budget
+from labpipe.records.doubt import Doubt
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Parameter
 
-STEP = 1e-5
-# Condition number of the scaled Jacobian beyond which rounding determines the unknowns.
-UNDETERMINED = 1e6
 # Distance to the minimum in standard errors at which a descent that can go no further has ended.
 SETTLED = 0.5
-
-
-# Predicted response of a file on the measured lines, with the (stiffness, damping) of the support.
-Predict = Callable[[MagneticFile, tuple[float, float]], ComplexArray]
-
-
-@dataclass(frozen=True)
-class LoopObservation:
-    """A *measured* response of a loop, the prediction by a *file* on the same lines, and the *support* beside the bearings.
-
-    *nuisance*: real numbers that the prediction takes from the measurement.
-    """
-
-    measured: Measured
-    predict: Predict
-    file: MagneticFile
-    support: Support = Support()
-    nuisance: int = 0
+# Shares of first order above which second order is followed by intervals, and above which it is said.
+CURVED, BENT = 0.1, 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopFit:
     """Unknowns with standard errors, goodness of fit, and identifiability.
 
-    *parameters*: unknowns, without standard errors unless *determined*; *correlations* (name, name, value); *chi2_reduced* with *chi2_p*
-    of the residual on *lines*; *condition_number* of the scaled Jacobian; *alike*: unknowns that are not separately identifiable.
+    *parameters*: unknowns, without standard errors unless *determined*; *correlations* (name, name, value) by noise and sources;
+    *chi2_reduced* with *chi2_p* of the residual on *lines*, without what systematic errors explain; *condition_number* of the scaled
+    Jacobian; *alike*: unknowns that are not separately identifiable. covariance (n, n) [units of the unknowns]: by noise alone; budget:
+    of the unknowns, None where no source moves them; bent: second over first order of each.
     """
 
     parameters: tuple[Parameter, ...]
@@ -63,6 +48,9 @@ class LoopFit:
     condition_number: float
     alike: tuple[str, ...]
     converged: bool
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    budget: Budget | None = None
+    bent: tuple[tuple[str, float], ...] = ()
 
     @property
     def determined(self) -> bool:
@@ -73,55 +61,13 @@ class LoopFit:
         """True if there are unknowns with determined, converged values."""
         return bool(self.parameters) and self.determined and self.converged
 
+    @property
+    def changes(self) -> FloatArray:
+        """Changes (n_source, n) [units of the unknowns] by the sources of the budget; (0, n) without one."""
+        return np.zeros((0, len(self.parameters))) if self.budget is None else self.budget.changes
+
     def values(self) -> dict[str, float]:
         return {parameter.name: parameter.value for parameter in self.parameters}
-
-
-@dataclass(frozen=True)
-class _Problem:
-    """Whitened residual of all responses over u: unknowns as shares of their start, then the support's deviations in standard errors."""
-
-    observations: tuple[LoopObservation, ...]
-    unknowns: tuple[Unknown, ...]
-    support: tuple[tuple[int, float], ...]  # (0 for stiffness or 1 for damping, standard error)
-
-    @cached_property
-    def weights(self) -> list[ComplexArray]:
-        return [whitener(observation.measured) for observation in self.observations]
-
-    @property
-    def size(self) -> float:
-        pairs = zip(self.observations, self.weights, strict=True)
-        return float(np.linalg.norm(np.concatenate([whitened(weight, loop.measured.matrix) for loop, weight in pairs])))
-
-    def file_values(self, u: FloatArray) -> dict[str, float]:
-        return {entry.name: entry.value * (1 + float(share)) for entry, share in zip(self.unknowns, u, strict=False)}
-
-    def residual(self, u: FloatArray) -> FloatArray:
-        """(n_equation,): measured minus predicted, then the support's deviations from its nominal values."""
-        deviations = u[len(self.unknowns) :]
-        residuals = []
-        for observation, weight in zip(self.observations, self.weights, strict=True):
-            nominal = observation.support
-            support = [nominal.stiffness.value, nominal.damping.value]
-            for (which, error), deviation in zip(self.support, deviations, strict=True):
-                support[which] += error * float(deviation)
-            predicted = observation.predict(with_unknowns(observation.file, self.file_values(u)), (support[0], support[1]))
-            residuals.append(whitened(weight, observation.measured.matrix - predicted))
-        return np.concatenate([*residuals, deviations])
-
-    def jacobian(self, u: FloatArray) -> FloatArray:
-        """(n_equation, n_parameter) by centred differences."""
-        steps = STEP * np.eye(u.size)
-        return np.column_stack([(self.residual(u + step) - self.residual(u - step)) / (2 * STEP) for step in steps])
-
-    def chi2(self, u: FloatArray) -> float:
-        """Sum of squares; infinite for values that no bearing can have."""
-        try:
-            residual = self.residual(u)
-        except ConfigError:
-            return float("inf")
-        return float(residual @ residual)
 
 
 def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> LoopFit:
@@ -136,14 +82,14 @@ def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> L
     unknowns = tuple(unknown(observations[0].file, name) for name in names)
     support = observations[0].support
     errors = ((0, support.stiffness.std_error), (1, support.damping.std_error))
-    problem = _Problem(tuple(observations), unknowns, tuple((which, error) for which, error in errors if error > 0))
+    problem = LoopProblem(tuple(observations), unknowns, tuple((which, error) for which, error in errors if error > 0))
     start = np.zeros(len(unknowns) + len(problem.support))
     # An unknown without influence on the response has no gradient.
     idle = not start.size or bool(_without_influence(problem, problem.jacobian(start)))
     return _loop_fit(problem, Minimum(start, True, 0) if idle else _settled(problem, minimise(problem, start)))
 
 
-def _settled(problem: _Problem, minimum: Minimum) -> Minimum:
+def _settled(problem: LoopProblem, minimum: Minimum) -> Minimum:
     """Converged as well where the descent ended within SETTLED standard errors.
 
     The current sampled when a held command arrives has a kink over the delay, where no step lowers chi-square further.
@@ -155,30 +101,81 @@ def _settled(problem: _Problem, minimum: Minimum) -> Minimum:
     return Minimum(minimum.values, left < SETTLED, minimum.steps)
 
 
-def _without_influence(problem: _Problem, jacobian: FloatArray) -> tuple[str, ...]:
+def _without_influence(problem: LoopProblem, jacobian: FloatArray) -> tuple[str, ...]:
     """Unknowns without influence on the response."""
     lengths = np.linalg.norm(jacobian, axis=0)
     return tuple(entry.name for entry, length in zip(problem.unknowns, lengths, strict=False) if not length > 0)
 
 
-def _loop_fit(problem: _Problem, minimum: Minimum) -> LoopFit:
+def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
     equations = sum(observation.measured.n_equation - observation.nuisance for observation in problem.observations)
     dof = equations - len(problem.unknowns)
     doubt = weight_doubt(_weighed(problem.observations[0]), dof)
-    reduced = problem.chi2(minimum.values) / dof / doubt.excess
+    at_end = LoopMinimum.of(problem, minimum.values)
+    reduced = at_end.chi2(doubt.excess) / dof
     lines = sum(observation.measured.omega.size for observation in problem.observations)
-    estimates = _parameters(problem, minimum, doubt.inflation, dof) if problem.unknowns else ((), (), 1.0, ())
-    parameters, correlations, condition, alike = estimates
-    return LoopFit(
-        parameters=parameters,
-        correlations=correlations,
+    identifiable = _identifiable(problem, at_end.jacobian) if problem.unknowns else (1.0, ())
+    whole = LoopFit(
+        parameters=_last_step(problem, minimum),
+        correlations=(),
         chi2_reduced=reduced,
         chi2_p=doubt.p_value(reduced, dof),
         lines=lines,
-        condition_number=condition,
-        alike=alike,
+        condition_number=identifiable[0],
+        alike=identifiable[1],
         converged=minimum.converged,
     )
+    return _with_errors(whole, at_end, doubt.inflation, dof) if whole.usable else whole
+
+
+def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tuple[str, ...]]:
+    """The condition number of the scaled Jacobian, and the unknowns that cause it."""
+    idle = _without_influence(problem, jacobian)
+    if idle:
+        return float("inf"), idle
+    _, singular, turn = np.linalg.svd(jacobian / np.linalg.norm(jacobian, axis=0), full_matrices=False)
+    condition = float(singular[0] / max(singular[-1], 1e-300))
+    return condition, tuple(entry.name for entry, part in zip(problem.unknowns, turn[-1], strict=False) if abs(part) > 0.3)
+
+
+def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int) -> LoopFit:
+    """The fit with standard errors by noise from (J^T J)^-1, the changes by every source, and correlations by both."""
+    problem = at_end.problem
+    n, values = len(problem.unknowns), np.array([entry.value for entry in problem.unknowns])
+    random, steps = at_end.random(inflation), at_end.steps
+    whole = at_end.combined(inflation)
+    covariance = np.outer(values, values) * random[:n, :n]
+    limit = student_limit(dof)
+    plain = [
+        with_error(parameter.name, parameter.unit, parameter.value, float(error), limit)
+        for parameter, error in zip(fit.parameters, np.sqrt(np.diag(covariance)), strict=True)
+    ]
+    sources, changes = (*at_end.sources, *problem.support_sources), steps[:, :n] * values
+    parameters, budget = with_budget(plain, *_by_name(sources, changes), dof)
+    related = correlation(np.outer(values, values) * whole[:n, :n])
+    pairs = tuple((plain[i].name, plain[j].name, float(related[i, j])) for i in range(n) for j in range(i))
+    bent = tuple((one.name, float(size)) for one, size in zip(plain, at_end.bent(whole), strict=True))
+    if max(size for _, size in bent) > CURVED:
+        parameters = tuple(_curved(parameter, at_end, number, inflation, limit) for number, parameter in enumerate(parameters))
+    return replace(fit, parameters=parameters, correlations=pairs, covariance=covariance, budget=budget, bent=bent)
+
+
+def _curved(parameter: Parameter, at_end: LoopMinimum, number: int, inflation: float, limit: float) -> Parameter:
+    """The unknown with an interval that follows the response; as it is where an end is not found."""
+    factor = parameter.coverage_factor or limit
+    ends = [at_end.end(number, sign * factor, inflation) for sign in (-1.0, 1.0)]
+    if ends[0] is None or ends[1] is None:
+        return parameter
+    start = at_end.problem.unknowns[number].value
+    low, high = sorted(start * (1 + end) for end in ends if end is not None)
+    return replace(parameter, ci95=(low, high), significant=not low <= 0 <= high)
+
+
+def _by_name(sources: Sequence[Doubt], changes: FloatArray) -> tuple[list[Doubt], FloatArray]:
+    """Sources of one name as one, their changes (n_source, n) added up."""
+    first = {source.source: source for source in reversed(sources)}
+    rows = [changes[[one.source == name for one in sources]].sum(axis=0) for name in first]
+    return list(first.values()), np.array(rows).reshape(len(first), changes.shape[1])
 
 
 def _weighed(observation: LoopObservation) -> Measured:
@@ -187,37 +184,7 @@ def _weighed(observation: LoopObservation) -> Measured:
     return replace(observation.measured, matrix=observation.measured.matrix[:, taken:]) if taken else observation.measured
 
 
-def _parameters(
-    problem: _Problem, minimum: Minimum, inflation: float, dof: int
-) -> tuple[tuple[Parameter, ...], tuple[tuple[str, str, float], ...], float, tuple[str, ...]]:
-    """Unknowns with standard errors from (J^T J)^-1, their correlations, the condition number and the unknowns that cause it."""
-    jacobian = problem.jacobian(minimum.values)
-    n = len(problem.unknowns)
-    idle = _without_influence(problem, jacobian)
-    if idle:
-        return _last_step(problem, minimum), (), float("inf"), idle
-    length = np.linalg.norm(jacobian, axis=0)
-    _, singular, turn = np.linalg.svd(jacobian / length, full_matrices=False)
-    condition = float(singular[0] / max(singular[-1], 1e-300))
-    alike = tuple(entry.name for entry, part in zip(problem.unknowns, turn[-1], strict=False) if abs(part) > 0.3)
-    if condition >= UNDETERMINED or not minimum.converged:
-        return _last_step(problem, minimum), (), condition, alike
-    covariance = inflation * (turn.T / singular**2) @ turn / np.outer(length, length)
-    errors = np.sqrt(np.diag(covariance))
-    limit = student_limit(dof)
-    parameters = [
-        with_error(entry.name, entry.unit, float(entry.value * (1 + share)), float(abs(entry.value) * error), limit)
-        for entry, share, error in zip(problem.unknowns, minimum.values, errors, strict=False)
-    ]
-    names = [entry.name for entry in problem.unknowns]
-    signs = np.sign([entry.value for entry in problem.unknowns])
-    pairs = tuple(
-        (names[i], names[j], float(signs[i] * signs[j] * covariance[i, j] / (errors[i] * errors[j]))) for i in range(n) for j in range(i)
-    )
-    return tuple(parameters), pairs, condition, alike
-
-
-def _last_step(problem: _Problem, minimum: Minimum) -> tuple[Parameter, ...]:
+def _last_step(problem: LoopProblem, minimum: Minimum) -> tuple[Parameter, ...]:
     """The values of the last step without standard errors."""
     return tuple(
         Parameter(entry.name, float(entry.value * (1 + minimum.values[number])), entry.unit)
@@ -232,7 +199,7 @@ def goodness(fit: LoopFit) -> list[Parameter]:
 
 
 def identifiability_findings(fit: LoopFit) -> list[Finding]:
-    """Warnings: unknowns that are not, or hardly, separately identifiable, or a fit without convergence."""
+    """Warnings: unknowns that are not, or hardly, separately identifiable, a fit without convergence, or errors beyond first order."""
     if not fit.parameters:
         return []
     together = " and ".join(fit.alike)
@@ -243,10 +210,25 @@ def identifiability_findings(fit: LoopFit) -> list[Finding]:
         return [Finding("collinear", f"{what}. Fit one of them, and state the other.")]
     if not fit.converged:
         return [Finding("no-convergence", "the fit of the loop's unknowns did not converge; its values are those of the last step")]
+    found = []
     if fit.condition_number > COLLINEAR_CONDITION:
         what = f"{together} are hardly told apart (condition number {fit.condition_number:.3g}, limit {COLLINEAR_CONDITION:g})"
-        return [Finding("collinear", f"{what}: their errors are large and correlated")]
-    return []
+        found.append(Finding("collinear", f"{what}: their errors are large and correlated"))
+    return [*found, *_bent_findings(fit)]
+
+
+def _bent_findings(fit: LoopFit) -> list[Finding]:
+    """A warning where the response bends within the errors of the unknowns."""
+    names = [name for name, size in fit.bent if size > BENT]
+    if not names:
+        return []
+    largest = max(size for _, size in fit.bent)
+    size = f"by {100 * largest:.0f} % of the way" if np.isfinite(largest) else "since such values are none that a bearing can have"
+    what = (
+        f"two standard errors away from the fitted {' and '.join(names)} first order fails, {size}: standard errors, and what the fitted "
+        "loop says, are rough; intervals of the unknowns follow the response as far as it tells their ends"
+    )
+    return [Finding("first-order", what)]
 
 
 def fit_statement(fit: LoopFit) -> str:

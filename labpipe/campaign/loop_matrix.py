@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.campaign.loop_sources import response_errors
 from labpipe.distributions import normal_quantile, student_quantile
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.measured import chosen_ports
+from labpipe.records.doubt import MatrixError
 from labpipe.records.response import FrequencyResponse
 
 SAME_SIGNAL = 1e-9
@@ -20,7 +22,8 @@ SAME_SIGNAL = 1e-9
 class SensitivityMatrix:
     """S over *frequency* [Hz], (n_line, n, n) [1] by loops, covariance (n_line, n^2, n^2) [1] of its elements row by row.
 
-    dof: complex degrees of freedom behind the covariance; names of the loops.
+    dof: complex degrees of freedom behind the covariance; names of the loops. errors: changes (n_line, n, n) [1] of S by one standard
+    uncertainty of every source.
     """
 
     frequency: FloatArray
@@ -28,11 +31,17 @@ class SensitivityMatrix:
     covariance: ComplexArray
     dof: float
     loops: tuple[str, ...]
+    errors: tuple[MatrixError, ...] = ()
 
     @property
     def quantile(self) -> float:
         """Standard errors to either side of a 95 % interval."""
         return student_quantile(0.975, 2 * self.dof) if np.isfinite(self.dof) else normal_quantile(0.975)
+
+    def errors_of(self, loop: int) -> tuple[MatrixError, ...]:
+        """Changes (n_line, 1, 1) [1] of S_ii of a loop."""
+        part = slice(loop, loop + 1)
+        return tuple(replace(error, change=error.change[:, part, part]) for error in self.errors)
 
     def size(self, loop: int) -> tuple[FloatArray, FloatArray]:
         """|S_ii| of a loop and its standard error, (n_line,) each [1]."""
@@ -41,10 +50,33 @@ class SensitivityMatrix:
 
     def largest(self) -> tuple[FloatArray, FloatArray]:
         """The largest singular value of S and its standard error, d sigma = Re u^H dS v, (n_line,) each [1]."""
-        left, singular, right = np.linalg.svd(self.values)
-        slopes = (left[:, :, 0].conj()[:, :, None] * right[:, 0].conj()[:, None, :]).reshape(len(singular), -1)
+        slopes = self._largest_slopes()
         variance = np.einsum("lc,lcd,ld->l", slopes, self.covariance, slopes.conj()).real
-        return singular[:, 0], np.sqrt(np.maximum(variance / 2, 0.0))
+        return np.linalg.svd(self.values, compute_uv=False)[:, 0], np.sqrt(np.maximum(variance / 2, 0.0))
+
+    def largest_changes(self) -> FloatArray:
+        """Changes of the largest singular value by every source, (n_source, n_line) [1]. Equation (mag-singular-change)."""
+        slopes = self._largest_slopes()
+        changes = [np.sum(slopes * error.change.reshape(slopes.shape), axis=1).real for error in self.errors]
+        return np.array(changes).reshape(len(self.errors), len(slopes))
+
+    def combined_size(self, loop: int) -> tuple[FloatArray, FloatArray]:
+        """|S_ii| of a loop and its combined standard uncertainty, (n_line,) each [1]."""
+        size, error = self.size(loop)
+        along = self.values[:, loop, loop].conj() / np.maximum(size, 1e-300)
+        changes = [(along * error_of.change[:, loop, loop]).real for error_of in self.errors]
+        return size, np.sqrt(error**2 + np.sum(np.square(changes), axis=0))
+
+    def combined_largest(self) -> tuple[FloatArray, FloatArray]:
+        """The largest singular value and its combined standard uncertainty, (n_line,) each [1]."""
+        size, error = self.largest()
+        return size, np.sqrt(error**2 + np.sum(self.largest_changes() ** 2, axis=0))
+
+    def _largest_slopes(self) -> ComplexArray:
+        """u_i* v_j of the largest singular value, (n_line, n^2) [1]."""
+        left, _, right = np.linalg.svd(self.values)
+        slopes: ComplexArray = left[:, :, 0].conj()[:, :, None] * right[:, 0].conj()[:, None, :]
+        return slopes.reshape(len(slopes), -1)
 
     def loop_transfer(self, loop: int) -> tuple[ComplexArray, FloatArray]:
         """L = 1 / S_ii - 1 of a loop that is cut alone, the others closed, and its variance |S_ii|^-4 var S_ii, (n_line,) each [1].
@@ -53,6 +85,11 @@ class SensitivityMatrix:
         """
         size, error = self.size(loop)
         return np.asarray(1 / self.values[:, loop, loop] - 1), 2 * error**2 / size**4
+
+    def transfer_changes(self, loop: int) -> ComplexArray:
+        """Changes of L of a loop by every source, dL = -S_ii^-2 dS_ii, (n_source, n_line) [1]. Equation (mag-transfer-change)."""
+        changes = np.array([error.change[:, loop, loop] for error in self.errors]).reshape(len(self.errors), len(self.values))
+        return np.asarray(-changes / self.values[:, loop, loop] ** 2)
 
 
 def sensitivity_matrix(response: FrequencyResponse, before: Sequence[str], after: Sequence[str]) -> SensitivityMatrix:
@@ -84,4 +121,16 @@ def sensitivity_matrix(response: FrequencyResponse, before: Sequence[str], after
     slopes = np.einsum("lio,lkj->lijok", picked, inverse).reshape(len(values), n * n, -1)
     covariance = slopes @ response.covariance @ slopes.conj().swapaxes(1, 2)
     loops = tuple(port.label for port in response.inputs)
-    return SensitivityMatrix(response.frequency, values, covariance, response.covariance_dof, loops)
+    errors = tuple(replace(error, change=picked @ error.change @ inverse) for error in _recorded_errors(response, (rows, ahead), picked))
+    return SensitivityMatrix(response.frequency, values, covariance, response.covariance_dof, loops, errors)
+
+
+def _recorded_errors(response: FrequencyResponse, places: tuple[list[int], list[int]], picked: ComplexArray) -> tuple[MatrixError, ...]:
+    """Changes (n_line, n_output, n_input) of all responses by the sources of those behind and ahead of the sums."""
+    used = list(dict.fromkeys([*places[0], *places[1]]))
+    found = []
+    for error in response_errors(response, used, list(range(len(response.inputs)))):
+        change = np.zeros((len(picked), len(response.outputs), len(response.inputs)), np.complex128)
+        change[:, used] = error.change
+        found.append(replace(error, change=change))
+    return tuple(found)

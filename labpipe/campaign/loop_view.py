@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,11 +10,15 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.magnetic_kind import MagneticFile
 from labpipe.bearings.magnetic_loop import dynamic_stiffness
-from labpipe.campaign.loop_fit import LoopObservation
+from labpipe.campaign.loop_problem import LoopObservation
+from labpipe.campaign.loop_sources import merged
 from labpipe.errors import ConfigError
+from labpipe.identify.budget import mass_doubt
 from labpipe.identify.fitting import identify
+from labpipe.identify.matrix_errors import across_ports, matrix_errors, turned
 from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.settings import FitSettings, Support
+from labpipe.records.doubt import Doubt, MatrixError
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.bands import lines_in
@@ -52,7 +56,13 @@ class View:
     def observation(self) -> LoopObservation:
         """The lines with the prediction of a file."""
         measured = self.measured
-        return LoopObservation(measured, lambda file, support: receptance(self, file, measured.omega, support), self.file, self.support)
+        return LoopObservation(
+            measured,
+            lambda file, support: receptance(self, file, measured.omega, support),
+            self.file,
+            self.support,
+            errors=lambda file, support: view_errors(self, measured, file, support),
+        )
 
 
 def checked_view(view: View) -> View:
@@ -88,12 +98,59 @@ def _cosine(output: Port, force: Port) -> float:
 def receptance(view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float] | None = None) -> ComplexArray:
     """cos / (k_s + j w c_s + n (K G(jw) - k_n) - m w^2), (n_line, n_output, n_input) [m/N]; *support* (k_s, c_s), default: nominal."""
     stiffness, damping = support or (view.support.stiffness.value, view.support.damping.value)
+    matrix: ComplexArray = _directions(view) / _total(view, file, omega, (stiffness, damping))[:, None, None]
+    return matrix
+
+
+def _total(view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float]) -> ComplexArray:
+    """k_s + j w c_s + n (K G(jw) - k_n) - m w^2, (n_line,) [N/m]."""
     plant = file.levitated()
     bearings: ComplexArray = view.settings.share * dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
     assert isinstance(view.settings.mass, float)
-    total: ComplexArray = stiffness + 1j * omega * damping + bearings - view.settings.mass * omega**2
-    matrix: ComplexArray = _directions(view) / total[:, None, None]
-    return matrix
+    total: ComplexArray = support[0] + 1j * omega * support[1] + bearings - view.settings.mass * omega**2
+    return total
+
+
+def view_errors(view: View, measured: Measured, file: MagneticFile, support: tuple[float, float]) -> tuple[MatrixError, ...]:
+    """Changes (n_line, n_output, n_input) [m/N] of measured less predicted receptance by one standard uncertainty of every source.
+
+    Channels and sums change what is *measured*. A given mass changes the prediction, and so does a direction, unless other sensors tell
+    the motion across it. *support* (k_s, c_s) [N/m, N.s/m]. Equation (comp-loop-change).
+    """
+    total = _total(view, file, measured.omega, support)[:, None, None]
+    found = [*matrix_errors(measured), *_direction_errors(measured, total)]
+    mass = mass_doubt(view.settings)
+    if mass is not None:
+        found.append(MatrixError(mass, -mass.std_error * _directions(view) * (measured.omega**2)[:, None, None] / total**2))
+    return merged(found)
+
+
+def _direction_errors(measured: Measured, total: ComplexArray) -> Iterator[MatrixError]:
+    """What directions that are written too large do to measured less predicted cos(output - force) / *total* (n_line, 1, 1) [N/m]."""
+    across = across_ports(measured.outputs)
+    for number, port in enumerate(measured.outputs):
+        for error in _doubts_of_direction(port):
+            if across is not None and np.any(across[number]):
+                yield MatrixError(error, error.std_error * turned(measured.matrix, number, across, of_forces=False))
+            else:
+                yield MatrixError(error, error.std_error * _sines(measured, port) / total)
+    for force in measured.inputs:
+        for error in _doubts_of_direction(force):
+            yield MatrixError(error, -error.std_error * _sines(measured, force) / total)
+
+
+def _doubts_of_direction(port: Port) -> list[Doubt]:
+    return [doubted.doubt for doubted in port.doubts if doubted.effect == "direction" and port.angle is not None]
+
+
+def _sines(measured: Measured, turned_port: Port) -> FloatArray:
+    """sin(output - force) (n_output, n_input) in the row or the column of one port, where both directions are known; else zero."""
+    sines = np.zeros((len(measured.outputs), len(measured.inputs)))
+    for row, output in enumerate(measured.outputs):
+        for column, force in enumerate(measured.inputs):
+            if turned_port in (output, force) and output.angle is not None and force.angle is not None:
+                sines[row, column] = np.sin(output.angle - force.angle)
+    return sines
 
 
 def predicted_fits(view: View, file: MagneticFile) -> Sequence[Fit]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -20,21 +21,28 @@ LOCAL = 11
 SURE = 3.0
 
 
+# A margin, its standard error, and its changes (n_source,), all in its unit.
+Found = tuple[float, float, FloatArray]
+
+
 def measured_margins(
-    frequency: FloatArray, transfer: tuple[ComplexArray, FloatArray], quantile: float, suffix: str = ""
-) -> list[Parameter]:
+    frequency: FloatArray, transfer: tuple[ComplexArray, FloatArray], changes: ComplexArray, quantile: float, suffix: str = ""
+) -> list[tuple[Parameter, FloatArray]]:
     """Gain margins to either side, phase and delay margin of L (n_line,) [1] with its variance (n_line,) [1], as far as it crosses.
+
+    Each with its change (n_source,) [its unit] by one standard uncertainty of every systematic source, that changes L by *changes*
+    (n_source, n_line) [1].
 
     L follows a parabola over LOCAL lines, since noise makes it cross several times; where it does so all the same, one parabola over all
     these crossings and as much again, since the least of several would be too small. Intervals of 95 %, *quantile* standard errors to
-    either side, hold the noise of these lines. *frequency* (n_line,) [Hz]. Equation (comp-margins).
+    either side, hold the noise of these lines. *frequency* (n_line,) [Hz]. Equations (comp-margins) and (comp-margins-change).
     """
     plain, variance = transfer
     if frequency.size < LOCAL:
         return []
     omega, smoother = 2 * np.pi * frequency, _smoother(frequency)
-    lines = _Lines(omega, plain, variance, smoother @ plain, smoother * variance @ smoother.T)
-    candidates: dict[str, list[tuple[float, float]]] = {}
+    lines = _Lines(omega, plain, variance, changes, smoother)
+    candidates: dict[str, list[Found]] = {}
     for near, n in lines.crossings(np.imag):
         if near.values[n].real + near.values[n + 1].real < 0:
             gain = _with_error(_gain, near, n)
@@ -43,19 +51,44 @@ def measured_margins(
         for name, margin in (("phase_margin", _phase), ("delay_margin", _delay)):
             candidates.setdefault(name, []).append(_with_error(margin, near, n))
     units = {"phase_margin": "rad", "delay_margin": "s"}
-    chosen = {name: (max if name == "gain_margin_lower" else min)(found) for name, found in candidates.items()}
-    return [with_error(f"measured_{name}{suffix}", units.get(name, "1"), value, error, quantile) for name, (value, error) in chosen.items()]
+    chosen = {name: (max if name == "gain_margin_lower" else min)(found, key=_value) for name, found in candidates.items()}
+    return [
+        (with_error(f"measured_{name}{suffix}", units.get(name, "1"), value, error, quantile), moved)
+        for name, (value, error, moved) in chosen.items()
+    ]
+
+
+def _value(found: Found) -> float:
+    return found[0]
 
 
 @dataclass(frozen=True)
 class _Lines:
-    """L at omega (n_line,) [rad/s]: *plain* as measured with its *variance*, and smoothed *values* with their *covariance*, all [1]."""
+    """L at omega (n_line,) [rad/s]: *plain* as measured with its *variance* and its changes by every source (n_source, n_line), all [1].
+
+    smoother (n_line, n_line) [1]: from these to smoothed values.
+    """
 
     omega: FloatArray
     plain: ComplexArray
     variance: FloatArray
-    values: ComplexArray
-    covariance: FloatArray
+    plain_changes: ComplexArray
+    smoother: FloatArray
+
+    @cached_property
+    def values(self) -> ComplexArray:
+        """L smoothed, (n_line,) [1]."""
+        return self.smoother @ self.plain
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Of the smoothed values, (n_line, n_line) [1]."""
+        return np.asarray(self.smoother * self.variance @ self.smoother.T)
+
+    @cached_property
+    def changes(self) -> ComplexArray:
+        """Of the smoothed values by every source, (n_source, n_line) [1]."""
+        return self.plain_changes @ self.smoother.T
 
     def crossings(self, function: Callable[[ComplexArray], FloatArray]) -> Iterator[tuple[_Lines, int]]:
         """Lines, and the number of the one behind which a real function of L changes its sign there."""
@@ -73,11 +106,11 @@ class _Lines:
         """The lines from *first* to *last* and half as many to either side, L by one parabola through them."""
         reach = max(LOCAL // 2, (last - first + 1) // 2)
         part = slice(max(first - reach, 0), last + 2 + reach)
-        omega, plain, variance = self.omega[part], self.plain[part], self.variance[part]
+        omega = self.omega[part]
         x = (omega - omega[0]) / (omega[-1] - omega[0])
         columns = np.column_stack([np.ones_like(x), x, x**2])
         smoother = columns @ np.linalg.pinv(columns)
-        return _Lines(omega, plain, variance, smoother @ plain, smoother * variance @ smoother.T)
+        return _Lines(omega, self.plain[part], self.variance[part], self.plain_changes[:, part], smoother)
 
 
 def _together(crossings: Sequence[int], sure: BoolArray) -> list[tuple[int, int]]:
@@ -130,11 +163,17 @@ def _delay(values: ComplexArray, omega: FloatArray) -> float:
     return angle / float(omega[0] + share * (omega[1] - omega[0]))
 
 
-def _with_error(margin: Margin, lines: _Lines, n: int) -> tuple[float, float]:
-    """A margin and its standard error; half of the covariance (n_line, n_line) [1] of L is of its real and half of its imaginary part."""
+def _with_error(margin: Margin, lines: _Lines, n: int) -> Found:
+    """A margin, its standard error and its changes.
+
+    Half of the covariance (n_line, n_line) [1] of L is of its real and half of its imaginary part.
+    """
     pair, places, total = lines.values[n : n + 2], lines.omega[n : n + 2], 0.0
-    for direction in (1.0, 1.0j):
+    changes = lines.changes[:, n : n + 2]
+    moved = np.zeros(len(changes))
+    for direction, part in ((1.0, changes.real), (1.0j, changes.imag)):
         steps = STEP * np.abs(pair).mean() * direction * np.eye(2)
         slopes = np.array([(margin(pair + step, places) - margin(pair - step, places)) / (2 * abs(step).max()) for step in steps])
         total += float(slopes @ lines.covariance[n : n + 2, n : n + 2] @ slopes) / 2
-    return margin(pair, places), float(np.sqrt(total))
+        moved += part @ slopes
+    return margin(pair, places), float(np.sqrt(total)), moved

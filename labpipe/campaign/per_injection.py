@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from labpipe.arrays import ComplexArray
+from labpipe.campaign.loop_sources import merged
 from labpipe.errors import ConfigError
 from labpipe.records.channel_spectra import ChannelSpectra
-from labpipe.records.recording import Channel
+from labpipe.records.doubt import Doubt, MatrixError
 from labpipe.records.response import FrequencyResponse, Port
 
 # Condition number of the injections of all runs beyond which they are one.
@@ -17,6 +18,7 @@ ONE_INJECTION = 1e6
 def per_injection(spectra: ChannelSpectra) -> FrequencyResponse:
     """H = Y R^-1 of the runs, Y the channels of role output and R those of role input, dH = (dY - H dR) R^-1.
 
+    Doubts of channels and of sums go the same way, but for directions that no other channel tells, which stay at their ports.
     ConfigError where there is not one run per injection, or where the runs do not tell them apart. Equation (comp-injection).
     """
     inputs, outputs = ([n for n, channel in enumerate(spectra.channels) if channel.role == role] for role in ("input", "output"))
@@ -31,12 +33,13 @@ def per_injection(spectra: ChannelSpectra) -> FrequencyResponse:
     return FrequencyResponse(
         spectra.frequency,
         matrix,
-        tuple(_port(spectra.channels[n]) for n in outputs),
-        tuple(_port(spectra.channels[n]) for n in inputs),
+        tuple(_port(spectra, n) for n in outputs),
+        tuple(_port(spectra, n) for n in inputs),
         form="other",
         covariance=_covariance(spectra, (outputs, inputs), matrix, inverse),
         covariance_dof=spectra.covariance_dof,
         line_correlation=spectra.line_correlation,
+        errors=_errors(spectra, (outputs, inputs), matrix, inverse),
         name=spectra.name,
         findings=spectra.findings,
         conditions=dict(spectra.conditions),
@@ -55,5 +58,24 @@ def _covariance(spectra: ChannelSpectra, places: tuple[list[int], list[int]], ma
     return joint.reshape(-1, n, n)
 
 
-def _port(channel: Channel) -> Port:
-    return Port(channel.name, channel.name, channel.dof, channel.angle, channel.doubts)
+def _errors(
+    spectra: ChannelSpectra, places: tuple[list[int], list[int]], matrix: ComplexArray, inverse: ComplexArray
+) -> tuple[MatrixError, ...]:
+    """dH (n_line, n_output, n_input) by one standard uncertainty of every source in the channels and their sums."""
+    outputs, inputs = places
+    doubts = {doubted.doubt.source: doubted.doubt for channel in spectra.channels for doubted in channel.doubts}
+    omega = 2 * np.pi * spectra.frequency
+    errors = []
+    for factor in spectra.factors:
+        moved = spectra.vectors @ factor.derivative.T * (factor.std_error * omega**factor.power)[:, None, None]
+        change = (moved[:, :, outputs].swapaxes(1, 2) - matrix @ moved[:, :, inputs].swapaxes(1, 2)) @ inverse
+        doubt = doubts.get(factor.source, Doubt(factor.source, factor.std_error, factor.unit))
+        errors.append(MatrixError(doubt, change))
+    return merged(errors)
+
+
+def _port(spectra: ChannelSpectra, number: int) -> Port:
+    channel = spectra.channels[number]
+    told = {factor.source for factor in spectra.factors}
+    left = tuple(doubted for doubted in channel.doubts if doubted.doubt.source not in told)
+    return Port(channel.name, channel.name, channel.dof, channel.angle, left)

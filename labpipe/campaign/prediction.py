@@ -55,6 +55,7 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
         curves=tuple(_curve(view, letter, None if changed is None else changed[n]) for n, view in enumerate(views) for letter in LETTERS),
         correlations=fitted.correlations,
         findings=findings,
+        budgets=() if fitted.budget is None else (fitted.budget,),
     )
 
 
@@ -79,7 +80,7 @@ def _bands(view: View, file: MagneticFile, names: tuple[str, str]) -> list[Compa
 def _band(test: str, fit: Fit, theory: Fit, name: str) -> ComparedBand:
     measured, predicted = fit.parameter(name), theory.parameter(name).value
     # A fit without convergence has no interval and does not hold the prediction. What the model lacks it lacks on both sides.
-    low, high = measured.noise_ci95 or (float("nan"), float("nan"))
+    low, high = measured.measured_ci95 or (float("nan"), float("nan"))
     ends = sorted((low / predicted, high / predicted))
     band = ComparedBand(test, name, measured.unit, band_hz=fit.band_hz, value=measured.value, ci95=(low, high), other=predicted)
     return replace(band, ratio=measured.value / predicted, ratio_ci95=(ends[0], ends[1]))

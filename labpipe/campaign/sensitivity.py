@@ -9,14 +9,19 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.magnetic_kind import MagneticFile, stability_findings, verdict
 from labpipe.bearings.magnetic_stability import ZONES, sensitivity, zone_of
+from labpipe.campaign.amount_budget import with_budget
 from labpipe.campaign.amounts import with_error
 from labpipe.campaign.loop_file import with_unknowns
-from labpipe.campaign.loop_fit import LoopFit, LoopObservation, fit_statement, goodness, identifiability_findings, loop_fit
+from labpipe.campaign.loop_fit import LoopFit, fit_statement, goodness, identifiability_findings, loop_fit
+from labpipe.campaign.loop_problem import LoopObservation
+from labpipe.campaign.loop_sources import response_errors
 from labpipe.campaign.settings import CompareSettings
 from labpipe.distributions import normal_quantile, student_quantile
 from labpipe.errors import ConfigError, FitError
 from labpipe.identify.measured import Measured, select_ports
+from labpipe.records.budget import Budget
 from labpipe.records.comparison import Comparison, Curve
+from labpipe.records.doubt import MatrixError
 from labpipe.records.finding import Finding, note
 from labpipe.records.identification import Parameter
 from labpipe.records.response import FrequencyResponse
@@ -29,9 +34,9 @@ COMPLEX_PARTS = 2
 
 @dataclass(frozen=True)
 class MeasuredSensitivity:
-    """S over *frequency* [Hz], complex (n_line,), with the standard error of |S|; *quantile*: errors to either side of 95 %.
+    """S over *frequency* [Hz], complex (n_line,), with the standard error of |S| by noise; *quantile*: errors to either side of 95 %.
 
-    *response*: the FRF it is computed from.
+    *response*: the FRF it is computed from. errors: changes (n_line, 1, 1) [1] of S by one standard uncertainty of every source.
     """
 
     frequency: FloatArray
@@ -39,11 +44,24 @@ class MeasuredSensitivity:
     error: FloatArray
     quantile: float
     response: FrequencyResponse
+    errors: tuple[MatrixError, ...] = ()
 
     @property
     def size(self) -> FloatArray:
         """|S|, (n_line,) [1]."""
         return np.abs(self.values)
+
+    @property
+    def size_changes(self) -> FloatArray:
+        """Changes of |S| by one standard uncertainty of every source, (n_source, n_line) [1]."""
+        along = self.values.conj() / np.maximum(self.size, 1e-300)
+        changes = np.array([error.change[:, 0, 0] for error in self.errors]).reshape(len(self.errors), self.values.size)
+        return np.asarray((changes * along).real)
+
+    @property
+    def combined(self) -> FloatArray:
+        """Combined standard uncertainty of |S|, (n_line,) [1]."""
+        return np.asarray(np.sqrt(self.error**2 + np.sum(self.size_changes**2, axis=0)))
 
     def observation(self, file: MagneticFile) -> LoopObservation:
         """S with its noise, and its prediction by a file."""
@@ -59,17 +77,40 @@ class MeasuredSensitivity:
             outputs=self.response.outputs[:1],
             inputs=self.response.inputs[:1],
         )
-        return LoopObservation(measured, lambda changed, _: sensitivity(changed.levitated(), omega)[:, None, None], file)
+        return LoopObservation(
+            measured, lambda changed, _: sensitivity(changed.levitated(), omega)[:, None, None], file, errors=lambda *_: self.errors
+        )
 
 
 @dataclass(frozen=True)
 class Peak:
-    """The largest |S| with its standard error and frequency [Hz]; *at_edge*: at the edge of the measured band."""
+    """The largest |S| with its standard error by noise and its frequency [Hz]; *at_edge*: at the edge of the measured band.
+
+    frequency_error [Hz] by noise, None for that of a line. changes, frequency_changes (n_source,) [1] and [Hz]: by one standard
+    uncertainty of every source.
+    """
 
     value: float
     error: float
     frequency: float
     at_edge: bool
+    changes: FloatArray
+    frequency_error: float | None
+    frequency_changes: FloatArray
+
+    @property
+    def combined(self) -> float:
+        """Combined standard uncertainty of the value [1]."""
+        return float(np.sqrt(self.error**2 + np.sum(self.changes**2)))
+
+    def amounts(self, quantile: float, suffix: str = "") -> list[Parameter]:
+        """The peak and its frequency with what noise leaves of them."""
+        named = f"peak_frequency{suffix}"
+        if self.frequency_error is None:
+            place = Parameter(named, self.frequency, "Hz", derived=True)
+        else:
+            place = with_error(named, "Hz", self.frequency, self.frequency_error, quantile)
+        return [with_error(f"peak{suffix}", "1", self.value, self.error, quantile), place]
 
 
 def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -> MeasuredSensitivity:
@@ -77,6 +118,7 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
 
     after = before + e and before = -L after give S = 1 / (1 + L) = after / e; the quotient needs neither gain nor delay of the recorded
     excitation. To first order dS = (H_after dH_before - H_before dH_after) / (H_after - H_before)^2; half of E|dS|^2 is along |S|.
+    Systematic errors of both go the same way, so that what they have in common cancels.
     ConfigError for unknown points, FitError without a covariance or where both points are the same. Equation (mag-measured-sensitivity).
     """
     rows, columns = select_ports(response, (), (before, after))
@@ -95,50 +137,58 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
     variance = np.einsum("fi,fij,fj->f", slopes, covariance, slopes.conj()).real
     dof = COMPLEX_PARTS * response.covariance_dof
     quantile = student_quantile(0.975, dof) if np.isfinite(dof) else normal_quantile(0.975)
-    return MeasuredSensitivity(response.frequency, behind / added, np.sqrt(np.maximum(variance, 0.0) / 2), quantile, response)
+    errors = tuple(
+        replace(error, change=np.einsum("fi,fic->fc", slopes, error.change)[:, :, None])
+        for error in response_errors(response, rows, columns)
+    )
+    return MeasuredSensitivity(response.frequency, behind / added, np.sqrt(np.maximum(variance, 0.0) / 2), quantile, response, errors)
 
 
 def peak_of(measured: MeasuredSensitivity) -> Peak:
     """The maximum of a weighted parabola around the highest line; at an edge of the band the line itself.
 
     The highest line alone would be biased upwards by its noise. Errors are enlarged where the parabola's residual exceeds the noise.
-    Equation (comp-peak).
+    Systematic changes of the lines go through the same parabola, to first order. Equations (comp-peak) and (comp-peak-change).
     """
-    frequency, size, error = measured.frequency, measured.size, measured.error
+    frequency, size, error, changes = measured.frequency, measured.size, measured.error, measured.size_changes
     top = int(np.argmax(size))
     low, high = top, top
     while low > 0 and (size[low - 1] >= CREST * size[top] or high - low + 1 < FEWEST):
         low -= 1
     while high < size.size - 1 and (size[high + 1] >= CREST * size[top] or high - low + 1 < FEWEST):
         high += 1
-    edge = Peak(float(size[top]), float(error[top]), float(frequency[top]), True)
+    edge = Peak(float(size[top]), float(error[top]), float(frequency[top]), True, changes[:, top], None, np.zeros(len(changes)))
     if top in (0, size.size - 1) or high - low + 1 < FEWEST:
         return edge
     width = float(frequency[high] - frequency[low])
     x = (frequency[low : high + 1] - frequency[top]) / width
     columns = np.column_stack([np.ones_like(x), x, x**2]) / error[low : high + 1, None]
     covariance = np.linalg.inv(columns.T @ columns)
-    a, b, c = covariance @ columns.T @ (size[low : high + 1] / error[low : high + 1])
+    solution = covariance @ columns.T / error[low : high + 1]
+    a, b, c = solution @ size[low : high + 1]
     place = -b / (2 * c)
     if c >= 0 or not x[0] <= place <= x[-1]:
         return edge
     excess = np.sum((size[low : high + 1] / error[low : high + 1] - columns @ np.array([a, b, c])) ** 2) / max(x.size - 3, 1)
-    slope = np.array([1.0, place, place**2])
-    spread = np.sqrt(slope @ covariance @ slope * max(excess, 1.0))
-    return Peak(float(a - b**2 / (4 * c)), float(spread), float(frequency[top] + place * width), False)
+    slopes = np.array([[1.0, place, place**2], width * np.array([0.0, -1.0, -2 * place]) / (2 * c)])
+    spread = np.sqrt(np.einsum("ai,ij,aj->a", slopes, covariance, slopes) * max(excess, 1.0))
+    moved = changes[:, low : high + 1] @ (slopes @ solution).T
+    at = float(frequency[top] + place * width)
+    return Peak(float(a - b**2 / (4 * c)), float(spread[0]), at, False, moved[:, 0], float(spread[1]), moved[:, 1])
 
 
 def loop_sensitivity(settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None) -> Comparison:
     """Peak of the measured |S| with its zone, and the prediction of the bearing file, whose unknowns may be fitted to S."""
     measured = measured_sensitivity(response, settings.before, settings.after)
     peak = peak_of(measured)
-    top = with_error("peak", "1", peak.value, peak.error, measured.quantile)
     zone = zone_of(peak.value)
     theory = None if file is None else _Theory(file, loop_fit([measured.observation(file)], settings.estimate))
     predicted = None if theory is None else theory.size(theory.file, measured.frequency)
-    amounts = [top, Parameter("peak_frequency", peak.frequency, "Hz", derived=True)]
+    told, budget = _measured_amounts(measured, peak, predicted)
+    amounts, budgets = list(told), [budget]
     if theory is not None and predicted is not None:
-        amounts += [*_predicted_amounts(measured, predicted, peak), *goodness(theory.fitted), *theory.fitted.parameters]
+        amounts += [*_predicted_amounts(measured, predicted), *goodness(theory.fitted), *theory.fitted.parameters]
+        budgets.append(theory.fitted.budget)
     return Comparison(
         name=settings.name,
         kind="sensitivity",
@@ -147,10 +197,11 @@ def loop_sensitivity(settings: CompareSettings, response: FrequencyResponse, fil
         points=(),
         amounts=tuple(amounts),
         verdict=f"zone {zone}",
-        statement=_statement(peak, top, zone, predicted, theory),
+        statement=_statement(peak, told[0], zone, predicted, theory),
         curves=(_curve(measured, predicted, theory),),
         correlations=() if theory is None else theory.fitted.correlations,
         findings=_findings(peak, zone, theory),
+        budgets=tuple(one for one in budgets if one is not None),
     )
 
 
@@ -167,7 +218,7 @@ class _Theory:
 
 
 def _curve(measured: MeasuredSensitivity, predicted: FloatArray | None, theory: _Theory | None) -> Curve:
-    reach = measured.quantile * measured.error
+    reach = measured.quantile * measured.combined
     matched: tuple[float, ...] = ()
     if theory is not None and theory.fitted.usable:
         matched = tuple(theory.size(with_unknowns(theory.file, theory.fitted.values()), measured.frequency).tolist())
@@ -184,15 +235,24 @@ def _curve(measured: MeasuredSensitivity, predicted: FloatArray | None, theory: 
     )
 
 
-def _predicted_amounts(measured: MeasuredSensitivity, predicted: FloatArray, peak: Peak) -> tuple[Parameter, ...]:
-    """The predicted peak within the measured band, measured / predicted, and the share of lines whose interval holds the prediction."""
-    highest = float(np.max(predicted))
-    holds = np.abs(measured.size - predicted) <= measured.quantile * measured.error
-    return (
-        Parameter("predicted_peak", highest, "1", derived=True),
-        with_error("ratio", "1", peak.value / highest, peak.error / highest, measured.quantile),
-        Parameter("share", float(np.mean(holds)), "1", derived=True),
-    )
+def _measured_amounts(
+    measured: MeasuredSensitivity, peak: Peak, predicted: FloatArray | None
+) -> tuple[tuple[Parameter, ...], Budget | None]:
+    """The peak, its frequency, and measured over predicted peak, with what systematic errors add."""
+    amounts, changes = peak.amounts(measured.quantile), [peak.changes, peak.frequency_changes]
+    if predicted is not None:
+        highest = float(np.max(predicted))
+        amounts.append(with_error("ratio", "1", peak.value / highest, peak.error / highest, measured.quantile))
+        changes.append(peak.changes / highest)
+    dof = COMPLEX_PARTS * measured.response.covariance_dof
+    return with_budget(amounts, [error.doubt for error in measured.errors], np.array(changes).T, dof if np.isfinite(dof) else None)
+
+
+def _predicted_amounts(measured: MeasuredSensitivity, predicted: FloatArray) -> tuple[Parameter, ...]:
+    """The predicted peak within the measured band, and the share of lines whose interval holds the prediction."""
+    holds = np.abs(measured.size - predicted) <= measured.quantile * measured.combined
+    pairs = {"predicted_peak": float(np.max(predicted)), "share": float(np.mean(holds))}
+    return tuple(Parameter(name, value, "1", derived=True) for name, value in pairs.items())
 
 
 def _statement(peak: Peak, top: Parameter, zone: str, predicted: FloatArray | None, theory: _Theory | None) -> str:

@@ -87,7 +87,17 @@ def mass_source(parameters: Sequence[Parameter], settings: FitSettings) -> list[
         return []
     relative = number.std_error / number.value
     changes = np.array([relative * parameter.value if parameter.unit in ("N/m", "N.s/m") else 0.0 for parameter in parameters])
-    return [(doubt_of(number, f"mass {number.value:g} kg", "kg"), changes)]
+    return [(_of_mass(number), changes)]
+
+
+def mass_doubt(settings: FitSettings) -> Doubt | None:
+    """The doubt of a given mass; None where it has none, or is estimated."""
+    number = dict(settings.doubts).get("mass")
+    return None if number is None or settings.mass == ESTIMATE or not number.std_error > 0 else _of_mass(number)
+
+
+def _of_mass(number: Uncertain) -> Doubt:
+    return doubt_of(number, f"mass {number.value:g} kg", "kg")
 
 
 def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
@@ -110,11 +120,16 @@ def with_contributions(fit: Fit, coverage: float) -> Fit:
 
     *coverage* [1]: probability of the expanded uncertainty, by Student's t with the effective degrees of freedom.
     """
-    budget = fit.budget
-    if budget is None:
-        return fit
+    return fit if fit.budget is None else replace(fit, parameters=contributed(fit.parameters, fit.budget, coverage))
+
+
+def contributed(parameters: Sequence[Parameter], budget: Budget, coverage: float) -> tuple[Parameter, ...]:
+    """The parameters with combined and expanded uncertainty and with the sources of a *budget* that holds all of them.
+
+    *coverage* [1]: as for `with_contributions`. A parameter without a systematic part stays as it is.
+    """
     stated = []
-    for parameter in fit.parameters:
+    for parameter in parameters:
         if parameter.systematic is None:
             stated.append(parameter)
             continue
@@ -124,7 +139,7 @@ def with_contributions(fit: Fit, coverage: float) -> Fit:
         shares = budget.shares(parameter.name).items()
         contributions = tuple(Contribution(source, combined * float(np.sqrt(share)), share) for source, share in shares)
         stated.append(replace(parameter, combined=combined, expanded=factor * combined, coverage_factor=factor, budget=contributions))
-    return replace(fit, parameters=tuple(stated))
+    return tuple(stated)
 
 
 # From a case and an error of a source to the setup and the data with that error.
@@ -141,12 +156,11 @@ def sources_of(setup: Setup, measured: Measured) -> list[tuple[Doubt, Change]]:
                 changes.setdefault(doubted.doubt.source, []).append(entry)
     for matrix_error in measured.errors:
         changes.setdefault(matrix_error.doubt.source, []).append((matrix_error.doubt, _change_by(matrix_error)))
-    mass = dict(setup.settings.doubts).get("mass")
-    if mass is not None and mass.std_error > 0 and setup.settings.mass != ESTIMATE:
-        doubt = doubt_of(mass, f"mass {mass.value:g} kg", "kg")
-        changes.setdefault(doubt.source, []).append((doubt, _heavier))
-    for doubt, change in _support_sources(setup.settings.subtract):
-        changes.setdefault(doubt.source, []).append((doubt, change))
+    mass = mass_doubt(setup.settings)
+    if mass is not None:
+        changes.setdefault(mass.source, []).append((mass, _heavier))
+    for name, doubt in support_doubts(setup.settings.subtract):
+        changes.setdefault(doubt.source, []).append((doubt, _other_support(name)))
     return [(entries[0][0], _together(entries)) for entries in changes.values()]
 
 
@@ -228,12 +242,12 @@ def _heavier(case: Case, error: float) -> tuple[Setup, Measured]:
     return replace(case.setup, settings=replace(settings, mass=settings.mass + error)), case.measured
 
 
-def _support_sources(support: Support | None) -> Iterator[tuple[Doubt, Change]]:
-    """Stiffness and damping of a support that is subtracted; the same support in all tests is the same error."""
+def support_doubts(support: Support | None) -> Iterator[tuple[str, Doubt]]:
+    """Doubts of stiffness and damping, by these names, of a support that is subtracted; in all tests on it they are the same errors."""
     for name, unit in (("stiffness", "N/m"), ("damping", "N.s/m")):
         number: Uncertain | None = None if support is None else getattr(support, name)
         if number is not None and number.std_error > 0:
-            yield doubt_of(number, f"{name} of the support, {amount_text(number.value, None, unit)}", unit), _other_support(name)
+            yield name, doubt_of(number, f"{name} of the support, {amount_text(number.value, None, unit)}", unit)
 
 
 def _other_support(name: str) -> Change:

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass
 from typing import Protocol
 
+from labpipe.records.budget import Budget
 from labpipe.records.finding import Finding
 from labpipe.records.parameter import Parameter
 
@@ -102,6 +103,7 @@ class Comparison:
     *verdict* is one word or two for rules ("no difference"), *statement* the same as a sentence for people. *line*: condition and value
     of the fitted trend, for drawing; *overlays*: measured curves and the theory's, at the first and the last condition. *bands* and
     *curves*: where something is compared over frequency; *correlations* of estimated amounts, (name, name, value); *findings*: warnings.
+    *budgets*: of amounts to whose doubt systematic sources add, each of those that rest on the same data.
     """
 
     name: str
@@ -122,6 +124,7 @@ class Comparison:
     curves: tuple[Curve, ...] = ()
     correlations: tuple[tuple[str, str, float], ...] = ()
     findings: tuple[Finding, ...] = ()
+    budgets: tuple[Budget, ...] = ()
 
     def amount(self, name: str) -> Parameter:
         """The amount of that name; KeyError with the known names otherwise."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import KW_ONLY, dataclass
 
 
@@ -45,11 +46,14 @@ class Parameter:
     budget: tuple[Contribution, ...] = ()
 
     @property
-    def noise_ci95(self) -> tuple[float, float] | None:
-        """The 95 % interval by noise alone, for what is compared with a value of the same model on the same lines."""
+    def measured_ci95(self) -> tuple[float, float] | None:
+        """The 95 % interval by noise and given numbers, for what is compared with a value of the same model on the same lines.
+
+        What the model lacks, and the residual shows, it lacks on both sides.
+        """
         if self.ci95 is None or not self.full_error or self.std_error is None:
             return self.ci95
-        share = self.std_error / self.full_error
+        share = math.hypot(self.std_error, self.systematic or 0.0) / self.full_error
         return self.value + share * (self.ci95[0] - self.value), self.value + share * (self.ci95[1] - self.value)
 
     @property

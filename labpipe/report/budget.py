@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from labpipe.display import difference_in, shown_unit, two_digits
 from labpipe.quantities import to_display
 from labpipe.records.budget import Budget
+from labpipe.records.comparison import Comparison
 from labpipe.records.identification import Fit
 from labpipe.records.parameter import Parameter
 from labpipe.report.chart import PALETTE_SIZE, Axis, Panel, Series, named_ticks, outline, stacked
@@ -20,34 +22,45 @@ HEADER = ("parameter", "value", "unit", "random", "systematic", "combined", "exp
 MOST_BARS, BAR = 12, 0.38
 # Degrees of freedom from which they count as known.
 MANY = 1000
-EXPLAINED = (
+COMBINED = (
     "Combined standard uncertainty by the GUM (JCGM 100:2008, 5.1), to first order: random, from the noise of this measurement, and "
     "systematic, from the doubts of the numbers that were given. Expanded: times k, Student's quantile with the effective degrees of "
-    "freedom after Welch and Satterthwaite, for 95 % unless the pipeline asks for another `coverage`. Intervals are of 95 % and hold all "
-    "of it."
+    "freedom after Welch and Satterthwaite, for 95 %"
 )
+EXPLAINED = f"{COMBINED} unless the pipeline asks for another `coverage`. Intervals are of 95 % and hold all of it."
+EXPLAINED_COMPARISON = f"{COMBINED}. Intervals hold all of it."
 # Share of the variance from which one source with sharp limits shapes the distribution.
 RECTANGULAR = 0.5
 
 
 def budget_blocks(fit: Fit) -> tuple[Block, ...]:
     """Table of the parts, bars and table of the shares, and a sentence on what to improve; nothing without a budget."""
-    budget = fit.budget
-    if budget is None:
-        return ()
+    return () if fit.budget is None else _blocks(fit.name, fit.parameters, fit.budget, EXPLAINED)
+
+
+def comparison_budget_blocks(comparison: Comparison) -> list[Block]:
+    """The same of every budget of a comparison, with what it is explained once."""
+    blocks: list[Block] = []
+    for budget in comparison.budgets:
+        amounts = tuple(amount for amount in comparison.amounts if amount.name in budget.names)
+        blocks.extend(_blocks(comparison.name, amounts, budget, "" if blocks else EXPLAINED_COMPARISON))
+    return blocks
+
+
+def _blocks(name: str, parameters: Sequence[Parameter], budget: Budget, explained: str) -> tuple[Block, ...]:
     drawn = budget.drawn is not None
-    told = [parameter for parameter in fit.parameters if parameter.systematic]
+    told = {parameter.name: parameter for parameter in parameters if parameter.systematic}
     if not told:
         return ()
     header = (*HEADER, *(["Monte Carlo / first order"] if drawn else []))
-    rows = tuple((*_row(budget, parameter), *([_drawn(budget, parameter)] if drawn else [])) for parameter in told)
-    named = [parameter.name for parameter in told]
+    rows = tuple((*_row(budget, parameter), *([_drawn(budget, parameter)] if drawn else [])) for parameter in told.values())
+    named = list(told)
     return (
-        Paragraph(EXPLAINED),
-        Table(header, rows, f"Uncertainty of {fit.name}", tuple(range(1, len(header)))),
+        *([Paragraph(explained)] if explained else []),
+        Table(header, rows, f"Uncertainty of {name}", tuple(range(1, len(header)))),
         _bars(budget, named[:MOST_BARS]),
         _shares_table(budget, named),
-        Paragraph(_improvement(fit, budget, named), "note"),
+        Paragraph(_improvement(told, budget), "note"),
         *([Paragraph(text, "warning")] if (text := _sharp_ends(budget, named)) else []),
     )
 
@@ -125,12 +138,12 @@ def _size(std_error: float, unit: str) -> str:
     return f"{two_digits(difference_in(std_error, shown))} {legible(shown)}"
 
 
-def _improvement(fit: Fit, budget: Budget, names: list[str]) -> str:
+def _improvement(told: Mapping[str, Parameter], budget: Budget) -> str:
     """What to improve first: the source whose removal makes the largest relative uncertainty smallest."""
-    worst = max(names, key=lambda name: _relative(fit.parameter(name)))
+    worst = max(told, key=lambda name: _relative(told[name]))
     source, share = next(iter(budget.shares(worst).items()))
     gain = math.sqrt(max(1 - share, 0.0))
-    before = 100 * _relative(fit.parameter(worst))
+    before = 100 * _relative(told[worst])
     if source == "noise":
         return (
             f"{worst} is the least certain ({before:.2g} % expanded): {100 * share:.0f} % of its variance is noise; measure longer first."

@@ -13,13 +13,13 @@ import numpy as np
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.identify.combinations import combination_text
+from labpipe.identify.systematic import explained, steps_by
 from labpipe.optimise.levenberg import minimise
 from labpipe.records.run_up import RunUp
 from labpipe.rigs.film_family import BOUND, PARAMETERS, PRIOR, FilmFamily
 from labpipe.rigs.run_up_rotor import RunUpRotor, searched_over
 from labpipe.run_ups.joint_result import JointFit
 from labpipe.run_ups.misfit import LoadRuns, rank_of, runs_by_speeds, sources_of
-from labpipe.run_ups.probes import explained, steps_by
 from labpipe.run_ups.problem import RunUpProblem, measured_thresholds
 
 MOST_REFITS = 12

@@ -1,4 +1,4 @@
-"""What the doubts of probes and of the keyphasor do to fits of run-ups: one more step of the fit on changed responses."""
+"""Doubts of the probes and of the keyphasor of run-ups, as errors of their phasors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
 from labpipe.records.doubt import COURSES, Doubt, doubt_of
 from labpipe.records.run_up import DIRECTIONS, ProbeError
 from labpipe.records.uncertain import Uncertain
@@ -45,24 +44,3 @@ class ProbeDoubts:
 def turning(doubt: Doubt, n_plane: int) -> tuple[ProbeError, ...]:
     """The error of the keyphasor's angle, which turns all phasors alike."""
     return (ProbeError(doubt, np.tile(1j * np.eye(2), (n_plane, 1, 1))),)
-
-
-def steps_by(changes: FloatArray, slopes: FloatArray, covariance: FloatArray) -> FloatArray:
-    """-C J^T dr (n_source, n_parameter) [parameter units] by changes dr (n_source, n_datum) [1] of the residual of slopes J.
-
-    Equation (run-probes).
-    """
-    return np.asarray(-changes @ slopes @ covariance)
-
-
-def explained(residual: FloatArray, changes: FloatArray, slopes: FloatArray, covariance: FloatArray) -> float:
-    """The part of chi-square [1] that errors of probes explain, each of them 0 +- 1 standard uncertainty.
-
-    residual (n_datum,) [1] at the minimum; changes (n_source, n_datum), with what the fit follows of them taken out.
-    Equation (run-explained).
-    """
-    if not len(changes):
-        return 0.0
-    left = changes + steps_by(changes, slopes, covariance) @ slopes.T
-    told = changes @ residual
-    return float(told @ np.linalg.solve(np.eye(len(left)) + left @ changes.T, told))

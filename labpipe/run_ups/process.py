@@ -16,6 +16,7 @@ from scipy import linalg, optimize
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
+from labpipe.identify.systematic import explained, steps_by
 from labpipe.optimise.levenberg import minimise
 from labpipe.records.run_up import RunUp
 from labpipe.rigs.film_family import PARAMETERS, PRIOR
@@ -23,7 +24,6 @@ from labpipe.rigs.run_up_rotor import RunUpRotor, searched_over
 from labpipe.run_ups.joint import family_about
 from labpipe.run_ups.joint_result import JointFit
 from labpipe.run_ups.misfit import LoadRuns, rank_of, runs_by_load, sources_of
-from labpipe.run_ups.probes import explained, steps_by
 from labpipe.run_ups.problem import RunUpProblem, Thresholds, measured_thresholds, threshold_row
 from labpipe.run_ups.process_field import ProcessFamily, SmoothField, SquaredExponential, places_of
 from labpipe.run_ups.process_result import ProcessFit

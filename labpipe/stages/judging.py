@@ -10,10 +10,10 @@ from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.dataset_row import PartialOutcome
 from labpipe.records.finding import WARNING, of_level
-from labpipe.records.identification import Fit, Parameter, RuleOutcome
+from labpipe.records.identification import Fit, RuleOutcome
 from labpipe.registry import nearest
 from labpipe.sections import names_of, section
-from labpipe.stages.judging_numbers import Compared, compare_number
+from labpipe.stages.judging_numbers import Compared, compare_expanded, compare_number
 
 # Warnings with which nothing is accepted: the size of the error is not known.
 FORBIDDING = ("feedback",)
@@ -156,15 +156,5 @@ def _compare_item(rule: Rule, fit: Fit) -> Compared:
     if attribute == "std_error":
         return compare_number(rule, parameter.full_error, parameter.unit)
     if attribute == "expanded":
-        return _compare_expanded(rule, parameter)
+        return compare_expanded(rule, parameter)
     return compare_number(rule, parameter.value, parameter.unit)
-
-
-def _compare_expanded(rule: Rule, parameter: Parameter) -> Compared:
-    """The expanded uncertainty, half the 95 % interval where noise alone is known; relative to the value where the rule is in per cent."""
-    if parameter.ci95 is None:
-        return None, False, ""
-    half = (parameter.ci95[1] - parameter.ci95[0]) / 2 if parameter.expanded is None else parameter.expanded
-    if rule.bound.endswith("%"):
-        return compare_number(rule, half / abs(parameter.value) if parameter.value else None, "1")
-    return compare_number(rule, half, parameter.unit)

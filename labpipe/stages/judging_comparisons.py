@@ -1,4 +1,4 @@
-"""Holding comparisons against rules: "name.amount", "name.amount.covers", "name.amount.std_error", "name.verdict"."""
+"""Holding comparisons against rules: "name.amount", "name.amount.covers", ".std_error", ".expanded", "name.verdict"."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from labpipe.errors import ConfigError
 from labpipe.records.comparison import Comparison
 from labpipe.records.identification import Parameter, RuleOutcome
 from labpipe.registry import nearest
-from labpipe.stages.judging_numbers import CompareNumber, compare_covers
+from labpipe.stages.judging_numbers import CompareNumber, compare_covers, compare_expanded
 
 
 def comparison_outcome(rule: Rule, comparisons: Sequence[Comparison], compare_number: CompareNumber) -> RuleOutcome:
@@ -23,7 +23,9 @@ def comparison_outcome(rule: Rule, comparisons: Sequence[Comparison], compare_nu
     amount = _amount(rule, comparison, name)
     if attribute == "covers":
         return RuleOutcome(rule.section, rule.text, *compare_covers(rule, amount.ci95, amount.unit))
-    value = amount.std_error if attribute == "std_error" else amount.value
+    if attribute == "expanded":
+        return RuleOutcome(rule.section, rule.text, *compare_expanded(rule, amount))
+    value = amount.full_error if attribute == "std_error" else amount.value
     return RuleOutcome(rule.section, rule.text, *compare_number(rule, value, amount.unit))
 
 

@@ -9,6 +9,7 @@ from labpipe.config.rules import Rule
 from labpipe.display import amount_text, with_error
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, in_unit, parse_value, written_unit
+from labpipe.records.parameter import Parameter
 from labpipe.records.uncertain import parse_uncertain, split_doubt
 
 # (value [SI], whether it meets the rule, the value in the rule's unit)
@@ -50,3 +51,13 @@ def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> C
     except UnitError as error:
         raise ConfigError(f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint) from None
     return f"{low:.6g} to {high:.6g}", low <= wanted <= high, ends
+
+
+def compare_expanded(rule: Rule, parameter: Parameter) -> Compared:
+    """The expanded uncertainty, half the 95 % interval where noise alone is known; relative to the value where the rule is in per cent."""
+    if parameter.ci95 is None:
+        return None, False, ""
+    half = (parameter.ci95[1] - parameter.ci95[0]) / 2 if parameter.expanded is None else parameter.expanded
+    if rule.bound.endswith("%"):
+        return compare_number(rule, half / abs(parameter.value) if parameter.value else None, "1")
+    return compare_number(rule, half, parameter.unit)

@@ -1,7 +1,7 @@
 """Worlds of control loops: a response or signals as the loop of the bearing file gives them, with the support that really is there.
 
-Unknowns of a loop carry the noise of the response and the doubt of a support, which are drawn here; the true unknowns are those that were
-fitted to the measurement.
+Drawn are the noise of the response, its channels, a given mass and the support; the true unknowns are those that were fitted to the
+measurement.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from labpipe.campaign.per_injection import per_injection
 from labpipe.campaign.sensitivity import loop_sensitivity
 from labpipe.campaign.settings import CompareSettings
 from labpipe.config.pipeline import Pipeline
+from labpipe.identify.budget import mass_doubt
 from labpipe.identify.fitting import identify
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.doubt import Doubt
@@ -33,7 +34,7 @@ from labpipe.spectra.convert import receptance_factor
 from labpipe.stages.compare import magnetic_theory
 from tests.draws.cases import measured_tests
 from tests.draws.responses import ResponseWorlds, worlds_about
-from tests.draws.usual import Errors
+from tests.draws.usual import Errors, angle_error, with_usual_mass
 
 KINDS = ("prediction", "sensitivity", "certificate")
 
@@ -58,17 +59,21 @@ def loop_worlds(pipeline: Pipeline) -> list[LoopWorlds]:
     chosen = [one for one in pipeline.sections.get("compare", ()) if one.kind in KINDS and one.theory is not None]
     make = {"prediction": _prediction, "sensitivity": _sensitivity, "certificate": _certificate}
     tests = measured_tests(pipeline) if chosen else ()
-    return [make[one.kind](one, pipeline, [_without_doubts(test) for test in tests]) for one in chosen if one.estimate]
+    return [make[one.kind](one, pipeline, [_with_ports(test) for test in tests]) for one in chosen]
 
 
-def _without_doubts(test: FrequencyResponse | ChannelSpectra) -> FrequencyResponse:
-    response = per_injection(test) if isinstance(test, ChannelSpectra) else test
-    plain = {name: tuple(replace(port, doubts=()) for port in getattr(response, name)) for name in ("outputs", "inputs")}
-    return replace(response, **plain)
+def _with_ports(test: FrequencyResponse | ChannelSpectra) -> FrequencyResponse:
+    """The response, doubts of channels at its ports, where worlds take them not only to first order."""
+    if not isinstance(test, ChannelSpectra):
+        return test
+    response, doubts = per_injection(test), {channel.name: channel.doubts for channel in test.channels}
+    ports = {name: tuple(replace(port, doubts=doubts[port.label]) for port in getattr(response, name)) for name in ("outputs", "inputs")}
+    # Spectra of all channels have a covariance of every line's own.
+    return replace(response, errors=(), averages=response.covariance_dof + 1, **ports)
 
 
 def _prediction(settings: CompareSettings, pipeline: Pipeline, tests: list[FrequencyResponse]) -> LoopWorlds:
-    fit = next(one for one in pipeline.fits if one.name == settings.fit)
+    fit = with_usual_mass(next(one for one in pipeline.fits if one.name == settings.fit))
     assert settings.theory is not None
     theory = magnetic_theory(pipeline.folder, settings.theory)
     views = []
@@ -79,7 +84,7 @@ def _prediction(settings: CompareSettings, pipeline: Pipeline, tests: list[Frequ
     true = [replace(view, file=with_unknowns(view.file, fitted)) for view in views]
 
     def recorded(errors: Errors, rng: np.random.Generator | None) -> list[FrequencyResponse]:
-        return [worlds_about(_on_support(view, errors)).recorded(Errors(), rng) for view in true]
+        return [worlds_about(_on_support(view, errors)).recorded(errors, rng) for view in true]
 
     def found(responses: list[FrequencyResponse]) -> tuple[Parameter, ...]:
         again = [replace(view, response=response) for view, response in zip(views, responses, strict=True)]
@@ -89,7 +94,7 @@ def _prediction(settings: CompareSettings, pipeline: Pipeline, tests: list[Frequ
 
 
 def _on_support(view: View, errors: Errors) -> FrequencyResponse:
-    """cos / (k_s + j w c_s + n K(jw) - m w^2) of the true support, in the form of the response."""
+    """cos / (k_s + j w c_s + n K(jw) - m w^2) of the true support and mass, in the form of the response."""
     response, plant, own = view.response, view.file.levitated(), view.settings
     omega = 2 * np.pi * response.frequency
     stiffness, damping = (
@@ -97,13 +102,17 @@ def _on_support(view: View, errors: Errors) -> FrequencyResponse:
         for name in ("stiffness", "damping")
     )
     assert isinstance(own.mass, float)
+    doubted = mass_doubt(own)
+    mass = own.mass - (0.0 if doubted is None else errors.of(doubted))
     bearings = own.share * dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
-    total = stiffness + 1j * omega * damping + bearings - own.mass * omega**2
+    total = stiffness + 1j * omega * damping + bearings - mass * omega**2
     (column,), rows = view.ports[1], view.ports[0]
+    force = response.inputs[column]
     matrix = response.matrix.copy()
-    for row in rows:
-        angles = response.outputs[row].angle, response.inputs[column].angle
-        cosine = 1.0 if None in angles else np.cos(angles[0] - angles[1])
+    # Sensors of known direction beside those of the fit tell what these read across.
+    for row in dict.fromkeys([*rows, *(n for n, port in enumerate(response.outputs) if port.angle is not None)]):
+        angles = response.outputs[row].angle, force.angle
+        cosine = 1.0 if None in angles else np.cos(angles[0] - angles[1] + angle_error(force.doubts, errors))
         matrix[:, row, column] = cosine / total * receptance_factor(response.form, response.frequency)
     return replace(response, matrix=matrix)
 

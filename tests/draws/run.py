@@ -6,8 +6,8 @@ Every sensor of a pipeline's rig that the rig file gives no doubt gets one of us
 2 us, direction 0.5 deg), so does a given mass (0.5 %). A world draws all of them, records what the fitted model would do with noise of
 the measured covariance, and fits it with the numbers as they are written. All fits of a pipeline and its tests share the sensors of a
 world. Comparisons of tests get one truth behind all tests, each at a condition that is off by its setting error; run-ups bearings and
-probes that are off; responses to unbalance bearings that are off; calibrations new points; unknowns of a control loop noise and a support
-that is off.
+probes that are off; responses to unbalance bearings that are off; calibrations new points; what is said of a control loop noise, channels,
+mass and support that are off.
 
 Prints for every parameter the scatter over the combined standard uncertainty, how often its 95 % interval holds the truth, and how often
 noise alone would. At most N cases (bands, tests) of one fit, evenly chosen; at most S seconds for a pipeline.

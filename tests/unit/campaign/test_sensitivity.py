@@ -17,7 +17,6 @@ from labpipe.campaign.sensitivity import loop_sensitivity, measured_sensitivity,
 from labpipe.campaign.settings import CompareSettings, TheorySettings
 from labpipe.errors import ConfigError, FitError
 from labpipe.records.comparison import Comparison
-from labpipe.records.doubt import ChannelDoubt, Doubt
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure
@@ -90,22 +89,6 @@ def test_zone_prediction_and_what_lies_outside_the_band(rng: np.random.Generator
     # k_n / k_0 = 33106 / 1694 at rest.
     assert "19.5 at 0 Hz, zone D" in found.statement
     assert [finding.code for finding in found.findings] == ["sensitivity", "sensitivity", "assumptions"]
-
-
-def test_doubts_of_both_sides_are_not_in_the_interval_and_that_is_said(rng: np.random.Generator) -> None:
-    """The peak's interval is by noise alone; the recorded excitation does not count, and its doubt is not named."""
-    plain = response(rng)
-    gain = (ChannelDoubt("gain", Doubt("amplifier", 0.01, "1")),)
-    doubtful = replace(
-        plain,
-        outputs=tuple(replace(port, doubts=gain) for port in plain.outputs),
-        inputs=tuple(replace(port, doubts=gain) for port in plain.inputs),
-    )
-    said, silent = (compare(ASKED, Evidence((), (one,), ())) for one in (doubtful, plain))
-    (finding,) = [one for one in said.findings if one.code == "number-doubt"]
-    assert "doubts of before, after:" in finding.message
-    assert said.amount("peak") == silent.amount("peak")
-    assert not [one for one in silent.findings if one.code == "number-doubt"]
 
 
 def test_an_interval_over_a_limit_is_said(rng: np.random.Generator) -> None:
