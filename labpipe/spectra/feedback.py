@@ -189,9 +189,9 @@ def _excited(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
     coarse = coarse / np.maximum(np.max(coarse, axis=0), np.finfo(float).tiny)
     coherence = np.add.reduceat(_largest_coherence(u, y), edges[:-1]) / np.diff(edges)
     bands = []
+    lower, upper = _edges_of(coarse, coherence)
     for dark in (DARK, DIM):
         lit = np.all(coarse > dark, axis=1)
-        lower, upper = _edges_of(coarse, coherence)
         lit[:lower], lit[upper:] = False, False
         if np.any(lit):
             bands.append((int(edges[np.argmax(lit)]), int(edges[lit.size - np.argmax(lit[::-1])])))
@@ -202,21 +202,20 @@ def _excited(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
 def _edges_of(coarse: FloatArray, coherence: FloatArray) -> tuple[int, int]:
     """First of the coarse bands (n_band, n_input) and first above, between cliffs in the power of a force that is not coherent beyond."""
     first, last = 0, coarse.shape[0]
+    here = np.arange(last)[:, None]
+    other = here.T
+    above = (other > here) & (other <= np.ceil(CLIFF_WIDTH * (here + 0.5)))
+    below = (other < here) & (other >= ((here + 0.5) / CLIFF_WIDTH).astype(int) - 1)
     for column in coarse.T:
         strongest = int(np.argmax(column))
-        for number in range(strongest, last - 1):
-            further = slice(number + 1, int(np.ceil(CLIFF_WIDTH * (number + 0.5))) + 1)
-            fallen = (column[further] < CLIFF * column[number]) & (coherence[further] < COHERENT)
-            if fallen.any():
-                last = min(last, number + 1 + int(np.argmax(fallen)))
-                break
-        for number in range(strongest, first, -1):
-            before = np.arange(number - 1, int((number + 0.5) / CLIFF_WIDTH) - 2, -1)
-            before = before[before >= 0]
-            fallen = (column[before] < CLIFF * column[number]) & (coherence[before] < COHERENT)
-            if fallen.any():
-                first = max(first, number - int(np.argmax(fallen)))
-                break
+        # A row per band, and in it those at which the power has fallen.
+        fallen = (column < CLIFF * column[:, None]) & (coherence < COHERENT)
+        ends = np.flatnonzero(np.any(fallen & above, axis=1)[strongest : last - 1])
+        if ends.size:
+            last = min(last, int(np.argmax((fallen & above)[strongest + ends[0]])))
+        begins = np.flatnonzero(np.any(fallen & below, axis=1)[first + 1 : strongest + 1])
+        if begins.size:
+            first = max(first, 1 + int(np.flatnonzero((fallen & below)[first + 1 + begins[-1]])[-1]))
     return first, last
 
 
@@ -238,10 +237,12 @@ def _average(values: ComplexArray | FloatArray) -> ComplexArray:
     rows = np.moveaxis(values, 0, -1)
     number = np.arange(rows.shape[-1])
     count = np.minimum(number, HALF_WIDTH) + np.minimum(number[::-1], HALF_WIDTH) + 1
-    total = np.cumsum(rows, axis=-1)
-    before = np.zeros((*rows.shape[:-1], HALF_WIDTH + 1), rows.dtype)
-    total = np.concatenate([before, total, np.repeat(total[..., -1:], HALF_WIDTH, axis=-1)], axis=-1)
-    mean = (total[..., 2 * HALF_WIDTH + 1 :] - total[..., : number.size]) / count
+    total = np.empty((*rows.shape[:-1], number.size + 2 * HALF_WIDTH + 1), rows.dtype)
+    total[..., : HALF_WIDTH + 1] = 0.0
+    np.cumsum(rows, axis=-1, out=total[..., HALF_WIDTH + 1 : HALF_WIDTH + 1 + number.size])
+    total[..., HALF_WIDTH + 1 + number.size :] = total[..., HALF_WIDTH + number.size, None]
+    mean = total[..., 2 * HALF_WIDTH + 1 :] - total[..., : number.size]
+    mean /= count
     return np.asarray(np.moveaxis(mean, -1, 0))
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.records.arrays import handed_over
+from labpipe.records.factored_covariance import FactoredCovariance
 from labpipe.spectra.matrices import hermitian, inverse, lines_last, product, without_rounding
 from labpipe.spectra.periodic import neighbourhood_mean
 
@@ -13,6 +15,8 @@ ENOUGH_DOF = 16.0
 # Rounds of the fit of a residual's two parts, each weighted by the last, and standard errors by which a part must exceed zero.
 REWEIGHTED = 5
 SIGNIFICANT = 3.0
+# Numbers of matrices that are made together: a part of the cache.
+CACHED_NUMBERS = 1 << 16
 
 
 def covariance_of_random(
@@ -43,16 +47,37 @@ def covariance_of_random(
 
 def covariance_of_h1(
     spectra: ComplexArray, response: ComplexArray, inverse_force: ComplexArray, averages: float, half_width: int = 0
-) -> ComplexArray:
+) -> FactoredCovariance:
     """cov(H_oi, H_pj) = S_rr[o, p] (S_uu^-1)[j, i] / (n_e - n_input): covariance_of_random with the forces as instruments.
 
-    inverse_force: S_uu^-1 (n_frequency, n_input, n_input) [Hz/N^2]; the result (n_frequency, n, n) and the other arguments as there.
-    Equation (frf-covariance-h1).
+    inverse_force: S_uu^-1 (n_frequency, n_input, n_input) [Hz/N^2]; the result, of (n_frequency, n, n), stays in its two factors, since
+    it is large where there are many responses; the other arguments as there. Equation (frf-covariance-h1).
     """
-    residual = pooled_residual(residual_spectrum(spectra, response), response, half_width)
-    # Both factors are Hermitian to the last digit, so their product is: it is large where there are many responses.
+    residual = pooled_residual(residual_of_h1(spectra, response), response, half_width)
     spread = without_rounding(inverse_force).swapaxes(1, 2) / max(averages - response.shape[2], 1.0)
-    return _joined(residual, spread[:, None, :, None, :])
+    return FactoredCovariance(handed_over(residual), handed_over(spread))
+
+
+def residual_of_h1(spectra: ComplexArray, response: ComplexArray) -> ComplexArray:
+    """S_rr = S_yy - H S_uy, residual_spectrum of H = S_yu S_uu^-1, (n_frequency, n_output, n_output) [unit^2/Hz]; arguments as there.
+
+    A few lines at a time, which stay in the cache.
+    """
+    n_line, n_output, n_input = response.shape
+    residual = np.empty((n_output, n_output, n_line), np.complex128)
+    n_chunk = max(1, CACHED_NUMBERS // n_output**2)
+    for start in range(0, n_line, n_chunk):
+        chunk = slice(start, start + n_chunk)
+        h, s_uy = response[chunk].transpose(1, 2, 0), spectra[chunk, n_input:, :n_input].transpose(1, 2, 0).conj()
+        s_yy, part = spectra[chunk, n_input:, n_input:].transpose(1, 2, 0), residual[:, :, chunk]
+        for row in range(n_output):
+            explained = np.multiply(h[row, 0], s_uy[: row + 1, 0])
+            for force in range(1, n_input):
+                explained += h[row, force] * s_uy[: row + 1, force]
+            np.subtract(s_yy[row, : row + 1], explained, out=part[row, : row + 1])
+            part[row, row] = np.maximum(part[row, row].real, 0.0)
+            np.conjugate(part[row, :row], out=part[:row, row])
+    return residual.transpose(2, 0, 1)
 
 
 def residual_spectrum(spectra: ComplexArray, response: ComplexArray) -> ComplexArray:
