@@ -138,11 +138,11 @@ def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scal
         noise = np.maximum(power - np.sum(response * s_yu.conj(), axis=1).real, 0.0) * free
         white = fade * _whitening(power)
         raw = white[:, None] * product((output[:, None] * u.conj())[:, None, :], inverted)[:, 0] / level * size
-        after = _at_lags(raw.conj(), LAGS.stop)
+        before, after = _before_and_after(raw, LAGS.stop)
         # What one force leaves of another's spectrum is small against the larger of their effects.
-        floor = FLOOR * float(np.max(np.abs(after.real)))
+        floor = FLOOR * float(np.max(np.abs(after)))
         variance = scale * (np.abs(white) ** 2 * noise)[:, None] * spread * size**2
-        chances += [_chance_of_lags(raw[:, i], variance[:, i], floor, degree) for i in range(n_input)]
+        chances += [_chance_of_lags(before[:, i], variance[:, i], floor, degree) for i in range(n_input)]
     return chances
 
 
@@ -163,13 +163,13 @@ def _level(u: ComplexArray) -> FloatArray:
     return np.exp(0.5 * np.column_stack([np.interp(lines, middle, column) for column in np.log(power).T]))
 
 
-def _chance_of_lags(response: ComplexArray, variance: FloatArray, floor: float, degree: int) -> float:
-    """p-value of the lags before 0 of an FRF (n_line,) with its *variance* (n_line,) [of the FRF].
+def _chance_of_lags(lags: FloatArray, variance: FloatArray, floor: float, degree: int) -> float:
+    """p-value of the *lags* before 0 (LAGS.stop,) of an FRF with its *variance* (n_line,) [of the FRF].
 
     *floor*: standard deviation of a lag beside the noise; *degree* of the slow curve that is left out of account.
     """
     before = np.array(LAGS)
-    lags = _at_lags(response, LAGS.stop)[LAGS.start :].real
+    lags = lags[LAGS.start :]
     covariance = linalg.toeplitz(_at_lags(variance, before.size).real / 2)
     covariance = covariance + np.eye(before.size) * floor**2
     lower = np.linalg.cholesky(covariance)
@@ -221,10 +221,14 @@ def _edges_of(coarse: FloatArray, coherence: FloatArray) -> tuple[int, int]:
 
 def _largest_coherence(u: ComplexArray, y: ComplexArray) -> FloatArray:
     """The largest coherence of a force with a response, (n_line,)."""
-    crossed = np.abs(_average(y[:, :, None] * u[:, None, :].conj())) ** 2
-    power = _average(np.abs(y) ** 2).real[:, :, None] * _average(np.abs(u) ** 2).real[:, None, :]
-    share = np.divide(crossed, power, out=np.zeros_like(crossed), where=power > 0)
-    return np.asarray(np.max(share, axis=(1, 2), initial=0.0))
+    force, largest, conjugate = _average(np.abs(u) ** 2).real, np.zeros(u.shape[0]), u.conj()
+    for output in y.T:
+        # One response at a time stays in the cache.
+        crossed = np.abs(_average(output[:, None] * conjugate)) ** 2
+        power = _average(np.abs(output) ** 2).real[:, None] * force
+        share = np.divide(crossed, power, out=np.zeros_like(crossed), where=power > 0)
+        np.maximum(largest, np.max(share, axis=1), out=largest)
+    return largest
 
 
 def _is_enough(first: int, last: int) -> bool:
@@ -260,6 +264,12 @@ def _at_lags(values: ComplexArray | FloatArray, number: int) -> ComplexArray:
     padded = np.concatenate([np.zeros((1, *values.shape[1:])), values])
     transform = fft.fft if np.iscomplexobj(padded) else fft.rfft
     return np.asarray(transform(padded, 2 * n, axis=0)[:number])
+
+
+def _before_and_after(response: ComplexArray, number: int) -> tuple[FloatArray, FloatArray]:
+    """Impulse responses of FRFs (n_line, n) [any unit] at lags 0, 1, ... before the force and after it, both (number, n)."""
+    both = _at_lags(response, 2 * response.shape[0]).real
+    return both[:number], both[-np.arange(number)]
 
 
 def _tukey(n: int) -> FloatArray:

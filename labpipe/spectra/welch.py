@@ -67,12 +67,13 @@ class WelchAverage:
         n = self._window.size
         n_segment = min(most, max(0, (samples.shape[0] - n) // self._step + 1))
         if n_segment:
-            segments = np.lib.stride_tricks.sliding_window_view(samples, n, axis=0)[:: self._step].swapaxes(1, 2)
+            segments = np.lib.stride_tricks.sliding_window_view(samples, n, axis=0)[:: self._step][:n_segment].swapaxes(1, 2)
+            trend = self._trend_of(samples, segments)
         first = 0
         while first < n_segment:
-            chunk = segments[first : min(n_segment, first + self._products.room)]
-            self._products.put(chunk, self._trend_of(samples[first * self._step :], chunk))
-            first += chunk.shape[0]
+            chunk = slice(first, min(n_segment, first + self._products.room))
+            self._products.put(segments[chunk], trend[chunk])
+            first = chunk.stop
         return n_segment * self._step
 
     def _trend_of(self, samples: FloatArray, segments: FloatArray) -> FloatArray:
