@@ -255,7 +255,7 @@ def _whitening(power: FloatArray) -> ComplexArray:
     covariance = _at_lags(power, ORDER + 1).real
     covariance[0] *= 1 + 1e-4
     coefficients = linalg.solve_toeplitz(covariance[:-1], covariance[1:])
-    return np.asarray(fft.fft(np.concatenate([[1.0], -coefficients]), 2 * power.size)[1 : power.size + 1])
+    return np.asarray(fft.rfft(np.concatenate([[1.0], -coefficients]), 2 * power.size)[1:])
 
 
 def _at_lags(values: ComplexArray | FloatArray, number: int) -> ComplexArray:

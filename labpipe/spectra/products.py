@@ -78,8 +78,8 @@ class SegmentProducts(ABC):
         """Transform the first *n_segment* that are kept and add their products; coefficients (n_segment, n_row, n_channel)."""
 
     @abstractmethod
-    def matrix(self, columns: Sequence[int] | None = None) -> ComplexArray:
-        """sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all channels b, or of *columns*."""
+    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all b, or of *columns*."""
 
 
 def segment_products(window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray) -> SegmentProducts:
@@ -99,7 +99,6 @@ class LineProducts(SegmentProducts):
         self._taper = np.repeat(window, n_channel).reshape(self._n, n_channel)
         self._tapered = np.empty((self._room, self._n, n_channel))
         self._sum = np.zeros((len(lines), 2 * n_channel, 2 * n_channel + 1))
-        self._product = np.empty_like(self._sum)
 
     def _taper_into(self, place: slice, segments: FloatArray) -> None:
         np.multiply(segments, self._taper, out=self._tapered[place])
@@ -111,17 +110,16 @@ class LineProducts(SegmentProducts):
             amplitude[:, disturbed] -= trend[None, :, None] * coefficients[:, number, None, :]
         n_row = 2 * self._n_channel
         flat = amplitude.reshape(n_segment, -1).view(np.float64)[:, (first - 1) * n_row :]
-        np.matmul(*_factors(flat, n_row, n_line), out=self._product)
-        self._sum += self._product
+        _add_matrices(*_factors(flat, n_row, n_line), self._sum)
 
-    def matrix(self, columns: Sequence[int] | None = None) -> ComplexArray:
-        """sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all channels b, or of *columns*."""
+    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all b, or of *columns*."""
         n_line, n = len(self._lines), self._n_channel
         parts = self._sum[:, :, 1:].reshape(n_line, n, 2, n, 2).transpose(1, 2, 3, 4, 0)
         matrix = np.empty((n, n, n_line), np.complex128)
         matrix.real = parts[:, 0, :, 0] + parts[:, 1, :, 1]
         matrix.imag = parts[:, 1, :, 0] - parts[:, 0, :, 1]
-        return _hermitian_lines(matrix, columns)
+        return _hermitian_lines(matrix, columns, scale)
 
 
 class PackedProducts(SegmentProducts):
@@ -173,8 +171,8 @@ class PackedProducts(SegmentProducts):
         if self._n_channel % 2:
             self._tapered[:n_segment, -1].imag = 0.0
 
-    def matrix(self, columns: Sequence[int] | None = None) -> ComplexArray:
-        """sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all channels b, or of *columns*."""
+    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all b, or of *columns*."""
         n = self._n_channel
         matrix = np.empty((n + n % 2, n + n % 2, len(self._lines)), np.complex128)
         for k in range(len(self._positive)):
@@ -186,7 +184,7 @@ class PackedProducts(SegmentProducts):
                 matrix[2 * k + 1, 2 * m + 1] = (even - cross) * 0.25
                 matrix[2 * k + 1, 2 * m] = (odd + turned) * -0.25j
                 matrix[2 * k, 2 * m + 1] = (odd - turned) * 0.25j
-        return _hermitian_lines(matrix[:n, :n], columns)
+        return _hermitian_lines(matrix[:n, :n], columns, scale)
 
 
 class RowProducts(SegmentProducts):
@@ -241,15 +239,10 @@ class RowProducts(SegmentProducts):
             weight[: n_segment // 2] += 1j * coefficients[1::2, number]
             disturbed -= np.stack([weight, weight.conj()], axis=1)[:, :, None] * trend[:, None]
         flat = self._amplitude[:n_pair].reshape(2 * n_pair, -1).view(np.float64)
-        rows, wide = _factors(flat, n_row, n_line)
-        n_chunk = max(1, CACHED_NUMBERS // (n_row * (n_row + 1)))
-        product = np.empty((n_chunk, n_row, n_row + 1))
-        for start in range(0, n_line, n_chunk):
-            chunk = slice(start, min(start + n_chunk, n_line))
-            self._sum[chunk] += np.matmul(rows[chunk], wide[chunk], out=product[: chunk.stop - start])
+        _add_matrices(*_factors(flat, n_row, n_line), self._sum)
 
-    def matrix(self, columns: Sequence[int] | None = None) -> ComplexArray:
-        """sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all channels b, or of *columns*."""
+    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all b, or of *columns*."""
         n_line, n, chosen = len(self._lines), self._n_channel, list(range(self._n_channel) if columns is None else columns)
         matrix = np.empty((n, len(chosen), n_line), np.complex128).transpose(2, 0, 1)
         n_chunk = max(1, CACHED_NUMBERS // n**2)
@@ -258,8 +251,8 @@ class RowProducts(SegmentProducts):
             parts = self._sum[chunk, :, 1:].reshape(-1, n, 2, n, 2)
             # X_a X_b* and (X_b X_a*)* differ by rounding.
             even, odd = parts[:, :, 0, :, 0] + parts[:, :, 1, :, 1], parts[:, :, 1, :, 0] - parts[:, :, 0, :, 1]
-            matrix[chunk].real = 0.25 * (even[:, :, chosen] + even.swapaxes(1, 2)[:, :, chosen])
-            matrix[chunk].imag = 0.25 * (odd[:, :, chosen] - odd.swapaxes(1, 2)[:, :, chosen])
+            matrix[chunk].real = 0.25 * scale * (even[:, :, chosen] + even.swapaxes(1, 2)[:, :, chosen])
+            matrix[chunk].imag = 0.25 * scale * (odd[:, :, chosen] - odd.swapaxes(1, 2)[:, :, chosen])
         return matrix
 
 
@@ -274,16 +267,30 @@ def _factors(flat: FloatArray, n_row: int, n_line: int) -> tuple[FloatArray, Flo
     return rows.transpose(1, 2, 0), wide.swapaxes(0, 1)
 
 
+def _add_matrices(rows: FloatArray, wide: FloatArray, sums: FloatArray) -> None:
+    """Add to *sums* (n_line, n_row, n_row + 1) the products of *rows* and *wide*, as many lines at a time as stay in the cache."""
+    n_line, n_row = sums.shape[:2]
+    n_chunk = max(1, CACHED_NUMBERS // (n_row * (n_row + 1)))
+    product = np.empty((n_chunk, n_row, n_row + 1))
+    for start in range(0, n_line, n_chunk):
+        chunk = slice(start, min(start + n_chunk, n_line))
+        sums[chunk] += np.matmul(rows[chunk], wide[chunk], out=product[: chunk.stop - start])
+
+
 def _add_products(left: ComplexArray, right: ComplexArray, sums: Sequence[ComplexArray], lines: slice, product: ComplexArray) -> None:
     """Add to *sums* of pair k, (n_other, n_line), left[k] times the first n_other rows of *right*; left, right (n_pair, n_line)."""
     for row, into in zip(left, sums, strict=True):
         into[:, lines] += np.multiply(row, right[: into.shape[0]], out=product[: into.shape[0]])
 
 
-def _hermitian_lines(matrix: ComplexArray, columns: Sequence[int] | None) -> ComplexArray:
-    """Matrices (n, n, n_line), of which the lower triangle is right, as (n_line, n, n) or their *columns*; lines stay last in memory."""
+def _hermitian_lines(matrix: ComplexArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
+    """Matrices (n, n, n_line), of which the lower triangle is right, times *scale* as (n_line, n, n) or their *columns*.
+
+    Lines stay last in memory.
+    """
     for row in range(matrix.shape[0]):
         matrix[row, row].imag = 0.0
         for column in range(row):
             np.conjugate(matrix[row, column], out=matrix[column, row])
+    matrix *= scale
     return (matrix if columns is None else matrix[:, list(columns)]).transpose(2, 0, 1)

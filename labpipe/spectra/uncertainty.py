@@ -53,39 +53,25 @@ def covariance_of_h1(
     inverse_force: S_uu^-1 (n_frequency, n_input, n_input) [Hz/N^2]; the result, of (n_frequency, n, n), stays in its two factors, since
     it is large where there are many responses; the other arguments as there. Equation (frf-covariance-h1).
     """
-    residual = pooled_residual(residual_of_h1(spectra, response), response, half_width)
+    residual = pooled_residual(residual_spectrum(spectra, response), response, half_width)
     spread = without_rounding(inverse_force).swapaxes(1, 2) / max(averages - response.shape[2], 1.0)
     return FactoredCovariance(handed_over(residual), handed_over(spread))
 
 
-def residual_of_h1(spectra: ComplexArray, response: ComplexArray) -> ComplexArray:
-    """S_rr = S_yy - H S_uy, residual_spectrum of H = S_yu S_uu^-1, (n_frequency, n_output, n_output) [unit^2/Hz]; arguments as there.
+def residual_spectrum(spectra: ComplexArray, response: ComplexArray) -> ComplexArray:
+    """S_rr of r = y - H u, [-H, I] S [-H, I]^H, (n_frequency, n_output, n_output) [unit^2/Hz]; arguments as in covariance_of_random.
 
     A few lines at a time, which stay in the cache.
     """
     n_line, n_output, n_input = response.shape
-    residual = np.empty((n_output, n_output, n_line), np.complex128)
+    residual = lines_last(n_line, n_output, n_output)
     n_chunk = max(1, CACHED_NUMBERS // n_output**2)
     for start in range(0, n_line, n_chunk):
         chunk = slice(start, start + n_chunk)
-        h, s_uy = response[chunk].transpose(1, 2, 0), spectra[chunk, n_input:, :n_input].transpose(1, 2, 0).conj()
-        s_yy, part = spectra[chunk, n_input:, n_input:].transpose(1, 2, 0), residual[:, :, chunk]
-        for row in range(n_output):
-            explained = np.multiply(h[row, 0], s_uy[: row + 1, 0])
-            for force in range(1, n_input):
-                explained += h[row, force] * s_uy[: row + 1, force]
-            np.subtract(s_yy[row, : row + 1], explained, out=part[row, : row + 1])
-            part[row, row] = np.maximum(part[row, row].real, 0.0)
-            np.conjugate(part[row, :row], out=part[:row, row])
-    return residual.transpose(2, 0, 1)
-
-
-def residual_spectrum(spectra: ComplexArray, response: ComplexArray) -> ComplexArray:
-    """S_rr of r = y - H u, [-H, I] S [-H, I]^H, (n_frequency, n_output, n_output) [unit^2/Hz]; arguments as in covariance_of_random."""
-    n_input = response.shape[2]
-    left = spectra[:, n_input:] - product(response, spectra[:, :n_input])
-    residual: ComplexArray = left[:, :, n_input:] - product(left[:, :, :n_input], hermitian(response))
-    return without_rounding(residual)
+        h = response[chunk]
+        left = spectra[chunk, n_input:] - product(h, spectra[chunk, :n_input])
+        residual[chunk] = without_rounding(left[:, :, n_input:] - product(left[:, :, :n_input], hermitian(h)))
+    return residual
 
 
 def _joined(residual: ComplexArray, spread: ComplexArray) -> ComplexArray:

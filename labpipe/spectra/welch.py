@@ -98,8 +98,7 @@ class WelchAverage:
         if n_block == 0:
             have, need = sum(piece.shape[0] for piece in self._rest) / sample_rate, self._window.size / sample_rate
             raise DataError(f"the recording is {have:g} s long, too short for one block of {need:g} s", hint="shorten `block`")
-        matrix = self._products.matrix(columns)
-        matrix *= 2 / (sample_rate * np.sum(self._window**2) * n_block)
+        matrix = self._products.matrix(columns, float(2 / (sample_rate * np.sum(self._window**2) * n_block)))
         frequency = np.array(self._lines) * (sample_rate / self._window.size)
         averages = effective_averages(self._window, self._step, n_block)
         return CrossSpectra(frequency, matrix, n_block, averages, line_correlation(self._window, self._step, n_block))
