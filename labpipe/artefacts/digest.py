@@ -33,15 +33,18 @@ def mismatch(path: Path) -> DamagedError:
     return DamagedError("content does not match its digest: edited or damaged after labpipe wrote it", where=str(path), hint=AGAIN)
 
 
-def stamp_parquet(path: Path) -> None:
-    """Put the digest of a finished Parquet file into the place that its metadata keep for it."""
+def stamp_parquet(path: Path) -> tuple[str, str]:
+    """Put the digest of a finished Parquet file into the place that its metadata keep for it; that digest, and the SHA-256 of the file."""
     place = _digest_place(path)
     if place is None:
         raise AssertionError(f"{path} has no place for a digest")
-    digest = _digest_without(path, place)
+    before = _digest_before(path, place)
+    digest = _digest_after(path, place, before, BLANK)
     with path.open("r+b") as stream:
         stream.seek(place)
         stream.write(digest.encode())
+    # Only the end differs between the two.
+    return digest, _digest_after(path, place, before, digest.encode())
 
 
 def parquet_digest(path: Path) -> str:
@@ -76,13 +79,25 @@ def _digest_place(path: Path) -> int | None:
 
 def _digest_without(path: Path, place: int) -> str:
     """SHA-256 of the file with zeros in the place of its digest."""
+    return _digest_after(path, place, _digest_before(path, place), BLANK)
+
+
+def _digest_before(path: Path, place: int) -> hashlib._Hash:
+    """SHA-256 of the file up to the place of its digest, to be continued."""
     digest = hashlib.sha256()
     with path.open("rb") as stream:
         remaining = place
         while remaining and (chunk := stream.read(min(CHUNK, remaining))):
             digest.update(chunk)
             remaining -= len(chunk)
-        digest.update(BLANK)
+    return digest
+
+
+def _digest_after(path: Path, place: int, before: hashlib._Hash, middle: bytes) -> str:
+    """SHA-256 of what stands *before* the place of the digest, of *middle* in it, and of what follows in the file."""
+    digest = before.copy()
+    digest.update(middle)
+    with path.open("rb") as stream:
         stream.seek(place + len(BLANK))
         while chunk := stream.read(CHUNK):
             digest.update(chunk)

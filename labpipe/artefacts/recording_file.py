@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from labpipe.arrays import FloatArray
 from labpipe.arrow_arrays import arrow_array, numpy_array
 from labpipe.artefacts.digest import stamp_parquet
-from labpipe.artefacts.header import Header
+from labpipe.artefacts.header import Header, SourceRef, header_from_json, source_ref
 from labpipe.artefacts.parquet import batches, metadata_of, open_parquet, read_header
 from labpipe.artefacts.read_ahead import read_ahead
 from labpipe.errors import DataError
@@ -36,6 +36,7 @@ class RecordingWriter:
         self._path = path
         self._writer: pq.ParquetWriter | None = None
         self._header: Header | None = None
+        self._digests = "", ""
 
     def __enter__(self) -> RecordingWriter:
         return self
@@ -47,7 +48,7 @@ class RecordingWriter:
         if self._writer is not None:
             self._writer.close()
         if self._header is not None:
-            stamp_parquet(self._path)
+            self._digests = stamp_parquet(self._path)
 
     def _opened(self, block: FloatArray) -> pq.ParquetWriter:
         """The writer, each column encoded as the first *block* (n, n_channel) [SI] lets expect."""
@@ -76,6 +77,13 @@ class RecordingWriter:
         """Put the header; the digest follows when the file is closed."""
         self._header = header
 
+    def recording(self) -> StoredRecording:
+        """The recording of the closed file, whose content was digested a moment ago and is not digested again."""
+        assert self._header is not None
+        digest, checksum = self._digests
+        header = header_from_json(self._header.to_json(), self._path, "recording", digest)
+        return dataclasses.replace(_recording_of(self._path, header), checksum=checksum)
+
 
 def recording_contents(
     channels: tuple[Channel, ...], sample_rate: float, name: str, levels: Mapping[str, tuple[float, float]] | None = None
@@ -98,6 +106,14 @@ class StoredRecording:
     name: str
     findings: tuple[Finding, ...]
     header: Header
+    # SHA-256 of the file, where it is known already.
+    checksum: str = ""
+
+    def source_ref(self) -> SourceRef:
+        """The reference by which a response names the recording."""
+        if self.checksum:
+            return SourceRef(self.path.name, self.checksum)
+        return source_ref(self.path, self.path.parent)
 
     @property
     def levels(self) -> dict[str, tuple[float, float]]:
@@ -121,7 +137,10 @@ class StoredRecording:
 
 def open_recording(path: Path) -> StoredRecording:
     """A calibrated recording on disk; DataError when the file is not one."""
-    header = read_header(path, "recording")
+    return _recording_of(path, read_header(path, "recording"))
+
+
+def _recording_of(path: Path, header: Header) -> StoredRecording:
     contents = header.contents
     channels = tuple(Channel(**{k: v for k, v in entry.items() if k != "unit"}) for entry in contents["channels"])
     file = open_parquet(path)

@@ -30,11 +30,10 @@ class ParquetTable:
             raise DataError("has no rows", where=str(path))
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file]; DataError for a column without numbers."""
+        """Consecutive chunks (n, n_column) [unit of the file], a column beside the other; DataError for a column without numbers."""
         for name in columns:
             kind = self._schema.field(name).type
             if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
                 raise DataError(f"column '{name}' holds {kind}, numbers are required", where=str(self.path))
         for batch in batches(self.path, list(dict.fromkeys(columns)), CHUNK_ROWS):
-            table = [numpy_array(batch.column(name).cast(pa.float64())) for name in columns]
-            yield np.column_stack(table)
+            yield np.array([numpy_array(batch.column(name).cast(pa.float64())) for name in columns]).T

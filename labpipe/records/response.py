@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
@@ -11,6 +13,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.arrays import frozen_array
 from labpipe.records.doubt import ChannelDoubt, MatrixError, as_doubts
+from labpipe.records.factored_covariance import FactoredCovariance, HeldCovariance
 from labpipe.records.finding import Finding
 from labpipe.records.text import response_line
 from labpipe.records.views import VIEWS
@@ -67,7 +70,8 @@ class FrequencyResponse:
     covariance       (n_frequency, n, n) complex with n = n_output * n_input, or None: E[d d^H] of
                      d = vec(H - E H), row-major (index = output * n_input + input); its diagonal is the variance of the
                      complex values E|H - E H|^2, half of it
-                     in the real and half in the imaginary part (circular)
+                     in the real and half in the imaginary part (circular). May be given in factors, FactoredCovariance: it is then made
+                     whole when it is first read
     coherence        (n_frequency, n_output, n_input) ordinary, or None
     multiple_coherence (n_frequency, n_output), or None
     partial_coherence (n_frequency, n_output, n_input) of each force alone, or None
@@ -92,7 +96,7 @@ class FrequencyResponse:
     inputs: tuple[Port, ...]
     _: KW_ONLY
     form: str = "receptance"
-    covariance: ComplexArray | None = None
+    covariance: HeldCovariance = HeldCovariance()
     coherence: FloatArray | None = None
     multiple_coherence: FloatArray | None = None
     partial_coherence: FloatArray | None = None
@@ -140,12 +144,20 @@ class FrequencyResponse:
             if error.change.shape != (n_f, n_o, n_i):
                 raise DataError(f"the change of '{self.name}' by {error.doubt.source} has the shape {error.change.shape}")
         for attribute, (dtype, shape) in shapes.items():
-            values = getattr(self, attribute)
-            if values is not None:
+            values = self.__dict__[attribute]
+            if isinstance(values, FactoredCovariance):
+                values.check_shape(shape)
+            elif values is not None:
                 object.__setattr__(self, attribute, frozen_array(values, dtype, attribute, shape))
 
     def __repr__(self) -> str:
         return response_line(self)
+
+    def with_findings(self, findings: Sequence[Finding]) -> FrequencyResponse:
+        """The response with more findings; nothing else is made or checked again."""
+        response = copy.copy(self)
+        object.__setattr__(response, "findings", (*self.findings, *findings))
+        return response
 
     def to_frame(self) -> Any:
         """The elements over frequency [Hz] as a pandas data frame: ``o/i`` complex, ``o/i:std`` where the noise is known."""
@@ -162,10 +174,20 @@ class FrequencyResponse:
     @property
     def variance(self) -> FloatArray | None:
         """E|H - E H|^2 per element, (n_frequency, n_output, n_input) [unit^2 of H], or None."""
-        if self.covariance is None:
+        held = self.__dict__["covariance"]
+        if held is None:
             return None
-        diagonal = np.einsum("fii->fi", self.covariance).real
-        return diagonal.reshape(self.matrix.shape)
+        if isinstance(held, FactoredCovariance):
+            return held.variance
+        return np.asarray(np.einsum("fii->fi", held).real.reshape(self.matrix.shape))
+
+    def covariance_of(self, p: int, q: int) -> ComplexArray:
+        """The covariance of elements *p* and *q* of vec(H), row-major, (n_frequency,) [unit^2 of H]; DataError where none is known."""
+        held = self.__dict__["covariance"]
+        if held is None:
+            raise DataError(f"the covariance of '{self.name}' is not known")
+        element: ComplexArray = held.element(p, q) if isinstance(held, FactoredCovariance) else held[:, p, q]
+        return element
 
 
 def uncorrelated(variance: FloatArray) -> ComplexArray:

@@ -84,7 +84,7 @@ def response_line(response: FrequencyResponse) -> str:
     """Form, size, band and doubt of a response."""
     size = f"{len(response.outputs)} x {len(response.inputs)}"
     band = f"{response.n_frequency} lines {response.frequency[0]:g}-{response.frequency[-1]:g} Hz" if response.n_frequency else "no lines"
-    doubt = "with covariance" if response.covariance is not None else "without covariance"
+    doubt = "with covariance" if response.variance is not None else "without covariance"
     return f"<FrequencyResponse {response.name or 'response'}: {response.form}, {size} (outputs x inputs), {band}, {doubt}>"
 
 

@@ -138,11 +138,11 @@ def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scal
         noise = np.maximum(power - np.sum(response * s_yu.conj(), axis=1).real, 0.0) * free
         white = fade * _whitening(power)
         raw = white[:, None] * product((output[:, None] * u.conj())[:, None, :], inverted)[:, 0] / level * size
-        after = _at_lags(raw.conj(), LAGS.stop)
+        before, after = _before_and_after(raw, LAGS.stop)
         # What one force leaves of another's spectrum is small against the larger of their effects.
-        floor = FLOOR * float(np.max(np.abs(after.real)))
+        floor = FLOOR * float(np.max(np.abs(after)))
         variance = scale * (np.abs(white) ** 2 * noise)[:, None] * spread * size**2
-        chances += [_chance_of_lags(raw[:, i], variance[:, i], floor, degree) for i in range(n_input)]
+        chances += [_chance_of_lags(before[:, i], variance[:, i], floor, degree) for i in range(n_input)]
     return chances
 
 
@@ -163,13 +163,13 @@ def _level(u: ComplexArray) -> FloatArray:
     return np.exp(0.5 * np.column_stack([np.interp(lines, middle, column) for column in np.log(power).T]))
 
 
-def _chance_of_lags(response: ComplexArray, variance: FloatArray, floor: float, degree: int) -> float:
-    """p-value of the lags before 0 of an FRF (n_line,) with its *variance* (n_line,) [of the FRF].
+def _chance_of_lags(lags: FloatArray, variance: FloatArray, floor: float, degree: int) -> float:
+    """p-value of the *lags* before 0 (LAGS.stop,) of an FRF with its *variance* (n_line,) [of the FRF].
 
     *floor*: standard deviation of a lag beside the noise; *degree* of the slow curve that is left out of account.
     """
     before = np.array(LAGS)
-    lags = _at_lags(response, LAGS.stop)[LAGS.start :].real
+    lags = lags[LAGS.start :]
     covariance = linalg.toeplitz(_at_lags(variance, before.size).real / 2)
     covariance = covariance + np.eye(before.size) * floor**2
     lower = np.linalg.cholesky(covariance)
@@ -189,9 +189,9 @@ def _excited(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
     coarse = coarse / np.maximum(np.max(coarse, axis=0), np.finfo(float).tiny)
     coherence = np.add.reduceat(_largest_coherence(u, y), edges[:-1]) / np.diff(edges)
     bands = []
+    lower, upper = _edges_of(coarse, coherence)
     for dark in (DARK, DIM):
         lit = np.all(coarse > dark, axis=1)
-        lower, upper = _edges_of(coarse, coherence)
         lit[:lower], lit[upper:] = False, False
         if np.any(lit):
             bands.append((int(edges[np.argmax(lit)]), int(edges[lit.size - np.argmax(lit[::-1])])))
@@ -202,30 +202,33 @@ def _excited(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
 def _edges_of(coarse: FloatArray, coherence: FloatArray) -> tuple[int, int]:
     """First of the coarse bands (n_band, n_input) and first above, between cliffs in the power of a force that is not coherent beyond."""
     first, last = 0, coarse.shape[0]
+    here = np.arange(last)[:, None]
+    other = here.T
+    above = (other > here) & (other <= np.ceil(CLIFF_WIDTH * (here + 0.5)))
+    below = (other < here) & (other >= ((here + 0.5) / CLIFF_WIDTH).astype(int) - 1)
     for column in coarse.T:
         strongest = int(np.argmax(column))
-        for number in range(strongest, last - 1):
-            further = slice(number + 1, int(np.ceil(CLIFF_WIDTH * (number + 0.5))) + 1)
-            fallen = (column[further] < CLIFF * column[number]) & (coherence[further] < COHERENT)
-            if fallen.any():
-                last = min(last, number + 1 + int(np.argmax(fallen)))
-                break
-        for number in range(strongest, first, -1):
-            before = np.arange(number - 1, int((number + 0.5) / CLIFF_WIDTH) - 2, -1)
-            before = before[before >= 0]
-            fallen = (column[before] < CLIFF * column[number]) & (coherence[before] < COHERENT)
-            if fallen.any():
-                first = max(first, number - int(np.argmax(fallen)))
-                break
+        # A row per band, and in it those at which the power has fallen.
+        fallen = (column < CLIFF * column[:, None]) & (coherence < COHERENT)
+        ends = np.flatnonzero(np.any(fallen & above, axis=1)[strongest : last - 1])
+        if ends.size:
+            last = min(last, int(np.argmax((fallen & above)[strongest + ends[0]])))
+        begins = np.flatnonzero(np.any(fallen & below, axis=1)[first + 1 : strongest + 1])
+        if begins.size:
+            first = max(first, 1 + int(np.flatnonzero((fallen & below)[first + 1 + begins[-1]])[-1]))
     return first, last
 
 
 def _largest_coherence(u: ComplexArray, y: ComplexArray) -> FloatArray:
     """The largest coherence of a force with a response, (n_line,)."""
-    crossed = np.abs(_average(y[:, :, None] * u[:, None, :].conj())) ** 2
-    power = _average(np.abs(y) ** 2).real[:, :, None] * _average(np.abs(u) ** 2).real[:, None, :]
-    share = np.divide(crossed, power, out=np.zeros_like(crossed), where=power > 0)
-    return np.asarray(np.max(share, axis=(1, 2), initial=0.0))
+    force, largest, conjugate = _average(np.abs(u) ** 2).real, np.zeros(u.shape[0]), u.conj()
+    for output in y.T:
+        # One response at a time stays in the cache.
+        crossed = np.abs(_average(output[:, None] * conjugate)) ** 2
+        power = _average(np.abs(output) ** 2).real[:, None] * force
+        share = np.divide(crossed, power, out=np.zeros_like(crossed), where=power > 0)
+        np.maximum(largest, np.max(share, axis=1), out=largest)
+    return largest
 
 
 def _is_enough(first: int, last: int) -> bool:
@@ -238,10 +241,12 @@ def _average(values: ComplexArray | FloatArray) -> ComplexArray:
     rows = np.moveaxis(values, 0, -1)
     number = np.arange(rows.shape[-1])
     count = np.minimum(number, HALF_WIDTH) + np.minimum(number[::-1], HALF_WIDTH) + 1
-    total = np.cumsum(rows, axis=-1)
-    before = np.zeros((*rows.shape[:-1], HALF_WIDTH + 1), rows.dtype)
-    total = np.concatenate([before, total, np.repeat(total[..., -1:], HALF_WIDTH, axis=-1)], axis=-1)
-    mean = (total[..., 2 * HALF_WIDTH + 1 :] - total[..., : number.size]) / count
+    total = np.empty((*rows.shape[:-1], number.size + 2 * HALF_WIDTH + 1), rows.dtype)
+    total[..., : HALF_WIDTH + 1] = 0.0
+    np.cumsum(rows, axis=-1, out=total[..., HALF_WIDTH + 1 : HALF_WIDTH + 1 + number.size])
+    total[..., HALF_WIDTH + 1 + number.size :] = total[..., HALF_WIDTH + number.size, None]
+    mean = total[..., 2 * HALF_WIDTH + 1 :] - total[..., : number.size]
+    mean /= count
     return np.asarray(np.moveaxis(mean, -1, 0))
 
 
@@ -250,7 +255,7 @@ def _whitening(power: FloatArray) -> ComplexArray:
     covariance = _at_lags(power, ORDER + 1).real
     covariance[0] *= 1 + 1e-4
     coefficients = linalg.solve_toeplitz(covariance[:-1], covariance[1:])
-    return np.asarray(fft.fft(np.concatenate([[1.0], -coefficients]), 2 * power.size)[1 : power.size + 1])
+    return np.asarray(fft.rfft(np.concatenate([[1.0], -coefficients]), 2 * power.size)[1:])
 
 
 def _at_lags(values: ComplexArray | FloatArray, number: int) -> ComplexArray:
@@ -259,6 +264,12 @@ def _at_lags(values: ComplexArray | FloatArray, number: int) -> ComplexArray:
     padded = np.concatenate([np.zeros((1, *values.shape[1:])), values])
     transform = fft.fft if np.iscomplexobj(padded) else fft.rfft
     return np.asarray(transform(padded, 2 * n, axis=0)[:number])
+
+
+def _before_and_after(response: ComplexArray, number: int) -> tuple[FloatArray, FloatArray]:
+    """Impulse responses of FRFs (n_line, n) [any unit] at lags 0, 1, ... before the force and after it, both (number, n)."""
+    both = _at_lags(response, 2 * response.shape[0]).real
+    return both[:number], both[-np.arange(number)]
 
 
 def _tukey(n: int) -> FloatArray:

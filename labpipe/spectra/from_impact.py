@@ -11,6 +11,7 @@ from scipy import fft
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import DataError
+from labpipe.records.factored_covariance import FactoredCovariance
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.bands import line_range
@@ -45,7 +46,7 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     correlation = averages[0].line_correlation()
     half_width, shared = _noise_lines(sum(spectrum.averages for spectrum in spectra) - len(layout.inputs), correlation)
     # The correction for the window's damping needs all neighbouring lines, so band and excluded bands are chosen afterwards.
-    parts = parts_of_spectra(spectra, dataclasses.replace(settings, band=None, exclude=()), layout, half_width)
+    parts = _whole(parts_of_spectra(spectra, dataclasses.replace(settings, band=None, exclude=()), layout, half_width))
     parts = dataclasses.replace(parts, dof=parts.dof * max(1.0, min(2 * half_width + 1, parts.frequency.size) / shared))
     if settings.damping_window is not None:
         parts = _undamped(parts, settings.damping_window, correlation)
@@ -151,12 +152,17 @@ class _HitAverage:
         return exponential_correlation(exponential_window(self.n_sample, decay * self._source.sample_rate), float(np.mean(self._origins)))
 
 
+def _whole(parts: Parts) -> Parts:
+    """The parts with their covariance as one array."""
+    return dataclasses.replace(parts, covariance=parts.covariance.whole()) if isinstance(parts.covariance, FactoredCovariance) else parts
+
+
 def _undamped(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
     """The parts without the window's damping, with the noise that this leaves and its correlation between lines."""
     undamped = without_added_damping(parts.frequency, parts.matrix, decay)
     gains = undamped.gains
     covariance = parts.covariance
-    if covariance is not None:
+    if isinstance(covariance, np.ndarray):
         covariance = covariance_without_damping(gains, covariance, correlation)
     between = correlation_matrix(np.arange(gains.shape[1]), correlation)
     size = np.sqrt(np.einsum("fioa,ij,fjoa->foa", gains, between, gains.conj()).real)

@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from labpipe.arrays import ComplexArray
 from labpipe.errors import DataError
+from labpipe.records.factored_covariance import FactoredCovariance
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import Blocks
@@ -15,7 +17,7 @@ from labpipe.spectra.bands import line_range
 from labpipe.spectra.coherence import multiple_coherence, ordinary_coherence, partial_coherence
 from labpipe.spectra.estimators import ESTIMATORS, INSTRUMENTS
 from labpipe.spectra.from_local import local_parts
-from labpipe.spectra.halves import Halved, change_of_random, cut_at, estimated_by, joined_spectra
+from labpipe.spectra.halves import Halved, acting_forces, change_of_random, cut_at, estimated_by, joined_spectra
 from labpipe.spectra.independence import check_forces, check_responses
 from labpipe.spectra.matrices import at_lines, definite_inverse, product
 from labpipe.spectra.parts import Parts, coherence_findings, lines_left
@@ -31,7 +33,7 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     """The FRF from Welch averages of all recordings, or by local polynomials; DataError for recordings or forces that do not allow one."""
     if settings.local == "polynomial":
         return local_parts(sources, settings, layout)
-    halved = [welch_average(source, settings) for source in sources]
+    halved = [welch_average(source, settings, acting_forces(layout, number, settings.estimator)) for number, source in enumerate(sources)]
     spectra = [whole for whole, _ in halved]
     assert settings.block is not None
     n_block = sum(spectrum.n_block for spectrum in spectra)
@@ -60,7 +62,7 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
     averages = sum(spectrum.averages for spectrum in spectra)
     multiple = multiple_coherence(first, s_yu, s_yy)
     enough = averages > n_input + 1
-    covariance = None
+    covariance: FactoredCovariance | ComplexArray | None = None
     if enough and settings.estimator == "H1":
         covariance = covariance_of_h1(matrix, response, inverse_force, averages, half_width)
     elif enough:
@@ -80,8 +82,11 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
     )
 
 
-def welch_average(source: SampleSource, settings: FrfSettings) -> Halved:
-    """Spectra of forces, responses and the named references of a recording, and those of its first half; DataError where it is short."""
+def welch_average(source: SampleSource, settings: FrfSettings, of_half: Sequence[int] | None = None) -> Halved:
+    """Spectra of forces, responses and the named references of a recording, and those of its first half; DataError where it is short.
+
+    *of_half*: channels of the recording whose columns are needed of its first half, by default all.
+    """
     assert settings.block is not None
     n_sample = round(settings.block * source.sample_rate)
     if n_sample < 4:
@@ -97,14 +102,20 @@ def welch_average(source: SampleSource, settings: FrfSettings) -> Halved:
     for block, ends_half in cut_at(checked_blocks(source), source.n_sample // 2):
         average.add(block if len(columns) == block.shape[1] else block[:, columns])
         if ends_half and source.n_sample // 2 >= n_sample:
-            half = _in_all_channels(average.spectra(source.sample_rate), columns, len(source.channels))
+            chosen = None if of_half is None else [columns.index(column) for column in of_half]
+            half = _in_all_channels(average.spectra(source.sample_rate, chosen), columns, len(source.channels))
     return _in_all_channels(average.spectra(source.sample_rate), columns, len(source.channels)), half
 
 
 def _in_all_channels(spectra: CrossSpectra, columns: list[int], n_channel: int) -> CrossSpectra:
-    """The spectra with zeros in the rows and columns of the other channels."""
+    """The spectra with zeros in the rows of the other channels, and in their columns where those of all are there."""
     if len(columns) == n_channel:
         return spectra
+    n_column = spectra.matrix.shape[2]
+    if n_column < len(columns):
+        matrix = np.zeros((spectra.frequency.size, n_channel, n_column), np.complex128)
+        matrix[:, columns] = spectra.matrix
+        return replace(spectra, matrix=matrix)
     matrix = np.zeros((spectra.frequency.size, n_channel, n_channel), np.complex128)
     matrix[:, np.array(columns)[:, None], columns] = spectra.matrix
     return replace(spectra, matrix=matrix)

@@ -13,7 +13,8 @@ from labpipe.spectra.matrices import at_lines
 from labpipe.spectra.ports import Layout
 from labpipe.spectra.welch import CrossSpectra
 
-# A record of which the spectra of the whole and of its first half are known; None where that is too short.
+# A record of which the spectra of the whole and of its first half are known; None where that is too short. Of the half the columns of the
+# forces may be all there is.
 Halved = tuple[CrossSpectra, CrossSpectra | None]
 
 
@@ -31,12 +32,33 @@ def cut_at(blocks: Iterable[FloatArray], middle: int) -> Iterator[tuple[FloatArr
 
 
 def joined_spectra(spectra: Sequence[CrossSpectra], layout: Layout) -> ComplexArray:
-    """Cross-spectra of all channels (n_line, n_channel, n_channel) [unit^2/Hz], recordings weighted by their numbers of blocks."""
+    """Cross-spectra of all channels (n_line, n_channel, n_channel) [unit^2/Hz], recordings weighted by their numbers of blocks.
+
+    Or (n_line, n_channel, n_input), where they are those of all channels with the forces that act in each recording.
+    """
     n_block = sum(spectrum.n_block for spectrum in spectra)
     if len(spectra) == 1:
-        return layout.padded(0, spectra[0].matrix, 2)
-    joined: ComplexArray = np.sum([layout.padded(e, s.matrix, 2) * (s.n_block / n_block) for e, s in enumerate(spectra)], axis=0)
+        return _padded(layout, 0, spectra[0].matrix)
+    joined: ComplexArray = np.sum([_padded(layout, e, s.matrix) * (s.n_block / n_block) for e, s in enumerate(spectra)], axis=0)
     return joined
+
+
+def _padded(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArray:
+    """The *matrix* of all channels, or of all channels with the acting forces, in the order of the layout; zero for an absent force."""
+    if matrix.shape[1] == matrix.shape[2]:
+        return layout.padded(recording, matrix, 2)
+    rows = layout.padded(recording, matrix.swapaxes(1, 2), 1).swapaxes(1, 2)
+    acting = np.array(layout.input_columns[recording]) >= 0
+    if np.all(acting):
+        return rows
+    padded = np.zeros((*rows.shape[:2], acting.size), np.complex128)
+    padded[:, :, acting] = rows
+    return padded
+
+
+def acting_forces(layout: Layout, recording: int, estimator: str) -> list[int] | None:
+    """The channels of the forces in a recording, whose columns are all that H1 needs of a half; None for another *estimator*."""
+    return [column for column in layout.input_columns[recording] if column >= 0] if estimator == "H1" else None
 
 
 def change_of_random(
@@ -50,14 +72,19 @@ def change_of_random(
     first = [half for _, half in halved if half is not None]
     if len(first) < len(halved) or min(half.averages for half in first) <= least:
         return None
-    rest = [_rest(whole, half) for (whole, _), half in zip(halved, first, strict=True)]
+    rest = [_rest(whole, half, layout.input_columns[number]) for number, ((whole, _), half) in enumerate(zip(halved, first, strict=True))]
     before, after = (response_of(at_lines(joined_spectra(half, layout), chosen)) for half in (first, rest))
     return after - before
 
 
-def _rest(whole: CrossSpectra, half: CrossSpectra) -> CrossSpectra:
+def _rest(whole: CrossSpectra, half: CrossSpectra, forces: Sequence[int]) -> CrossSpectra:
     n_block = whole.n_block - half.n_block
-    return replace(whole, matrix=(whole.matrix * whole.n_block - half.matrix * half.n_block) / n_block, n_block=n_block)
+    matrix = whole.matrix
+    if half.matrix.shape[2] < matrix.shape[2]:
+        matrix = matrix.transpose(1, 2, 0)[:, [column for column in forces if column >= 0]].transpose(2, 0, 1)
+    rest = matrix * (whole.n_block / n_block)
+    rest -= half.matrix * (half.n_block / n_block)
+    return replace(whole, matrix=rest, n_block=n_block)
 
 
 def estimated_by(estimator: str, n_input: int) -> Callable[[ComplexArray], ComplexArray]:

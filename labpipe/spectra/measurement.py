@@ -11,6 +11,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray
 from labpipe.errors import ConfigError
 from labpipe.records.arrays import handed_over
+from labpipe.records.factored_covariance import FactoredCovariance
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.aliasing import AliasingMonitor, aliasing_findings
@@ -67,7 +68,7 @@ def measure(
     else:
         response = _of_sensor_places(sources, settings, name, conditions)
     if response.form != TRANSMISSIBILITY:
-        response = dataclasses.replace(response, findings=(*response.findings, *reciprocity_findings(response)))
+        response = response.with_findings(reciprocity_findings(response))
     return directional(response) if settings.directional else response
 
 
@@ -111,7 +112,6 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
     loop = () if aliasing else loop
     findings = (*source_findings(sources), *doubt_findings(sources), *mask_findings(bands), *shaft, *aliasing, *parts.findings, *loop)
     sensor_factor = layout.sensor_factor(parts.frequency)
-    covariance = None if parts.covariance is None else handed_over(_corrected(parts.covariance, sensor_factor))
     matrix = parts.matrix * sensor_factor
     return FrequencyResponse(
         frequency=parts.frequency,
@@ -119,7 +119,7 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
         outputs=layout.outputs,
         inputs=layout.inputs,
         form=layout.form,
-        covariance=covariance,
+        covariance=_corrected(parts.covariance, sensor_factor),
         coherence=parts.coherence,
         multiple_coherence=parts.multiple_coherence,
         partial_coherence=parts.partial_coherence,
@@ -147,14 +147,14 @@ def _channel_names(layout: Layout) -> tuple[str, ...]:
     return (*inputs, *outputs)
 
 
-def _corrected(covariance: ComplexArray, factor: ComplexArray) -> ComplexArray:
+def _corrected(covariance: ComplexArray | FactoredCovariance | None, factor: ComplexArray) -> ComplexArray | FactoredCovariance | None:
     """The covariance (n_frequency, n, n) of elements times *factor* (n_frequency, n_output, n_input); as it is where that is one."""
-    if np.all(factor == 1):
-        return covariance
+    if covariance is None or np.all(factor == 1):
+        return handed_over(covariance) if isinstance(covariance, np.ndarray) else covariance
     flat = factor.reshape(factor.shape[0], -1)
-    corrected: ComplexArray = covariance * flat[:, :, None]
+    corrected: ComplexArray = (covariance.whole() if isinstance(covariance, FactoredCovariance) else covariance) * flat[:, :, None]
     corrected *= flat[:, None, :].conj()
-    return corrected
+    return handed_over(corrected)
 
 
 def _phase(values: ComplexArray) -> ComplexArray:

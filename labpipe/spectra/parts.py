@@ -8,6 +8,7 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import DataError
+from labpipe.records.factored_covariance import FactoredCovariance
 from labpipe.records.finding import Finding
 from labpipe.records.response import Blocks
 from labpipe.spectra.bands import lines_in
@@ -24,13 +25,13 @@ LOW_COHERENCE = 0.9
 class Parts:
     """FRF matrix (n_line, n_output, n_input) [output unit / N], covariance and quality on the measured lines.
 
-    frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input; coherences and snr [1] as in
+    frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input, or its factors; coherences and snr [1] as in
     FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour, n_output, n_input) likewise, change, open_loop and blocks.
     """
 
     frequency: FloatArray
     matrix: ComplexArray
-    covariance: ComplexArray | None
+    covariance: ComplexArray | FactoredCovariance | None
     averages: float
     dof: float
     findings: tuple[Finding, ...] = ()

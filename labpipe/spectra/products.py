@@ -1,8 +1,9 @@
 """Sums over segments of X_a X_b*, the cross-products of all channels at every line: transformed a few segments at a time.
 
-Two ways of one job. Short blocks: LineProducts, whose small real matrices BLAS multiplies line by line, many segments at once. Long
-blocks: PackedProducts, in which two real channels share one complex transform and lines stand last in memory, so that every operation
-runs over a long row; half the memory, and in place.
+Three ways of one job. Short blocks: LineProducts, whose small real matrices BLAS multiplies line by line, many segments at once. Long
+blocks of few channels: PackedProducts, in which two real channels share one complex transform and lines stand last in memory, so that
+every operation runs over a long row; half the memory, and in place. Long blocks of many channels: RowProducts, in which every channel is
+transformed in a row of its own, two segments at once, and brought together with the others behind the transform, for BLAS.
 """
 
 from __future__ import annotations
@@ -15,15 +16,18 @@ from scipy import fft
 
 from labpipe.arrays import ComplexArray, FloatArray
 
-# Samples of a block from which on packed transforms are the faster way.
-LONG_BLOCK = 8192
+# Samples of a block from which on packed transforms are the faster way, and channels of such blocks that are many.
+LONG_BLOCK, MANY_CHANNELS = 8192, 6
 # Segments transformed together [samples, segments]: enough to keep the overhead small, few enough to stay in the cache and, for
 # very long blocks, in memory. Products of small matrices are fastest with about this many segments; of long rows, with fewer.
 CACHED_SAMPLES = 1 << 18
 MOST_SAMPLES = 1 << 22
-SEGMENTS_AT_ONCE, LONG_SEGMENTS_AT_ONCE = 18, 4
+SEGMENTS_AT_ONCE, LONG_SEGMENTS_AT_ONCE = 18, 2
 # Complex numbers of a product that stay in the cache together with what they are made of.
-CACHED_PRODUCTS = 1 << 14
+CACHED_PRODUCTS = 1 << 15
+# The same for rows of all channels: their products are sums of many numbers, which are read and written once per PAIRS_AT_ONCE. Rows that
+# are transposed, and lines whose products are made, in the cache.
+PAIRS_AT_ONCE, MOST_AMPLITUDES, CACHED_ROWS, CACHED_NUMBERS = 12, 6 << 20, 1 << 10, 1 << 15
 
 
 class SegmentProducts(ABC):
@@ -74,15 +78,17 @@ class SegmentProducts(ABC):
         """Transform the first *n_segment* that are kept and add their products; coefficients (n_segment, n_row, n_channel)."""
 
     @abstractmethod
-    def matrix(self) -> ComplexArray:
-        """sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit."""
+    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all b, or of *columns*."""
 
 
-def segment_products(window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> SegmentProducts:
-    """The faster of the two ways for this *window* (n,) [1]; the other arguments as for SegmentProducts."""
-    if window.size >= LONG_BLOCK:
+def segment_products(window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray) -> SegmentProducts:
+    """The fastest way for this *window* (n,) [1], *step* [samples] from segment to segment; the other arguments as for SegmentProducts."""
+    if window.size < LONG_BLOCK:
+        return LineProducts(window, lines, n_channel, trend)
+    if n_channel < MANY_CHANNELS:
         return PackedProducts(window, lines, n_channel, trend)
-    return LineProducts(window, lines, n_channel, trend)
+    return RowProducts(window, step, lines, n_channel, trend)
 
 
 class LineProducts(SegmentProducts):
@@ -93,7 +99,6 @@ class LineProducts(SegmentProducts):
         self._taper = np.repeat(window, n_channel).reshape(self._n, n_channel)
         self._tapered = np.empty((self._room, self._n, n_channel))
         self._sum = np.zeros((len(lines), 2 * n_channel, 2 * n_channel + 1))
-        self._product = np.empty_like(self._sum)
 
     def _taper_into(self, place: slice, segments: FloatArray) -> None:
         np.multiply(segments, self._taper, out=self._tapered[place])
@@ -105,21 +110,16 @@ class LineProducts(SegmentProducts):
             amplitude[:, disturbed] -= trend[None, :, None] * coefficients[:, number, None, :]
         n_row = 2 * self._n_channel
         flat = amplitude.reshape(n_segment, -1).view(np.float64)[:, (first - 1) * n_row :]
-        current = flat[:, n_row : (n_line + 1) * n_row].reshape(n_segment, n_line, n_row)
-        # One column more than needed, the last one of the line before: BLAS multiplies a small matrix with its own transpose
-        # at half the speed of two that differ.
-        wide = np.lib.stride_tricks.sliding_window_view(flat, n_row + 1, axis=1)[:, n_row - 1 :: n_row][:, :n_line]
-        np.matmul(current.transpose(1, 2, 0), wide.swapaxes(0, 1), out=self._product)
-        self._sum += self._product
+        _add_matrices(*_factors(flat, n_row, n_line), self._sum)
 
-    def matrix(self) -> ComplexArray:
-        """sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit."""
+    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all b, or of *columns*."""
         n_line, n = len(self._lines), self._n_channel
         parts = self._sum[:, :, 1:].reshape(n_line, n, 2, n, 2).transpose(1, 2, 3, 4, 0)
         matrix = np.empty((n, n, n_line), np.complex128)
         matrix.real = parts[:, 0, :, 0] + parts[:, 1, :, 1]
         matrix.imag = parts[:, 1, :, 0] - parts[:, 0, :, 1]
-        return _hermitian_lines(matrix)
+        return _hermitian_lines(matrix, columns, scale)
 
 
 class PackedProducts(SegmentProducts):
@@ -171,8 +171,8 @@ class PackedProducts(SegmentProducts):
         if self._n_channel % 2:
             self._tapered[:n_segment, -1].imag = 0.0
 
-    def matrix(self) -> ComplexArray:
-        """sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit."""
+    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all b, or of *columns*."""
         n = self._n_channel
         matrix = np.empty((n + n % 2, n + n % 2, len(self._lines)), np.complex128)
         for k in range(len(self._positive)):
@@ -184,7 +184,97 @@ class PackedProducts(SegmentProducts):
                 matrix[2 * k + 1, 2 * m + 1] = (even - cross) * 0.25
                 matrix[2 * k + 1, 2 * m] = (odd + turned) * -0.25j
                 matrix[2 * k, 2 * m + 1] = (odd - turned) * 0.25j
-        return _hermitian_lines(matrix[:n, :n])
+        return _hermitian_lines(matrix[:n, :n], columns, scale)
+
+
+class RowProducts(SegmentProducts):
+    """Products of real matrices [re_0 im_0 re_1 im_1 ...] line by line, of transforms of two segments each, z = x_1 + i x_2.
+
+    X_1a(f) X_1b(f)* + X_2a(f) X_2b(f)* = (Z_a(f) Z_b(f)* + Z_a(-f)* Z_b(-f)) / 2 of any two channels a and b.
+    """
+
+    def __init__(self, window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray) -> None:
+        """*step* [samples] from a segment to the next; the other arguments as for SegmentProducts."""
+        super().__init__(window, lines, n_channel, trend, 2 * PAIRS_AT_ONCE)
+        n_pair = max(1, min(PAIRS_AT_ONCE, MOST_AMPLITUDES // (len(lines) * 2 * n_channel)))
+        self._room, self._step, self._window = 2 * n_pair, step, window
+        self._coefficients = np.empty((self._room, trend.shape[0], n_channel))
+        # Samples of a pair of segments, in rows of channels.
+        self._rows = np.empty((n_channel, window.size + step))
+        self._pair = np.empty((n_channel, window.size), np.complex128)
+        # Positive frequencies of every pair, then negative ones, with a line more in front.
+        self._amplitude = np.zeros((n_pair, 2, len(lines) + 1, n_channel), np.complex128)
+        self._sum = np.zeros((len(lines), 2 * n_channel, 2 * n_channel + 1))
+
+    def _taper_into(self, place: slice, segments: FloatArray) -> None:
+        for number, segment in enumerate(segments, place.start):
+            is_second = number % 2 == 1
+            known = max(self._n - self._step, 0) if is_second else 0
+            begin = self._step if is_second else 0
+            for start in range(known, self._n, CACHED_ROWS):
+                end = min(start + CACHED_ROWS, self._n)
+                self._rows[:, begin + start : begin + end] = segment[start:end].T
+            half = self._pair.imag if is_second else self._pair.real
+            np.multiply(self._rows[:, begin : begin + self._n], self._window, out=half)
+            if is_second:
+                self._transform(number // 2)
+
+    def _transform(self, number: int) -> None:
+        transformed = fft.fft(self._pair, axis=1, overwrite_x=True).T
+        n, lines, kept = self._n, self._lines, self._amplitude[number, :, 1:]
+        positive, negative = transformed[lines[0] : lines[-1] + 1], transformed[n - lines[-1] : n - lines[0] + 1][::-1]
+        for start in range(0, len(lines), CACHED_ROWS):
+            chunk = slice(start, start + CACHED_ROWS)
+            kept[0, chunk] = positive[chunk]
+            np.conjugate(negative[chunk], out=kept[1, chunk])
+
+    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
+        n_pair, n_row, n_line = (n_segment + 1) // 2, 2 * self._n_channel, len(self._lines)
+        if n_segment % 2:
+            self._pair.imag = 0.0
+            self._transform(n_pair - 1)
+        disturbed = self._amplitude[:n_pair, :, 1 : self._trend.shape[1] + 1]
+        for number, trend in enumerate(self._trend):
+            weight = coefficients[0::2, number].astype(np.complex128)
+            weight[: n_segment // 2] += 1j * coefficients[1::2, number]
+            disturbed -= np.stack([weight, weight.conj()], axis=1)[:, :, None] * trend[:, None]
+        flat = self._amplitude[:n_pair].reshape(2 * n_pair, -1).view(np.float64)
+        _add_matrices(*_factors(flat, n_row, n_line), self._sum)
+
+    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all b, or of *columns*."""
+        n_line, n, chosen = len(self._lines), self._n_channel, list(range(self._n_channel) if columns is None else columns)
+        matrix = np.empty((n, len(chosen), n_line), np.complex128).transpose(2, 0, 1)
+        n_chunk = max(1, CACHED_NUMBERS // n**2)
+        for start in range(0, n_line, n_chunk):
+            chunk = slice(start, start + n_chunk)
+            parts = self._sum[chunk, :, 1:].reshape(-1, n, 2, n, 2)
+            # X_a X_b* and (X_b X_a*)* differ by rounding.
+            even, odd = parts[:, :, 0, :, 0] + parts[:, :, 1, :, 1], parts[:, :, 1, :, 0] - parts[:, :, 0, :, 1]
+            matrix[chunk].real = 0.25 * scale * (even[:, :, chosen] + even.swapaxes(1, 2)[:, :, chosen])
+            matrix[chunk].imag = 0.25 * scale * (odd[:, :, chosen] - odd.swapaxes(1, 2)[:, :, chosen])
+        return matrix
+
+
+def _factors(flat: FloatArray, n_row: int, n_line: int) -> tuple[FloatArray, FloatArray]:
+    """(n_line, n_row, n_segment) and (n_line, n_segment, n_row + 1) of *flat* (n_segment, (n_line + 1) n_row), the first line left out.
+
+    One column more than needed, the last one of the line before: BLAS multiplies a small matrix with its own transpose at half the speed of
+    two that differ.
+    """
+    rows = flat[:, n_row : (n_line + 1) * n_row].reshape(flat.shape[0], n_line, n_row)
+    wide = np.lib.stride_tricks.sliding_window_view(flat, n_row + 1, axis=1)[:, n_row - 1 :: n_row][:, :n_line]
+    return rows.transpose(1, 2, 0), wide.swapaxes(0, 1)
+
+
+def _add_matrices(rows: FloatArray, wide: FloatArray, sums: FloatArray) -> None:
+    """Add to *sums* (n_line, n_row, n_row + 1) the products of *rows* and *wide*, as many lines at a time as stay in the cache."""
+    n_line, n_row = sums.shape[:2]
+    n_chunk = max(1, CACHED_NUMBERS // (n_row * (n_row + 1)))
+    product = np.empty((n_chunk, n_row, n_row + 1))
+    for start in range(0, n_line, n_chunk):
+        chunk = slice(start, min(start + n_chunk, n_line))
+        sums[chunk] += np.matmul(rows[chunk], wide[chunk], out=product[: chunk.stop - start])
 
 
 def _add_products(left: ComplexArray, right: ComplexArray, sums: Sequence[ComplexArray], lines: slice, product: ComplexArray) -> None:
@@ -193,10 +283,14 @@ def _add_products(left: ComplexArray, right: ComplexArray, sums: Sequence[Comple
         into[:, lines] += np.multiply(row, right[: into.shape[0]], out=product[: into.shape[0]])
 
 
-def _hermitian_lines(matrix: ComplexArray) -> ComplexArray:
-    """Matrices (n, n, n_line), of which the lower triangle is right, as (n_line, n, n); lines stay last in memory."""
+def _hermitian_lines(matrix: ComplexArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
+    """Matrices (n, n, n_line), of which the lower triangle is right, times *scale* as (n_line, n, n) or their *columns*.
+
+    Lines stay last in memory.
+    """
     for row in range(matrix.shape[0]):
         matrix[row, row].imag = 0.0
         for column in range(row):
             np.conjugate(matrix[row, column], out=matrix[column, row])
-    return matrix.transpose(2, 0, 1)
+    matrix *= scale
+    return (matrix if columns is None else matrix[:, list(columns)]).transpose(2, 0, 1)

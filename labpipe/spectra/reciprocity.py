@@ -40,7 +40,7 @@ def reciprocity(response: FrequencyResponse) -> tuple[Reciprocity, ...]:
 
     var(H_ij - H_ji) = C_pp + C_qq - 2 Re C_pq, from the covariance of the response. Equation (frf-reciprocity).
     """
-    if response.covariance is None:
+    if response.variance is None:
         raise DataError("reciprocity cannot be tested without the covariance of the FRF", hint="record more periods or blocks")
     rows = {port.dof: number for number, port in enumerate(response.outputs)}
     columns = {port.dof: number for number, port in enumerate(response.inputs)}
@@ -68,11 +68,10 @@ def _statement(pair: Reciprocity) -> str:
 
 
 def _pair(response: FrequencyResponse, first: str, second: str, forward: tuple[int, int], reverse: tuple[int, int]) -> Reciprocity:
-    assert response.covariance is not None
     n_input = len(response.inputs)
     p, q = (row * n_input + column for row, column in (forward, reverse))
-    c = response.covariance
-    variance = (c[:, p, p] + c[:, q, q] - 2 * c[:, p, q].real).real
+    c = response.covariance_of
+    variance = (c(p, p) + c(q, q) - 2 * c(p, q).real).real
     here, there = response.matrix[:, *forward], response.matrix[:, *reverse]
     if np.any(variance <= 0):
         raise DataError(f"H of {first} to {second} and its reverse have no variance at a line, so they cannot be compared")

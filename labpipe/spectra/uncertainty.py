@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.records.arrays import handed_over
+from labpipe.records.factored_covariance import FactoredCovariance
 from labpipe.spectra.matrices import hermitian, inverse, lines_last, product, without_rounding
 from labpipe.spectra.periodic import neighbourhood_mean
 
@@ -13,6 +15,8 @@ ENOUGH_DOF = 16.0
 # Rounds of the fit of a residual's two parts, each weighted by the last, and standard errors by which a part must exceed zero.
 REWEIGHTED = 5
 SIGNIFICANT = 3.0
+# Numbers of matrices that are made together: a part of the cache.
+CACHED_NUMBERS = 1 << 16
 
 
 def covariance_of_random(
@@ -43,24 +47,31 @@ def covariance_of_random(
 
 def covariance_of_h1(
     spectra: ComplexArray, response: ComplexArray, inverse_force: ComplexArray, averages: float, half_width: int = 0
-) -> ComplexArray:
+) -> FactoredCovariance:
     """cov(H_oi, H_pj) = S_rr[o, p] (S_uu^-1)[j, i] / (n_e - n_input): covariance_of_random with the forces as instruments.
 
-    inverse_force: S_uu^-1 (n_frequency, n_input, n_input) [Hz/N^2]; the result (n_frequency, n, n) and the other arguments as there.
-    Equation (frf-covariance-h1).
+    inverse_force: S_uu^-1 (n_frequency, n_input, n_input) [Hz/N^2]; the result, of (n_frequency, n, n), stays in its two factors, since
+    it is large where there are many responses; the other arguments as there. Equation (frf-covariance-h1).
     """
     residual = pooled_residual(residual_spectrum(spectra, response), response, half_width)
-    # Both factors are Hermitian to the last digit, so their product is: it is large where there are many responses.
     spread = without_rounding(inverse_force).swapaxes(1, 2) / max(averages - response.shape[2], 1.0)
-    return _joined(residual, spread[:, None, :, None, :])
+    return FactoredCovariance(handed_over(residual), handed_over(spread))
 
 
 def residual_spectrum(spectra: ComplexArray, response: ComplexArray) -> ComplexArray:
-    """S_rr of r = y - H u, [-H, I] S [-H, I]^H, (n_frequency, n_output, n_output) [unit^2/Hz]; arguments as in covariance_of_random."""
-    n_input = response.shape[2]
-    left = spectra[:, n_input:] - product(response, spectra[:, :n_input])
-    residual: ComplexArray = left[:, :, n_input:] - product(left[:, :, :n_input], hermitian(response))
-    return without_rounding(residual)
+    """S_rr of r = y - H u, [-H, I] S [-H, I]^H, (n_frequency, n_output, n_output) [unit^2/Hz]; arguments as in covariance_of_random.
+
+    A few lines at a time, which stay in the cache.
+    """
+    n_line, n_output, n_input = response.shape
+    residual = lines_last(n_line, n_output, n_output)
+    n_chunk = max(1, CACHED_NUMBERS // n_output**2)
+    for start in range(0, n_line, n_chunk):
+        chunk = slice(start, start + n_chunk)
+        h = response[chunk]
+        left = spectra[chunk, n_input:] - product(h, spectra[chunk, :n_input])
+        residual[chunk] = without_rounding(left[:, :, n_input:] - product(left[:, :, :n_input], hermitian(h)))
+    return residual
 
 
 def _joined(residual: ComplexArray, spread: ComplexArray) -> ComplexArray:

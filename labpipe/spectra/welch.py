@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,8 @@ from labpipe.spectra.windows import effective_averages, line_correlation
 class CrossSpectra:
     """Averaged cross-spectral density matrix S_ab = E[X_a X_b*] of all channels.
 
-    frequency (n_frequency,) [Hz]; matrix (n_frequency, n_channel, n_channel) complex, one-sided [unit_a unit_b / Hz];
+    frequency (n_frequency,) [Hz]; matrix (n_frequency, n_channel, n_channel) complex, one-sided [unit_a unit_b / Hz], or its columns of
+    some channels b;
     n_block: blocks averaged; averages: effective number of independent blocks (window, overlap);
     line_correlation: correlation of the FRF's noise between neighbouring lines, see windows.line_correlation.
     """
@@ -42,7 +44,7 @@ class WelchAverage:
         self._lines = range(window.size // 2 + 1)[lines]
         self._basis = trend_basis(detrend, window.size)
         trend = _significant_lines(fft.rfft(window * self._basis, axis=1)[:, lines])
-        self._products = segment_products(window, self._lines, n_channel, trend)
+        self._products = segment_products(window, step, self._lines, n_channel, trend)
         self._rest: list[FloatArray] = []
 
     def add(self, block: FloatArray) -> None:
@@ -65,12 +67,13 @@ class WelchAverage:
         n = self._window.size
         n_segment = min(most, max(0, (samples.shape[0] - n) // self._step + 1))
         if n_segment:
-            segments = np.lib.stride_tricks.sliding_window_view(samples, n, axis=0)[:: self._step].swapaxes(1, 2)
+            segments = np.lib.stride_tricks.sliding_window_view(samples, n, axis=0)[:: self._step][:n_segment].swapaxes(1, 2)
+            trend = self._trend_of(samples, segments)
         first = 0
         while first < n_segment:
-            chunk = segments[first : min(n_segment, first + self._products.room)]
-            self._products.put(chunk, self._trend_of(samples[first * self._step :], chunk))
-            first += chunk.shape[0]
+            chunk = slice(first, min(n_segment, first + self._products.room))
+            self._products.put(segments[chunk], trend[chunk])
+            first = chunk.stop
         return n_segment * self._step
 
     def _trend_of(self, samples: FloatArray, segments: FloatArray) -> FloatArray:
@@ -85,15 +88,17 @@ class WelchAverage:
         sums = self._basis[:, :step] @ samples[: n_step * step].reshape(n_step, step, -1)
         return np.lib.stride_tricks.sliding_window_view(sums, n // step, axis=0).sum(axis=3)
 
-    def spectra(self, sample_rate: float) -> CrossSpectra:
-        """The averaged matrix at the selected lines; DataError when no block was complete. Equation (spec-welch)."""
+    def spectra(self, sample_rate: float, columns: Sequence[int] | None = None) -> CrossSpectra:
+        """The averaged matrix at the selected lines, of all channels b or of *columns*; DataError when no block was complete.
+
+        Equation (spec-welch).
+        """
         self._products.flush()
         n_block = self._products.n_block
         if n_block == 0:
             have, need = sum(piece.shape[0] for piece in self._rest) / sample_rate, self._window.size / sample_rate
             raise DataError(f"the recording is {have:g} s long, too short for one block of {need:g} s", hint="shorten `block`")
-        matrix = self._products.matrix()
-        matrix *= 2 / (sample_rate * np.sum(self._window**2) * n_block)
+        matrix = self._products.matrix(columns, float(2 / (sample_rate * np.sum(self._window**2) * n_block)))
         frequency = np.array(self._lines) * (sample_rate / self._window.size)
         averages = effective_averages(self._window, self._step, n_block)
         return CrossSpectra(frequency, matrix, n_block, averages, line_correlation(self._window, self._step, n_block))

@@ -34,7 +34,7 @@ def frf(
     conditions: dict[str, str] | None = None,
 ) -> FrequencyResponse:
     """The response of one test, made unless the one on disk is fresh; LabpipeError names the recording."""
-    inputs = tuple(source_ref(recording.path, recording.path.parent) for recording in recordings)
+    inputs = tuple(recording.source_ref() for recording in recordings)
     parameters = {"frf": dataclasses.asdict(settings), "test": test, "conditions": conditions or {}}
     header = Header("frf", parameters, inputs=inputs)
     name = frf_file_name(test)

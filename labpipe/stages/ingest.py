@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from labpipe.arrays import FloatArray
 from labpipe.artefacts.freshness import fresh_path
 from labpipe.artefacts.header import Header, SourceRef, source_ref
 from labpipe.artefacts.parquet import has_header
@@ -49,11 +50,11 @@ def ingest(
     if (fresh := fresh_path(output, name + SUFFIX, header)) is not None:
         return open_recording(fresh)
     target = output.write_path(name + SUFFIX)
-    _write(table, rig, target, header, source.stem)
+    recording = _write(table, rig, target, header, source.stem)
     for path, reference in zip((source, *joined), header.inputs, strict=True):
         if source_ref(path, base) != reference:
             raise DataError("changed while it was read", where=str(path), hint="run again when it is complete")
-    return open_recording(target)
+    return recording
 
 
 def _joined(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
@@ -66,7 +67,7 @@ def _joined(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
     return JoinedTable(tables, rig.time if not untimed and by != "sample" else None)
 
 
-def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> None:
+def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> StoredRecording:
     columns = [channel.column for channel in rig.channels]
     timed = [*([rig.time] if rig.time else []), *columns]
     check_columns(table, timed)
@@ -88,7 +89,7 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> N
             for chunk in table.chunks(timed):
                 if time is not None:
                     time.add(chunk[:, 0] * rig.time_scale)
-                block = chunk[:, len(timed) - len(columns) :] * scale + offset
+                block = _calibrated(chunk[:, len(timed) - len(columns) :], scale, offset)
                 screen.add(block)
                 writer.write(np.concatenate([block, block @ sums], axis=1) if rig.derived else block)
             sample_rate = time.sample_rate() if time is not None else stated_rate(table, rig)
@@ -98,6 +99,16 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> N
     except DataError as error:
         error.where = error.where or str(table.path)
         raise
+    return writer.recording()
+
+
+def _calibrated(chunk: FloatArray, scale: FloatArray, offset: FloatArray) -> FloatArray:
+    """The columns (n, n_channel) [unit of the file] in SI units; those of a file that holds these already are not copied."""
+    if np.all(scale == 1) and np.all(offset == 0):
+        return chunk
+    block: FloatArray = chunk * scale
+    block += offset
+    return block
 
 
 def contradictions(table: Table, rig: Rig) -> list[DataError]:

@@ -115,8 +115,9 @@ def page(n_row: int) -> str:
     parts = [
         HEAD,
         f"Python {platform.python_version()}, numpy {np.__version__}, {platform.machine()}.\n",
-        "\n## FRF of records in memory\n\nH1 with covariance, ordinary, multiple and partial coherence, the look for a loop, drift and "
-        "aliasing, over `scipy.fft.rfft` of every block of every channel and nothing else.\n",
+        "\n## FRF of records in memory\n\nH1 with covariance (in its two factors: it is made whole when it is first read), ordinary, "
+        "multiple and partial coherence, the look for a loop, drift and aliasing, over `scipy.fft.rfft` of every block of every channel "
+        "and nothing else.\n",
         "| responses x forces | block | samples | bare FFTs | measure / bare |\n|---|---|---|---|---|",
         *frf_rows(),
         f"\n## A raw file to its FRF by the command\n\nTwo forces, two responses, {n_row} rows; beside it bare reading and bare FFTs. The "

@@ -1,25 +1,36 @@
-"""Cross-products of segments: both ways against sums written out with numpy.fft."""
+"""Cross-products of segments: all three ways against sums written out with numpy.fft."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from labpipe.spectra.products import LONG_BLOCK, LineProducts, PackedProducts, SegmentProducts, segment_products
+from labpipe.spectra.products import (
+    LONG_BLOCK,
+    MANY_CHANNELS,
+    LineProducts,
+    PackedProducts,
+    RowProducts,
+    SegmentProducts,
+    segment_products,
+)
 from labpipe.spectra.welch import trend_basis
 from labpipe.spectra.windows import window_values
 
 
 @pytest.mark.parametrize("n_channel", [1, 2, 3, 4])
 @pytest.mark.parametrize("lines", [range(1, 33), range(1, 32), range(5, 12)])
-@pytest.mark.parametrize("way", [LineProducts, PackedProducts])
-def test_sums_are_those_written_out(rng: np.random.Generator, way: type[SegmentProducts], lines: range, n_channel: int) -> None:
+@pytest.mark.parametrize(("n", "step"), [(64, 64), (64, 24), (65, 24)])
+@pytest.mark.parametrize("way", [LineProducts, PackedProducts, RowProducts])
+def test_sums_are_those_written_out(
+    rng: np.random.Generator, way: type[SegmentProducts], n: int, step: int, lines: range, n_channel: int
+) -> None:
     # Literal twin: the trend is taken out of every segment before the window, X_a X_b* is summed segment by segment.
-    n = 64
     window, basis = window_values("hann", n), trend_basis("linear", n)
-    segments = rng.normal(size=(7, n, n_channel)) + 3.0
+    samples = rng.normal(size=(6 * step + n, n_channel)) + 3.0
+    segments = np.lib.stride_tricks.sliding_window_view(samples, n, axis=0)[::step].swapaxes(1, 2)
     trend = np.fft.rfft(window * basis, axis=1)[:, lines.start : lines.stop]
-    products = way(window, lines, n_channel, trend)
+    products = way(window, step, lines, n_channel, trend) if way is RowProducts else way(window, lines, n_channel, trend)
     for chunk in (segments[:3], segments[3:]):
         while chunk.shape[0]:
             number = min(products.room, chunk.shape[0])
@@ -29,11 +40,20 @@ def test_sums_are_those_written_out(rng: np.random.Generator, way: type[SegmentP
     left = segments - np.einsum("pn,spc->snc", basis, basis @ segments)
     spectra = np.fft.rfft(left * window[:, None], axis=1)[:, lines.start : lines.stop]
     expected = np.einsum("sla,slb->lab", spectra, spectra.conj())
-    np.testing.assert_allclose(products.matrix(), expected, rtol=0, atol=1e-12 * np.max(np.abs(expected)))
+    matrix = products.matrix()
+    np.testing.assert_allclose(matrix, expected, rtol=0, atol=1e-12 * np.max(np.abs(expected)))
+    np.testing.assert_array_equal(matrix, matrix.conj().swapaxes(1, 2))
+    np.testing.assert_array_equal(products.matrix([n_channel - 1, 0]), matrix[:, :, [n_channel - 1, 0]])
     assert products.n_block == 7
 
 
-def test_long_blocks_are_packed() -> None:
+def test_long_blocks_are_packed_and_those_of_many_channels_in_rows() -> None:
     trend = np.empty((0, 1), complex)
-    for n, way in ((LONG_BLOCK, PackedProducts), (LONG_BLOCK - 1, LineProducts)):
-        assert isinstance(segment_products(np.ones(n), range(1, 4), 2, trend), way)
+    few, many = MANY_CHANNELS - 1, MANY_CHANNELS
+    for n, n_channel, way in (
+        (LONG_BLOCK, few, PackedProducts),
+        (LONG_BLOCK, many, RowProducts),
+        (LONG_BLOCK - 1, few, LineProducts),
+        (LONG_BLOCK - 1, many, LineProducts),
+    ):
+        assert isinstance(segment_products(np.ones(n), n // 2, range(1, 4), n_channel, trend), way)

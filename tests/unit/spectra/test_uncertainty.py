@@ -77,9 +77,14 @@ def test_the_short_way_for_h1_is_the_general_one_with_forces_as_instruments(rng:
     response = ESTIMATORS["H1"](joint[:, :2, :2], joint[:, 2:, :2], joint[:, 2:, 2:])
     instruments = INSTRUMENTS["H1"](response, np.einsum("faa->fa", joint).real)
     general = covariance_of_random(joint, response, instruments, 40.0, half_width)
-    short = covariance_of_h1(joint, response, np.linalg.inv(joint[:, :2, :2]), 40.0, half_width)
+    factors = covariance_of_h1(joint, response, np.linalg.inv(joint[:, :2, :2]), 40.0, half_width)
+    short = factors.whole()
     np.testing.assert_allclose(short, general, rtol=0, atol=1e-12 * np.max(np.abs(general)))
     np.testing.assert_array_equal(short, short.conj().swapaxes(1, 2))
+    assert factors.shape == short.shape
+    np.testing.assert_array_equal(factors.variance.reshape(len(short), -1), np.einsum("faa->fa", short).real)
+    for p, q in ((0, 0), (3, 1), (2, 3)):
+        np.testing.assert_allclose(factors.element(p, q), short[:, p, q], rtol=1e-15)
 
 
 def test_periodic_data_with_noise_on_force_and_response() -> None:
