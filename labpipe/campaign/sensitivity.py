@@ -145,7 +145,7 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
 
 
 def peak_of(measured: MeasuredSensitivity) -> Peak:
-    """The maximum of a weighted parabola around the highest line; at an edge of the band the line itself.
+    """The maximum of a parabola through the lines around the highest line; at an edge of the band the line itself.
 
     The highest line alone would be biased upwards by its noise. Errors are enlarged where the parabola's residual exceeds the noise.
     Systematic changes of the lines go through the same parabola, to first order. Equations (comp-peak) and (comp-peak-change).
@@ -161,18 +161,20 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
     if top in (0, size.size - 1) or high - low + 1 < FEWEST:
         return edge
     width = float(frequency[high] - frequency[low])
-    x = (frequency[low : high + 1] - frequency[top]) / width
-    columns = np.column_stack([np.ones_like(x), x, x**2]) / error[low : high + 1, None]
-    covariance = np.linalg.inv(columns.T @ columns)
-    solution = covariance @ columns.T / error[low : high + 1]
-    a, b, c = solution @ size[low : high + 1]
+    crest = slice(low, high + 1)
+    x = (frequency[crest] - frequency[top]) / width
+    columns = np.column_stack([np.ones_like(x), x, x**2])
+    # All lines of the crest alike: errors of single lines, told by few periods, would weigh the noise itself.
+    solution = np.linalg.pinv(columns)
+    a, b, c = solution @ size[crest]
     place = -b / (2 * c)
     if c >= 0 or not x[0] <= place <= x[-1]:
         return edge
-    excess = np.sum((size[low : high + 1] / error[low : high + 1] - columns @ np.array([a, b, c])) ** 2) / max(x.size - 3, 1)
+    left = size[crest] - columns @ np.array([a, b, c])
+    excess = np.sum(left**2) / np.mean(error[crest] ** 2) / max(x.size - 3, 1)
     slopes = np.array([[1.0, place, place**2], width * np.array([0.0, -1.0, -2 * place]) / (2 * c)])
-    spread = np.sqrt(np.einsum("ai,ij,aj->a", slopes, covariance, slopes) * max(excess, 1.0))
-    moved = changes[:, low : high + 1] @ (slopes @ solution).T
+    spread = np.linalg.norm(slopes @ solution * error[crest], axis=1) * np.sqrt(max(excess, 1.0))
+    moved = changes[:, crest] @ (slopes @ solution).T
     at = float(frequency[top] + place * width)
     return Peak(float(a - b**2 / (4 * c)), float(spread[0]), at, False, moved[:, 0], float(spread[1]), moved[:, 1])
 

@@ -114,14 +114,14 @@ def test_covariance_of_random_data() -> None:
     left = np.hstack([-first[0], np.eye(2)])
     residual, inverse = left @ s[0] @ left.conj().T, np.linalg.inv(s_uu[0])
     expected = np.einsum("op,ji->oipj", residual, inverse).reshape(4, 4) / (40 - 2)  # frf-covariance-h1
-    assert covariance_of_h1(s, first, np.linalg.inv(s_uu), 40.0)[0] == pytest.approx(expected)
+    assert covariance_of_h1(s, first, np.linalg.inv(s_uu), 40.0).whole()[0] == pytest.approx(expected)
     instruments = np.eye(2, 4)[None, None].astype(complex)
     assert covariance_of_random(s, first, instruments, 40.0)[0] == pytest.approx(expected)  # frf-covariance-random
     one = np.array([[[2.0, 0.9 - 0.3j], [0.9 + 0.3j, 1.0]]])
     h = one[:, 1:, :1] / one[:, :1, :1]
     gamma = abs(one[0, 1, 0]) ** 2 / 2.0
     variance = (1 - gamma) / gamma * abs(h[0, 0, 0]) ** 2 / (12 - 1)
-    assert covariance_of_h1(one, h, 1 / one[:, :1, :1], 12.0)[0, 0, 0].real == pytest.approx(variance)
+    assert covariance_of_h1(one, h, 1 / one[:, :1, :1], 12.0).whole()[0, 0, 0].real == pytest.approx(variance)
 
 
 def test_resonances() -> None:

@@ -100,11 +100,11 @@ def both_sides(noise: float = 1e-3) -> FrequencyResponse:
     return FrequencyResponse(FREQUENCY, matrix, ports, (Port("e", "e", "e"),), form="other", covariance=covariance)
 
 
-def peak_by_polyfit(response: FrequencyResponse, error: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Height and place [Hz] of a weighted parabola through the lines *near* the peak of S = after / (after - before)."""
+def peak_by_polyfit(response: FrequencyResponse, near: np.ndarray) -> np.ndarray:
+    """Height and place [Hz] of a parabola through the lines *near* the peak of S = after / (after - before)."""
     ahead, behind = response.matrix[:, :, 0].T
     middle = response.frequency[near].mean()
-    c, b, a = np.polyfit(response.frequency[near] - middle, np.abs(behind / (behind - ahead))[near], 2, w=1 / error[near])
+    c, b, a = np.polyfit(response.frequency[near] - middle, np.abs(behind / (behind - ahead))[near], 2)
     return np.array([a - b**2 / (4 * c), middle - b / (2 * c)])
 
 
@@ -115,7 +115,7 @@ def test_the_peak_and_its_frequency_follow_the_channels(label: str, effect: str)
     one = measured_sensitivity(with_doubts(plain, effect), "before", "after")
     peak, near = peak_of(one), one.size >= 0.93 * one.size.max()
     number = [error.doubt.source for error in one.errors].index(f"{label}.{effect}")
-    expected = slopes(lambda error: peak_by_polyfit(off(plain, label, effect, error), one.error, near), SIZES[effect])
+    expected = slopes(lambda error: peak_by_polyfit(off(plain, label, effect, error), near), SIZES[effect])
     found = [peak.changes[number], peak.frequency_changes[number]]
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-9)
 
