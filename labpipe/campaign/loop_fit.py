@@ -10,6 +10,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.campaign.amount_budget import with_budget
 from labpipe.campaign.amounts import chance, with_error
+from labpipe.campaign.loop_edge import ZERO, along_the_edge
 from labpipe.campaign.loop_file import unknown
 from labpipe.campaign.loop_minimum import UNDETERMINED, LoopMinimum
 from labpipe.campaign.loop_problem import LoopObservation, LoopProblem
@@ -37,7 +38,7 @@ class LoopFit:
     *parameters*: unknowns, without standard errors unless *determined*; *correlations* (name, name, value) by noise and sources;
     *chi2_reduced* with *chi2_p* of the residual on *lines*, without what systematic errors explain; *condition_number* of the scaled
     Jacobian; *alike*: unknowns that are not separately identifiable. covariance (n, n) [units of the unknowns]: by noise alone; budget:
-    of the unknowns, None where no source moves them; bent: second over first order of each.
+    of the unknowns, None where no source moves them; bent: second over first order of each; at_zero: unknowns that fit best there.
     """
 
     parameters: tuple[Parameter, ...]
@@ -51,6 +52,7 @@ class LoopFit:
     covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     budget: Budget | None = None
     bent: tuple[tuple[str, float], ...] = ()
+    at_zero: tuple[str, ...] = ()
 
     @property
     def determined(self) -> bool:
@@ -86,7 +88,7 @@ def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> L
     start = np.zeros(len(unknowns) + len(problem.support))
     # An unknown without influence on the response has no gradient.
     idle = not start.size or bool(_without_influence(problem, problem.jacobian(start)))
-    return _loop_fit(problem, Minimum(start, True, 0) if idle else _settled(problem, minimise(problem, start)))
+    return _loop_fit(problem, Minimum(start, True, 0) if idle else _settled(problem, along_the_edge(problem, minimise(problem, start))))
 
 
 def _settled(problem: LoopProblem, minimum: Minimum) -> Minimum:
@@ -124,6 +126,7 @@ def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
         condition_number=identifiable[0],
         alike=identifiable[1],
         converged=minimum.converged,
+        at_zero=tuple(entry.name for entry, share in zip(problem.unknowns, minimum.values, strict=False) if share == ZERO),
     )
     return _with_errors(whole, at_end, doubt.inflation, dof) if whole.usable else whole
 
@@ -156,18 +159,25 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int) 
     pairs = tuple((plain[i].name, plain[j].name, float(related[i, j])) for i in range(n) for j in range(i))
     bent = tuple((one.name, float(size)) for one, size in zip(plain, at_end.bent(whole), strict=True))
     if max(size for _, size in bent) > CURVED:
-        parameters = tuple(_curved(parameter, at_end, number, inflation, limit) for number, parameter in enumerate(parameters))
+        parameters = tuple(
+            _curved(parameter, at_end, number, inflation, limit, bool(fit.at_zero)) for number, parameter in enumerate(parameters)
+        )
+    parameters = tuple(replace(one, at_bound=True) if one.name in fit.at_zero else one for one in parameters)
     return replace(fit, parameters=parameters, correlations=pairs, covariance=covariance, budget=budget, bent=bent)
 
 
-def _curved(parameter: Parameter, at_end: LoopMinimum, number: int, inflation: float, limit: float) -> Parameter:
-    """The unknown with an interval that follows the response; as it is where an end is not found."""
+def _curved(parameter: Parameter, at_end: LoopMinimum, number: int, inflation: float, limit: float, at_zero: bool) -> Parameter:
+    """The unknown with an interval that follows the response; as it is where an end is not found. *at_zero*: an unknown is held there."""
     factor = parameter.coverage_factor or limit
     ends = [at_end.end(number, sign * factor, inflation) for sign in (-1.0, 1.0)]
     if ends[0] is None or ends[1] is None:
         return parameter
     start = at_end.problem.unknowns[number].value
     low, high = sorted(start * (1 + end) for end in ends if end is not None)
+    if at_zero:
+        # Beyond what a bearing can have no truth gives such data, and the ends meet: no less is stated than to first order.
+        reach = factor * (parameter.combined or parameter.full_error or 0.0)
+        low, high = min(low, parameter.value - reach if parameter.value else 0.0), max(high, parameter.value + reach)
     return replace(parameter, ci95=(low, high), significant=not low <= 0 <= high)
 
 
@@ -214,7 +224,16 @@ def identifiability_findings(fit: LoopFit) -> list[Finding]:
     if fit.condition_number > COLLINEAR_CONDITION:
         what = f"{together} are hardly told apart (condition number {fit.condition_number:.3g}, limit {COLLINEAR_CONDITION:g})"
         found.append(Finding("collinear", f"{what}: their errors are large and correlated"))
-    return [*found, *_bent_findings(fit)]
+    return [*found, *_edge_findings(fit), *_bent_findings(fit)]
+
+
+def _edge_findings(fit: LoopFit) -> list[Finding]:
+    """A warning where an unknown fits best at zero."""
+    if not fit.at_zero:
+        return []
+    names = " and ".join(fit.at_zero)
+    what = f"{names} would fit best below zero, which no bearing has, and is held at zero"
+    return [Finding("at-bound", f"{what}: correct delays and gains of the channels, or state their doubts")]
 
 
 def _bent_findings(fit: LoopFit) -> list[Finding]:

@@ -113,14 +113,14 @@ class LoopProblem:
         return np.column_stack([self._slope(u, step) for step in STEP * np.eye(u.size)])
 
     def _slope(self, u: FloatArray, step: FloatArray) -> FloatArray:
-        ahead, behind = (self._residual_within(u + sign * step) for sign in (1.0, -1.0))
+        ahead, behind = (self.residual_within(u + sign * step) for sign in (1.0, -1.0))
         if ahead is None or behind is None:
             middle = self.residual(u)
             return (ahead - middle if ahead is not None else middle - behind if behind is not None else 0 * middle) / STEP
         return (ahead - behind) / (2 * STEP)
 
-    def _residual_within(self, u: FloatArray) -> FloatArray | None:
-        """The residual; None for values that no bearing can have."""
+    def residual_within(self, u: FloatArray) -> FloatArray | None:
+        """The residual (n_equation,) [1] at u (n_parameter,) [1]; None for values that no bearing can have."""
         try:
             return self.residual(u)
         except ConfigError:
@@ -128,5 +128,5 @@ class LoopProblem:
 
     def chi2(self, u: FloatArray) -> float:
         """Sum of squares [1] at u (n_parameter,) [1]; infinite for values that no bearing can have."""
-        residual = self._residual_within(u)
+        residual = self.residual_within(u)
         return float("inf") if residual is None else float(residual @ residual)

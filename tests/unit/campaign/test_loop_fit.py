@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from labpipe.campaign.loop_file import unknown, with_unknowns
-from labpipe.campaign.loop_fit import LoopFit
+from labpipe.campaign.loop_fit import LoopFit, identifiability_findings
 from labpipe.campaign.loop_fit import loop_fit as fit_of_all
 from labpipe.campaign.loop_view import View
 from labpipe.errors import ConfigError, FitError
@@ -130,3 +130,20 @@ def test_without_noise_nothing_can_be_judged(rng: np.random.Generator) -> None:
     blind = replace(view, response=replace(view.response, covariance=None))
     with pytest.raises(FitError, match="noise of the response is not known"):
         loop_fit([blind], ("delay",))
+
+
+def test_a_delay_that_would_be_negative_is_held_at_zero(rng: np.random.Generator) -> None:
+    """A sensor that leads by 30 us on a loop without delay: the gap is that of a fit whose file has no delay."""
+    file = with_unknowns(bearing("hmb-geometry"), {"delay": 0.0})
+    view = measured(file, rng)
+    lead = np.exp(2j * np.pi * 30e-6 * view.response.frequency)[:, None, None]
+    ahead = replace(view, response=replace(view.response, matrix=view.response.matrix * lead))
+    found = loop_fit([replace(ahead, file=with_unknowns(file, {"gap": 0.47e-3, "delay": 60e-6}))], ("gap", "delay"))
+    alone = loop_fit([replace(ahead, file=with_unknowns(file, {"gap": 0.47e-3}))], ("gap",))
+    gap, delay = found.parameters
+    assert found.converged and found.at_zero == ("delay",) and alone.converged
+    assert delay.value == 0.0 and delay.at_bound and delay.ci95 is not None and delay.ci95[0] == 0.0 < delay.ci95[1]
+    assert gap.value == pytest.approx(alone.parameters[0].value, rel=1e-6)
+    # A delay that may lie above zero leaves the gap in more doubt than one that is known.
+    assert gap.std_error is not None and alone.parameters[0].std_error is not None and gap.std_error > alone.parameters[0].std_error
+    assert [finding.code for finding in identifiability_findings(found)] == ["at-bound", "first-order"]
