@@ -23,8 +23,12 @@ from scipy import fft
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
 from labpipe.records.recording import Channel, Recording
+from labpipe.spectra.from_random import parts_of_spectra
 from labpipe.spectra.measurement import measure
+from labpipe.spectra.ports import Layout, find_layout
 from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.welch import WelchAverage
+from labpipe.spectra.windows import window_values
 from tests.benchmarks.raw_files import KINDS, ROOT, least_costs, measured
 from tests.benchmarks.test_identify_ratios import chain, cpu_time
 
@@ -64,8 +68,19 @@ def frf_rows() -> Iterator[str]:
                 fft.rfft(columns[:, start : start + block], axis=1)
 
         floor = cpu_time(bare, 7)
+        layout = find_layout([recording])
+
+        def averaged(
+            recording: Recording = recording, settings: FrfSettings = settings, layout: Layout = layout, block: int = block
+        ) -> None:
+            average = WelchAverage(window_values("hann", block), block // 2, recording.samples.shape[1])
+            average.add(recording.samples)
+            parts_of_spectra([average.spectra(RATE)], settings, layout)
+
+        alone = cpu_time(averaged, 7)
         own = cpu_time(lambda recording=recording, settings=settings: measure([recording], settings), 7)
-        yield f"| {n_output} x {n_input} | {block} | {n_sample} | {1e3 * floor:.0f} ms | {own / floor:.2f} |"
+        row = f"| {n_output} x {n_input} | {block} | {n_sample} | {1e3 * floor:.0f} ms"
+        yield f"{row} | {alone / floor:.2f} | {own / floor:.2f} |"
 
 
 def likelihood_rows() -> Iterator[str]:
@@ -115,10 +130,10 @@ def page(n_row: int) -> str:
     parts = [
         HEAD,
         f"Python {platform.python_version()}, numpy {np.__version__}, {platform.machine()}.\n",
-        "\n## FRF of records in memory\n\nH1 with covariance (in its two factors: it is made whole when it is first read), ordinary, "
-        "multiple and partial coherence, the look for a loop, drift and aliasing, over `scipy.fft.rfft` of every block of every channel "
-        "and nothing else.\n",
-        "| responses x forces | block | samples | bare FFTs | measure / bare |\n|---|---|---|---|---|",
+        "\n## FRF of records in memory\n\nOver `scipy.fft.rfft` of every block of every channel and nothing else: first H1 with covariance "
+        "(in its two factors: it is made whole when it is first read), ordinary, multiple and partial coherence; then `measure`, which "
+        "also checks the record and looks for a loop, drift and aliasing.\n",
+        "| responses x forces | block | samples | bare FFTs | FRF / bare | measure / bare |\n|---|---|---|---|---|---|",
         *frf_rows(),
         f"\n## A raw file to its FRF by the command\n\nTwo forces, two responses, {n_row} rows; beside it bare reading and bare FFTs. The "
         "import of the libraries is subtracted on both sides. The bare side holds the whole file in memory.\n",
