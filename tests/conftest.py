@@ -59,7 +59,7 @@ def labpipe(command_line: Command) -> Command:
 
 @pytest.fixture
 def labpipe_without_report(command_line: Command) -> Command:
-    """`labpipe run` without a report unless the test asks for one: drawing it takes 0.9 s of a run of 1.0 s.
+    """`labpipe run` without a report unless the test asks for one.
 
     Modules where hardly a test looks at a report take it for their own `labpipe`.
     """

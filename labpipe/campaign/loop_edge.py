@@ -10,7 +10,7 @@ from labpipe.arrays import BoolArray, FloatArray
 from labpipe.campaign.loop_problem import LoopProblem
 from labpipe.optimise.levenberg import Minimum, minimise
 
-# An unknown whose next step down chi-square, of this share of its start value, no bearing can have, stands at the edge.
+# An unknown less than this share of its start value above zero stands at the edge where no bearing can have one below.
 NEAR = 1e-2
 # The share of its start value that makes an unknown zero.
 ZERO = -1.0
@@ -52,17 +52,19 @@ def at_edge(problem: LoopProblem, u: FloatArray) -> BoolArray:
     gradient = problem.jacobian(u).T @ problem.residual(u)
     held = np.zeros(u.size, dtype=bool)
     for number in range(len(problem.unknowns)):
+        falling = u[number] < ZERO + NEAR and gradient[number] > 0
         below = u.copy()
-        below[number] = min(u[number] - NEAR, ZERO - NEAR)
-        near = u[number] < ZERO + NEAR and gradient[number] > 0
-        held[number] = near and problem.residual_within(below) is None
+        below[number] = ZERO - NEAR
+        held[number] = falling and problem.residual_within(below) is None
     return held
 
 
 def along_the_edge(problem: LoopProblem, minimum: Minimum) -> Minimum:
     """The minimum with the unknowns at zero that a descent stopped at; *minimum* as it is where it stopped for another reason."""
+    if minimum.converged:
+        return minimum
     held = at_edge(problem, minimum.values)
-    if minimum.converged or not held.any():
+    if not held.any():
         return minimum
     start = np.where(held, ZERO, minimum.values)
     if problem.residual_within(start) is None:
