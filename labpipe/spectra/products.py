@@ -1,9 +1,10 @@
 """Sums over segments of X_a X_b*, the cross-products of all channels at every line: transformed a few segments at a time.
 
-Three ways of one job. Short blocks: LineProducts, whose small real matrices BLAS multiplies line by line, many segments at once. Long
-blocks of few channels: PackedProducts, in which two real channels share one complex transform and lines stand last in memory, so that
-every operation runs over a long row; half the memory, and in place. Long blocks of many channels: RowProducts, in which every channel is
-transformed in a row of its own, two segments at once, and brought together with the others behind the transform, for BLAS.
+Three ways of one job. Blocks that stay in the cache: LineProducts, whose small real matrices BLAS multiplies line by line, many segments
+at once. Longer blocks of a few pairs of channels: PackedProducts, in which two real channels share one complex transform and lines stand
+last in memory, so that every operation runs over a long row; half the memory, and in place. Longer blocks of other channels: RowProducts,
+in which every channel is transformed in a row of its own, two segments at once, and brought together with the others behind the
+transform, for BLAS.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from scipy import fft
 
 from labpipe.arrays import ComplexArray, FloatArray
 
-# Samples of a block from which on packed transforms are the faster way, and channels of such blocks that are many.
-LONG_BLOCK, MANY_CHANNELS = 8192, 6
+# Measured on blocks of 4096 to 100,000 samples: as many samples of a block as stay in the cache, of all channels together; the most
+# channels that are worth packing in pairs, and the samples per channel from which on packing pays.
+SAMPLES_OF_SHORT, MOST_PACKED, PACKED_FROM = 80_000, 6, 4096
 # Segments transformed together [samples, segments]: enough to keep the overhead small, few enough to stay in the cache and, for
 # very long blocks, in memory. Products of small matrices are fastest with about this many segments; of long rows, with fewer.
 CACHED_SAMPLES = 1 << 18
@@ -84,10 +86,10 @@ class SegmentProducts(ABC):
 
 def segment_products(window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray) -> SegmentProducts:
     """The fastest way for this *window* (n,) [1], *step* [samples] from segment to segment; the other arguments as for SegmentProducts."""
-    if window.size < LONG_BLOCK:
-        return LineProducts(window, lines, n_channel, trend)
-    if n_channel < MANY_CHANNELS:
+    if n_channel % 2 == 0 and n_channel <= MOST_PACKED and window.size >= PACKED_FROM * n_channel:
         return PackedProducts(window, lines, n_channel, trend)
+    if window.size * n_channel <= SAMPLES_OF_SHORT:
+        return LineProducts(window, lines, n_channel, trend)
     return RowProducts(window, step, lines, n_channel, trend)
 
 
@@ -243,17 +245,22 @@ class RowProducts(SegmentProducts):
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
         """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all b, or of *columns*."""
-        n_line, n, chosen = len(self._lines), self._n_channel, list(range(self._n_channel) if columns is None else columns)
-        matrix = np.empty((n, len(chosen), n_line), np.complex128).transpose(2, 0, 1)
+        n_line, n, chosen = len(self._lines), self._n_channel, range(self._n_channel) if columns is None else columns
+        matrix = np.empty((n, len(chosen), n_line), np.complex128)
         n_chunk = max(1, CACHED_NUMBERS // n**2)
         for start in range(0, n_line, n_chunk):
-            chunk = slice(start, start + n_chunk)
-            parts = self._sum[chunk, :, 1:].reshape(-1, n, 2, n, 2)
-            # X_a X_b* and (X_b X_a*)* differ by rounding.
-            even, odd = parts[:, :, 0, :, 0] + parts[:, :, 1, :, 1], parts[:, :, 1, :, 0] - parts[:, :, 0, :, 1]
-            matrix[chunk].real = 0.25 * scale * (even[:, :, chosen] + even.swapaxes(1, 2)[:, :, chosen])
-            matrix[chunk].imag = 0.25 * scale * (odd[:, :, chosen] - odd.swapaxes(1, 2)[:, :, chosen])
-        return matrix
+            lines = slice(start, start + n_chunk)
+            parts = self._sum[lines, :, 1:].reshape(-1, n, 2, n, 2)
+            folded = np.empty((parts.shape[0], n, n), np.complex128)
+            np.add(parts[:, :, 0, :, 0], parts[:, :, 1, :, 1], out=folded.real)
+            np.subtract(parts[:, :, 1, :, 0], parts[:, :, 0, :, 1], out=folded.imag)
+            np.einsum("laa->la", folded).imag[...] = 0.0
+            folded *= 0.5 * scale
+            # X_a X_b* and (X_b X_a*)* differ by rounding: of each pair that of the later channel's row.
+            for number, column in enumerate(chosen):
+                matrix[column:, number, lines] = folded[:, column:, column].T
+                np.conjugate(folded[:, column, :column].T, out=matrix[:column, number, lines])
+        return matrix.transpose(2, 0, 1)
 
 
 def _factors(flat: FloatArray, n_row: int, n_line: int) -> tuple[FloatArray, FloatArray]:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from labpipe.spectra.products import (
-    LONG_BLOCK,
-    MANY_CHANNELS,
+    MOST_PACKED,
+    PACKED_FROM,
+    SAMPLES_OF_SHORT,
     LineProducts,
     PackedProducts,
     RowProducts,
@@ -47,13 +48,15 @@ def test_sums_are_those_written_out(
     assert products.n_block == 7
 
 
-def test_long_blocks_are_packed_and_those_of_many_channels_in_rows() -> None:
+def test_long_blocks_are_packed_where_channels_are_few_and_in_pairs_and_in_rows_elsewhere() -> None:
     trend = np.empty((0, 1), complex)
-    few, many = MANY_CHANNELS - 1, MANY_CHANNELS
     for n, n_channel, way in (
-        (LONG_BLOCK, few, PackedProducts),
-        (LONG_BLOCK, many, RowProducts),
-        (LONG_BLOCK - 1, few, LineProducts),
-        (LONG_BLOCK - 1, many, LineProducts),
+        (2 * PACKED_FROM, 2, PackedProducts),
+        (2 * PACKED_FROM - 1, 2, LineProducts),
+        (MOST_PACKED * PACKED_FROM, MOST_PACKED, PackedProducts),
+        (SAMPLES_OF_SHORT // 3, 3, LineProducts),
+        (SAMPLES_OF_SHORT // 3 + 1, 3, RowProducts),
+        (SAMPLES_OF_SHORT // 8, 8, LineProducts),
+        (SAMPLES_OF_SHORT // 8 + 1, 8, RowProducts),
     ):
         assert isinstance(segment_products(np.ones(n), n // 2, range(1, 4), n_channel, trend), way)
