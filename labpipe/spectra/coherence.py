@@ -14,7 +14,7 @@ def ordinary_coherence(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArra
     Equation (frf-coherence).
     """
     power = np.einsum("foo->fo", s_yy).real[:, :, None] * np.einsum("fii->fi", s_uu).real[:, None, :]
-    return _clipped(np.abs(s_yu) ** 2, power)
+    return _clipped(_squared(s_yu), power)
 
 
 def multiple_coherence(h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
@@ -34,7 +34,7 @@ def partial_coherence(inverse_force: ComplexArray, h1: ComplexArray, s_yu: Compl
     Equation (frf-partial-coherence).
     """
     residual = np.einsum("foo->fo", s_yy).real - _explained(h1, s_yu)
-    explained = np.abs(h1) ** 2
+    explained = _squared(h1)
     alone = np.einsum("fii->fi", inverse_force).real[:, None, :] * np.maximum(residual, 0.0)[:, :, None]
     return _clipped(explained, explained + alone)
 
@@ -45,7 +45,13 @@ def _explained(h1: ComplexArray, s_yu: ComplexArray) -> FloatArray:
     return explained
 
 
+def _squared(values: ComplexArray) -> FloatArray:
+    """|z|^2 without the root that abs takes."""
+    squared: FloatArray = values.real**2 + values.imag**2
+    return squared
+
+
 def _clipped(part: FloatArray, whole: FloatArray) -> FloatArray:
     """part / whole within 0 ... 1, which rounding alone may leave; 0 where there is no signal."""
-    ratio = np.divide(part, whole, out=np.zeros(np.broadcast(part, whole).shape), where=whole > 0)
-    return np.clip(ratio, 0.0, 1.0)
+    ratio = np.divide(part, whole, out=np.zeros_like(part), where=whole > 0)
+    return np.clip(ratio, 0.0, 1.0, out=ratio)

@@ -6,6 +6,9 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 
+# Numbers of matrices that are worked on together: a part of the cache.
+CACHED_NUMBERS = 1 << 15
+
 
 def hermitian(matrix: ComplexArray) -> ComplexArray:
     """The conjugate transposes (..., m, n) of matrices (..., n, m) [any unit]."""
@@ -74,6 +77,43 @@ def definite_inverse(matrix: ComplexArray) -> tuple[ComplexArray, FloatArray]:
                 work[:, row, k] = 0.0
                 work[:, row] -= factor[:, None] * work[:, k]
     return work, pivots
+
+
+def schur_complement(matrix: ComplexArray, n_first: int) -> ComplexArray:
+    """D - B^H A^-1 B of Hermitian positive definite matrices [[A, B], [B^H, D]] (n_line, n, n) [any unit], A (n_line, n_first, n_first).
+
+    (n_line, n - n_first, n - n_first), lines last in memory. Elimination below the diagonal, of a few lines at a time, which stay in the
+    cache: no inverse of A, whose condition would enter; exactly Hermitian, and a diagonal that rounding makes negative is 0.
+    """
+    n_line, n = matrix.shape[:2]
+    rest = lines_last(n_line, n - n_first, n - n_first)
+    n_chunk = max(1, CACHED_NUMBERS // (n * n_first))
+    for start in range(0, n_line, n_chunk):
+        lines = slice(start, start + n_chunk)
+        columns, factors = _eliminated(matrix[lines, :, :n_first])
+        conjugates = columns.conj()
+        for row in range(n - n_first):
+            left = matrix[lines, n_first + row, n_first : n_first + row + 1].T.copy()
+            for k, factor in enumerate(factors[n_first + row]):
+                left -= factor * conjugates[n_first : n_first + row + 1, k]
+            left[row] = np.maximum(left[row].real, 0.0)
+            rest[lines, row, : row + 1] = left.T
+            rest[lines, :row, row] = left[:row].conj().T
+    return rest
+
+
+def _eliminated(first: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Columns of all rows as elimination leaves them, and those over their pivots, both (n, n_first, n_line) [any unit].
+
+    *first* (n_line, n, n_first): the first columns of Hermitian matrices, of which what lies below the diagonal is read.
+    """
+    columns = np.array(first.transpose(1, 2, 0), order="C")
+    factors = np.zeros_like(columns)
+    for k in range(columns.shape[1]):
+        factors[k:, k] = columns[k:, k] / columns[k, k].real
+        for column in range(k + 1, columns.shape[1]):
+            columns[column:, column] -= factors[column:, k] * columns[column, k].conj()
+    return columns, factors
 
 
 def without_rounding(covariance: ComplexArray) -> ComplexArray:

@@ -7,7 +7,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.records.arrays import handed_over
 from labpipe.records.factored_covariance import FactoredCovariance
-from labpipe.spectra.matrices import hermitian, inverse, lines_last, product, without_rounding
+from labpipe.spectra.matrices import hermitian, inverse, lines_last, product, schur_complement, without_rounding
 from labpipe.spectra.periodic import neighbourhood_mean
 
 # Degrees of freedom of the noise up to which it is averaged over neighbouring lines: few averages alone tell too little of it.
@@ -50,10 +50,11 @@ def covariance_of_h1(
 ) -> FactoredCovariance:
     """cov(H_oi, H_pj) = S_rr[o, p] (S_uu^-1)[j, i] / (n_e - n_input): covariance_of_random with the forces as instruments.
 
-    inverse_force: S_uu^-1 (n_frequency, n_input, n_input) [Hz/N^2]; the result, of (n_frequency, n, n), stays in its two factors, since
-    it is large where there are many responses; the other arguments as there. Equation (frf-covariance-h1).
+    S_rr = S_yy - S_yu S_uu^-1 S_uy here. inverse_force: S_uu^-1 (n_frequency, n_input, n_input) [Hz/N^2]; the result, of
+    (n_frequency, n, n), stays in its two factors, since it is large where there are many responses; the other arguments as there.
+    Equation (frf-covariance-h1).
     """
-    residual = pooled_residual(residual_spectrum(spectra, response), response, half_width)
+    residual = pooled_residual(schur_complement(spectra, response.shape[2]), response, half_width)
     spread = without_rounding(inverse_force).swapaxes(1, 2) / max(averages - response.shape[2], 1.0)
     return FactoredCovariance(handed_over(residual), handed_over(spread))
 

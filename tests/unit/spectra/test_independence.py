@@ -42,6 +42,22 @@ def test_forces_in_step_are_refused_in_any_unit() -> None:
         check_forces(np.array([[[1.0, 0], [0, 0]]]), LAYOUT)
 
 
+@pytest.mark.parametrize("n", [3, 4])
+@pytest.mark.parametrize("share", [0.9, 1 - 5e-6, 1 - 2.5e-6, 1 - 1e-7])
+def test_three_forces_and_more_are_judged_by_their_eigenvalues(n: int, share: float) -> None:
+    # Equal coherence of all pairs: the eigenvalues are 1 + (n - 1) share and 1 - share, a condition of 1e6 is refused.
+    channels = tuple(Channel(f"f{k}", "force", "input", f"f{k}") for k in range(n)) + CHANNELS[2:]
+    layout = find_layout([Recording(channels, np.zeros((2, n + 2)), 1.0, "run")])
+    matrix = np.full((2, n, n), share + 0j)
+    matrix[:, range(n), range(n)] = 1.0
+    matrix[0] = np.eye(n)
+    if (1 + (n - 1) * share) / (1 - share) < 1e6:
+        check_forces(matrix, layout)
+    else:
+        with pytest.raises(DataError, match="do not act independently"):
+            check_forces(matrix, layout)
+
+
 def test_only_h2_needs_responses_that_move_independently() -> None:
     check_responses(correlation(1 - 1e-7), LAYOUT, "Hv")
     with pytest.raises(DataError, match="responses do not move independently"):
