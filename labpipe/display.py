@@ -74,7 +74,7 @@ def _exponent(number: float) -> int:
 
 
 def _place(error: float, *numbers: float) -> _Place:
-    size = max(abs(one) for one in (error, *numbers) if math.isfinite(one))
+    size = max(abs(number) for number in (error, *numbers) if math.isfinite(number))
     power = 0 if WITHOUT_POWER[0] <= size < WITHOUT_POWER[1] else math.floor(math.log10(size))
     return _Place(1 - _exponent(error) + power, power)
 

@@ -310,8 +310,8 @@ def si_amount(text: str | float) -> tuple[float, str]:
 
 def name_of_dimension(dimension: Dimension) -> str:
     """The SI unit of a dimension: N for a force, kg/s for one without a name of its own."""
-    known = (*_SI_UNITS, *(quantity.si_unit for quantity in QUANTITIES.values()))
-    name = next((unit for unit in known if parse_unit(unit).dimension == dimension), None)
+    units = (*_SI_UNITS, *(quantity.si_unit for quantity in QUANTITIES.values()))
+    name = next((unit for unit in units if parse_unit(unit).dimension == dimension), None)
     if name is not None:
         return name
     symbols = ("m", "kg", "s", "A", "K", "rad")

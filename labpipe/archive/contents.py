@@ -85,7 +85,9 @@ def contents(folder: Path, pipeline: Pipeline, *, digests_only: bool) -> Content
     ]
     left_out = [path for path in artefacts_below(folder) if path.relative_to(folder).as_posix() not in names]
     noted = [reference for name in recordings for reference in header_of(folder / name).inputs]
-    digests = {reference.path: reference.sha256 for reference in noted} | {one["path"]: one["sha256"] for one in identification.sources}
+    digests = {reference.path: reference.sha256 for reference in noted} | {
+        source["path"]: source["sha256"] for source in identification.sources
+    }
     main, files = _project(pipeline, digests, dated=identification.dataset is not None, digests_only=digests_only)
     return Contents(identification, main, tuple(map(_digested, files)), tuple(map(_digested, results)), tuple(left_out))
 
@@ -117,10 +119,10 @@ def _names_of_result(folder: Path, identification: Identification, pipeline: Pip
     """The artefacts of this very result by their names; what earlier pipelines left in the folder is none."""
     named = [reference["path"] for reference in identification.inputs]
     named.extend(name for test in pipeline.tests for name in files_of_test(test.name))
-    found = [name for name in dict.fromkeys(named) if (folder / name).is_file() and ".." not in Path(name).parts]
-    measured = [name for name in found if name.endswith(".parquet") and "/" not in name]
+    files_there = [name for name in dict.fromkeys(named) if (folder / name).is_file() and ".." not in Path(name).parts]
+    measured = [name for name in files_there if name.endswith(".parquet") and "/" not in name]
     recordings = [f"recordings/{reference.path}" for name in measured for reference in header_of(folder / name).inputs]
-    return sorted({NAME, *found, *(name for name in recordings if (folder / name).is_file())})
+    return sorted({NAME, *files_there, *(name for name in recordings if (folder / name).is_file())})
 
 
 def _role_of_result(name: str) -> str:
@@ -173,10 +175,10 @@ def _named_by(path: Path) -> tuple[list[Path], list[Path]]:
     settings, others = [_absolute(path)], list[Path]()
     for file in settings:
         for node in _texts(load_marked(file)):
-            found = _absolute(file.parent / node.text)
-            if found in settings or not _is_named(node, file.parent):
+            target = _absolute(file.parent / node.text)
+            if target in settings or not _is_named(node, file.parent):
                 continue
-            (settings if found.suffix in YAML else others).append(found)
+            (settings if target.suffix in YAML else others).append(target)
     return settings, list(dict.fromkeys(others))
 
 

@@ -102,7 +102,7 @@ def _entity(member: Member) -> Entity:
 
 def _run(contents: Contents) -> Iterator[Entity]:
     """The run as an action, and the software that did it."""
-    known = commit()
+    commit_hash = commit()
     yield {
         "@id": "#run",
         "@type": "CreateAction",
@@ -115,13 +115,13 @@ def _run(contents: Contents) -> Iterator[Entity]:
         "@id": "#labpipe",
         "@type": "SoftwareApplication",
         "name": "labpipe",
-        "version": __version__ + (f" (commit {known})" if known else ""),
+        "version": __version__ + (f" (commit {commit_hash})" if commit_hash else ""),
         "softwareVersion": __version__,
-        "identifier": [{"@id": "#code"}, *([{"@id": "#commit"}] if known else [])],
+        "identifier": [{"@id": "#code"}, *([{"@id": "#commit"}] if commit_hash else [])],
     }
     yield {"@id": "#code", "@type": "PropertyValue", "name": "SHA-256 of the source", "value": code_digest()}
-    if known:
-        yield {"@id": "#commit", "@type": "PropertyValue", "name": "commit", "value": known}
+    if commit_hash:
+        yield {"@id": "#commit", "@type": "PropertyValue", "name": "commit", "value": commit_hash}
 
 
 def read_metadata(content: bytes, where: str) -> Crate:
@@ -142,8 +142,8 @@ def read_metadata(content: bytes, where: str) -> Crate:
 
 def _root(entities: Mapping[str, Entity]) -> Entity:
     """The entity that the metadata are about, found as RO-Crate says."""
-    crates = (one for one in entities.values() if str(_reference(one.get("conformsTo"))).startswith(FAMILY))
-    descriptor = next((one for one in crates if "about" in one), {})
+    crates = (entity for entity in entities.values() if str(_reference(entity.get("conformsTo"))).startswith(FAMILY))
+    descriptor = next((described for described in crates if "about" in described), {})
     return entities[descriptor["about"]["@id"]]
 
 

@@ -23,9 +23,9 @@ def read_many_tests(folder: Path) -> ManyTests:
     """The dataset of a folder of results; DataError where there is none, DamagedError for a part that labpipe did not write."""
     table = read_rows(folder)
     table = table.sort_by([("date", "ascending"), ("test", "ascending")])
-    found = table.filter(pc.is_valid(table["parameter"]))
+    valid = table.filter(pc.is_valid(table["parameter"]))
     return ManyTests(
-        tuple(_columns(found)),
+        tuple(_columns(valid)),
         failed=tuple(_named(table.filter(pc.is_valid(table["failed"])), "failed")),
         not_accepted=tuple(_named(table.filter(pc.equal(table["accepted"], False)), "warnings")),
     )

@@ -116,8 +116,8 @@ def amount_of(text: str) -> tuple[float | None, str]:
 
 def parts(folder: Path) -> list[Part]:
     """The parts of the dataset in a folder of results, by rig, date and name."""
-    found = finished((folder / FOLDER).glob(f"rig=*/date=*/*{SUFFIX}"))
-    return [Part(path, unquote(path.parts[-3].removeprefix("rig=")), path.parts[-2].removeprefix("date=")) for path in found]
+    written = finished((folder / FOLDER).glob(f"rig=*/date=*/*{SUFFIX}"))
+    return [Part(path, unquote(path.parts[-3].removeprefix("rig=")), path.parts[-2].removeprefix("date=")) for path in written]
 
 
 def read_part(part: Part, columns: Collection[str] = COLUMNS) -> pa.Table:

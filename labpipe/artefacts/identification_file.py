@@ -143,14 +143,14 @@ def _outcome_entry(outcome: RuleOutcome) -> dict[str, Any]:
 
 def _found_entries(outcomes: Sequence[RuleOutcome]) -> dict[str, Any]:
     """The values in the rules' own units, beside the rules: readers of an earlier labpipe take no further key of a rule."""
-    found = {key: [outcome.shown for outcome in outcomes if outcome.section == key] for key in ("accept", "expect")}
-    return {"found": found} if any(any(texts) for texts in found.values()) else {}
+    entries = {key: [outcome.shown for outcome in outcomes if outcome.section == key] for key in ("accept", "expect")}
+    return {"found": entries} if any(any(texts) for texts in entries.values()) else {}
 
 
 def _outcomes(entries: dict[str, Any], key: str) -> list[RuleOutcome]:
     rules = entries.get(key, [])
-    found = entries.get("found", {}).get(key) or [""] * len(rules)
-    return [RuleOutcome(key, **entry, shown=shown) for entry, shown in zip(rules, found, strict=True)]
+    texts = entries.get("found", {}).get(key) or [""] * len(rules)
+    return [RuleOutcome(key, **entry, shown=shown) for entry, shown in zip(rules, texts, strict=True)]
 
 
 _OPTIONAL_ARRAYS = ("coherence", "multiple_coherence", "partial_coherence", "distortion", "snr")

@@ -107,12 +107,12 @@ class Mirror:
     def bring(self, wanted: Wanted, *, named_only: bool = False) -> int:
         """Bring the objects whose names are wanted; their number. *named_only*: of the parts of a run's dataset those that the index names,
         and DataError where one is missing."""
-        found = {one.path.relative_to(self.place).as_posix(): one for one in below(self.place)}
-        names = [name for name in found if wanted(name)]
+        here = {status.path.relative_to(self.place).as_posix(): status for status in below(self.place)}
+        names = [name for name in here if wanted(name)]
         indices = [name for name in names if Path(name).name == NAME]
-        self._get(indices, found)
+        self._get(indices, here)
         unnamed = {part for index in indices for part in self._unnamed_parts(index, names)} if named_only else set()
-        self._get([name for name in names if name not in unnamed and name not in indices], found)
+        self._get([name for name in names if name not in unnamed and name not in indices], here)
         return len(names)
 
     def publish(self) -> None:
@@ -139,8 +139,8 @@ class Mirror:
         for path in sorted(self.folder.rglob("*")):
             name = path.relative_to(self.folder)
             if path.is_file() and not any(part.startswith(STAGING) for part in name.parts):
-                found = path.stat()
-                yield name.as_posix(), (found.st_ino, found.st_mtime_ns)
+                status = path.stat()
+                yield name.as_posix(), (status.st_ino, status.st_mtime_ns)
 
     def _unnamed_parts(self, index: str, names: Sequence[str]) -> Iterator[str]:
         """Parts of a dataset that the result of a run does not name: of an upload that was cut short, or of the result before."""
@@ -183,8 +183,8 @@ def _at_once(work: Callable[[str], None], names: Iterable[str]) -> None:
     with ThreadPoolExecutor(AT_ONCE) as pool:
         waiting = [pool.submit(work, name) for name in names]
         try:
-            for one in waiting:
-                one.result()
+            for upload in waiting:
+                upload.result()
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

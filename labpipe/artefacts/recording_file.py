@@ -91,8 +91,8 @@ def recording_contents(
     """The part of the header that describes the recording's columns; *levels*: mean and standard deviation of channels [SI]."""
     entries = [{**dataclasses.asdict(channel), "unit": channel.unit} for channel in channels]
     # Of a channel that never is a number there is no level.
-    known = {name: pair for name, pair in (levels or {}).items() if math.isfinite(sum(pair))}
-    return {"name": name, "sample_rate": sample_rate, "channels": entries, "levels": known}
+    finite = {name: pair for name, pair in (levels or {}).items() if math.isfinite(sum(pair))}
+    return {"name": name, "sample_rate": sample_rate, "channels": entries, "levels": finite}
 
 
 @dataclasses.dataclass(frozen=True)

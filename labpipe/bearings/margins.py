@@ -62,12 +62,12 @@ def margins(loop: LoopTransfer, highest: float) -> Margins:
 
 def _gains(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> list[float]:
     """Factors that bring L onto -1, where it crosses the negative real axis; at rest it lies on the real axis."""
-    found = [-1 / values[0].real] if omega[0] == 0 and values[0].real < 0 else []
+    gains = [-1 / values[0].real] if omega[0] == 0 and values[0].real < 0 else []
     for place in _roots(lambda w: loop(w).imag, omega, values.imag):
         at = loop(np.array([place]))[0].real
         if at < 0:
-            found.append(-1 / at)
-    return [float(gain) for gain in found]
+            gains.append(-1 / at)
+    return [float(gain) for gain in gains]
 
 
 def _phases(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> tuple[list[float], list[float]]:
@@ -92,5 +92,5 @@ def _largest(function: Callable[[FloatArray], FloatArray], omega: FloatArray, va
     if top in (0, omega.size - 1):
         return float(values[top]), float(omega[top])
     ends, accuracy = (omega[top - 1], omega[top + 1]), {"xatol": 1e-9 * omega[top]}
-    found = optimize.minimize_scalar(lambda w: -float(function(np.array([w]))[0]), bounds=ends, method="bounded", options=accuracy)
-    return float(-found.fun), float(found.x)
+    maximum = optimize.minimize_scalar(lambda w: -float(function(np.array([w]))[0]), bounds=ends, method="bounded", options=accuracy)
+    return float(-maximum.fun), float(maximum.x)

@@ -74,9 +74,11 @@ def open_loop(plant: Levitated, omega: FloatArray, rate: float | None = None, fi
     if not filtered:
         return OpenLoop(loop.sensor, law_at, motion, current)
     # The delay holds half an interval for the hold already.
-    held = loop.amplifier * chain_factors(loop, omega)["amplifier"] * np.exp(-1j * omega * loop.delay) * np.sinc(omega / (2 * np.pi * rate))
-    moved = -loop.force_per_current * held / (-plant.mass * omega**2 - plant.negative_stiffness)
-    return OpenLoop(loop.sensor, law_at, motion, held, moved * chain_factors(loop, omega).get("sensor", 1.0))
+    delayed = (
+        loop.amplifier * chain_factors(loop, omega)["amplifier"] * np.exp(-1j * omega * loop.delay) * np.sinc(omega / (2 * np.pi * rate))
+    )
+    moved = -loop.force_per_current * delayed / (-plant.mass * omega**2 - plant.negative_stiffness)
+    return OpenLoop(loop.sensor, law_at, motion, delayed, moved * chain_factors(loop, omega).get("sensor", 1.0))
 
 
 def law_response(law: SampledLaw, omega: FloatArray, rate: float) -> ComplexArray:

@@ -131,8 +131,8 @@ def sampled_matrix(plant: Suspended, rate: float) -> FloatArray:
                 moved[memory] = law.a @ state[memory] + law.b * before[j]
             waiting = slice(2 * n + k * line, 2 * n + (k + 1) * line)
             voltages = np.append(state[waiting], output)
-            own = slice(k * n, (k + 1) * n)
-            moved[own] = motion.step @ state[own] + motion.hold @ voltages[:2]
+            part = slice(k * n, (k + 1) * n)
+            moved[part] = motion.step @ state[part] + motion.hold @ voltages[:2]
             moved[waiting] = voltages[1:]
         return moved
 
@@ -174,11 +174,11 @@ def _in_sections(sections: FloatArray) -> SampledLaw:
     """Sections of second order (n, 6) in series: y = b0 u + m1, m1' = b1 u - a1 y + m2, m2' = b2 u - a2 y."""
     law = SampledLaw(np.empty((0, 0)), np.empty(0), np.empty(0), 1.0)
     for b0, b1, b2, _, a1, a2 in sections:
-        own = SampledLaw(np.array([[-a1, 1.0], [-a2, 0.0]]), np.array([b1 - a1 * b0, b2 - a2 * b0]), np.array([1.0, 0.0]), float(b0))
+        section = SampledLaw(np.array([[-a1, 1.0], [-a2, 0.0]]), np.array([b1 - a1 * b0, b2 - a2 * b0]), np.array([1.0, 0.0]), float(b0))
         n = len(law.a)
         a = np.zeros((n + 2, n + 2))
-        a[:n, :n], a[n:, n:], a[n:, :n] = law.a, own.a, np.outer(own.b, law.c)
-        law = SampledLaw(a, np.append(law.b, own.b * law.d), np.append(own.d * law.c, own.c), own.d * law.d)
+        a[:n, :n], a[n:, n:], a[n:, :n] = law.a, section.a, np.outer(section.b, law.c)
+        law = SampledLaw(a, np.append(law.b, section.b * law.d), np.append(section.d * law.c, section.c), section.d * law.d)
     return law
 
 

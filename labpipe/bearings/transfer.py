@@ -174,8 +174,8 @@ def _element(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: f
     above, below = linalg.eigvals(np.block([[scaled, inward], [outward, through]]), shift, homogeneous_eigvals=True)
     nearest = np.argsort(-np.abs(below) / np.maximum(np.hypot(np.abs(above), np.abs(below)), np.finfo(float).tiny))[: n - first]
     zeros = unit * above[nearest] / below[nearest]
-    found = Transfer(tuple(map(complex, zeros)), tuple(map(complex, poles)), markov[first] * size * unit ** (first - 1), rate)
-    return _confirmed(found, (a, b, c, d), unit)
+    transfer = Transfer(tuple(map(complex, zeros)), tuple(map(complex, poles)), markov[first] * size * unit ** (first - 1), rate)
+    return _confirmed(transfer, (a, b, c, d), unit)
 
 
 def _confirmed(found: Transfer, system: tuple[FloatArray, FloatArray, FloatArray, FloatArray], unit: float) -> Transfer:

@@ -48,58 +48,64 @@ def certificate(settings: CompareSettings, response: FrequencyResponse, file: Ma
 
     ConfigError for channels and settings that do not fit together, FitError without a covariance.
     """
-    own = resolved(settings)
-    matrix = sensitivity_matrix(response, own.before, own.after)
+    certificate_settings = resolved(settings)
+    matrix = sensitivity_matrix(response, certificate_settings.before, certificate_settings.after)
     peaks = _peaks(matrix, response)
-    told, budget = _measured_amounts(matrix, peaks)
-    amounts, budgets, limits = list(told), [budget], []
+    measured_amounts, budget = _measured_amounts(matrix, peaks)
+    amounts, budgets, limits = list(measured_amounts), [budget], []
     worst = max(peaks, key=lambda peak: peak.value)
     fit, loop = None, None
     if file is not None:
-        fit, loop = _fitted(settings, own, response, matrix, file)
+        fit, loop = _fitted(settings, certificate_settings, response, matrix, file)
     if loop is None or loop.unstable or "sensitivity_peak" not in loop.amounts:
-        limits.append(_zone_limit(own, worst.value, worst.combined, "measured"))
+        limits.append(_zone_limit(certificate_settings, worst.value, worst.combined, "measured"))
     else:
-        limits.append(_zone_limit(own, loop.amounts["sensitivity_peak"], loop.error("sensitivity_peak"), "of the fitted loop"))
+        limits.append(
+            _zone_limit(certificate_settings, loop.amounts["sensitivity_peak"], loop.error("sensitivity_peak"), "of the fitted loop")
+        )
     if loop is not None:
         of_loop, budget = loop.parameters(normal_quantile(0.975))
         amounts, budgets = [*amounts, *of_loop], [*budgets, budget]
-        limits += [_decrement_limit(own, loop)] if loop.modes() and not loop.unstable else []
+        limits += [_decrement_limit(certificate_settings, loop)] if loop.modes() and not loop.unstable else []
     amounts += [Parameter(f"probability_{limit.name}", limit.probability, "1", derived=True) for limit in limits]
     if fit is not None:
         amounts, budgets = [*amounts, *goodness(fit), *fit.parameters], [*budgets, fit.budget]
-    verdict = verdict_of(limits, own.confidence)
+    verdict = verdict_of(limits, certificate_settings.confidence)
     return Comparison(
         name=settings.name,
         kind="certificate",
-        subject=f"closed loop by {', '.join(own.after)}",
+        subject=f"closed loop by {', '.join(certificate_settings.after)}",
         unit="1",
         points=(),
         amounts=tuple(amounts),
         verdict=verdict,
         statement=_statement(verdict, limits, worst, loop, fit),
-        curves=_curves(matrix, file, fit, own),
+        curves=_curves(matrix, file, fit, certificate_settings),
         correlations=() if fit is None else fit.correlations,
         findings=_findings(worst, file, fit, loop),
-        budgets=tuple(one for one in budgets if one is not None),
+        budgets=tuple(budget_of_amount for budget_of_amount in budgets if budget_of_amount is not None),
     )
 
 
 def resolved(settings: CompareSettings) -> CertificateSettings:
     """The settings of the certificate, with the points of the comparison where it names none behind the sums."""
-    own = settings.certificate or CertificateSettings()
-    return own if own.after else replace(own, before=own.before or (settings.before,), after=(settings.after,))
+    certificate_settings = settings.certificate or CertificateSettings()
+    return (
+        certificate_settings
+        if certificate_settings.after
+        else replace(certificate_settings, before=certificate_settings.before or (settings.before,), after=(settings.after,))
+    )
 
 
 def _peaks(matrix: SensitivityMatrix, response: FrequencyResponse) -> list[Peak]:
     """The peak of |S_ii| of every loop."""
-    found = []
+    peaks = []
     for number in range(len(matrix.loops)):
         size, error = matrix.size(number)
         phased = matrix.values[:, number, number]
         above = np.maximum(error, 1e-15 * size)
-        found.append(peak_of(MeasuredSensitivity(matrix.frequency, phased, above, matrix.quantile, response, matrix.errors_of(number))))
-    return found
+        peaks.append(peak_of(MeasuredSensitivity(matrix.frequency, phased, above, matrix.quantile, response, matrix.errors_of(number))))
+    return peaks
 
 
 def _measured_amounts(matrix: SensitivityMatrix, peaks: Sequence[Peak]) -> tuple[tuple[Parameter, ...], Budget | None]:
@@ -172,9 +178,9 @@ def _observation(own: CertificateSettings, response: FrequencyResponse, file: Ma
         if not own.before:
             return matrix_errors(measured)
         # Changes of the predicted signals: what is common to all of them is added then, and cancels to the last digit.
-        found = matrix_errors(replace(measured, matrix=predict(changed, support)))
+        doubts = matrix_errors(replace(measured, matrix=predict(changed, support)))
         per = per_added(changed)
-        return [replace(error, change=error.change - along(per, error.change[:, :, 0])[:, :, None]) for error in found]
+        return [replace(error, change=error.change - along(per, error.change[:, :, 0])[:, :, None]) for error in doubts]
 
     return LoopObservation(measured, predict, file, nuisance=2 * measured.omega.size if own.before else 0, errors=errors)
 

@@ -158,7 +158,7 @@ def _nearest(poles: ComplexArray, modes: ComplexArray) -> ComplexArray:
 
 def _amounts(plant: Levitated, rate: float | None, modes: ComplexArray, stable: bool) -> dict[str, float]:
     """Margins where the loop is stable, then f_n, logarithmic decrement 2 pi z / sqrt(1 - z^2) and pole of every mode."""
-    found: dict[str, float] = {}
+    amounts: dict[str, float] = {}
     if stable:
         highest = HIGHEST if rate is None else NYQUIST * rate * (1 - 1e-9)
         of = margins(lambda omega: open_loop(plant, omega, rate).loop, highest)
@@ -172,9 +172,9 @@ def _amounts(plant: Levitated, rate: float | None, modes: ComplexArray, stable: 
             "disk_margin": of.disk,
         }
         # What the loop never reaches is no number.
-        found |= {name: value for name, value in named.items() if np.isfinite(value) and value > 0}
+        amounts |= {name: value for name, value in named.items() if np.isfinite(value) and value > 0}
     for number, pole in enumerate(modes, 1):
-        found[f"f_n_{number}"] = float(np.abs(pole) / (2 * np.pi))
-        found[f"log_decrement_{number}"] = float(-2 * np.pi * pole.real / pole.imag)
-        found[f"pole_real_{number}"], found[f"pole_imag_{number}"] = float(pole.real), float(pole.imag)
-    return found
+        amounts[f"f_n_{number}"] = float(np.abs(pole) / (2 * np.pi))
+        amounts[f"log_decrement_{number}"] = float(-2 * np.pi * pole.real / pole.imag)
+        amounts[f"pole_real_{number}"], amounts[f"pole_imag_{number}"] = float(pole.real), float(pole.imag)
+    return amounts

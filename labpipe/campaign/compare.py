@@ -197,9 +197,9 @@ def _certificate(settings: CompareSettings, evidence: Evidence, theory: Magnetic
         raise ConfigError(f"a certificate is that of one test, not of {len(tests)}", hint="one pipeline per setting of the loop")
     response = evidence.responses[0] if evidence.responses else per_injection(evidence.spectra[0])
     comparison = certificate(settings, response, None if theory is None else theory(None, ""))
-    own = resolved(settings)
-    outputs = [port for port in response.outputs if port.label in own.recorded]
-    return _with_directions_left_out(comparison, [*outputs, *(() if own.before else response.inputs)])
+    certificate_settings = resolved(settings)
+    outputs = [port for port in response.outputs if port.label in certificate_settings.recorded]
+    return _with_directions_left_out(comparison, [*outputs, *(() if certificate_settings.before else response.inputs)])
 
 
 def _with_directions_left_out(comparison: Comparison, ports: Iterable[Port]) -> Comparison:

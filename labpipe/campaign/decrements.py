@@ -24,13 +24,13 @@ def decrement_certificate(settings: CompareSettings, fits: Sequence[Fit]) -> Com
 
     Equation (comp-decrement).
     """
-    own = settings.certificate or CertificateSettings()
+    certificate_settings = settings.certificate or CertificateSettings()
     amounts = [amount for fit in fits for amount in _decrements(fit, len(fits) > 1)]
     if not amounts:
         hint = "a fit of model modal, decay, or sdof"
         raise ConfigError(f"fit '{settings.fit}' has no damping ratio with a standard error", hint=hint)
-    limits = [_limit(own, amounts)]
-    verdict = verdict_of(limits, own.confidence)
+    limits = [_limit(certificate_settings, amounts)]
+    verdict = verdict_of(limits, certificate_settings.confidence)
     probability = Parameter(f"probability_{DECREMENT}", limits[0].probability, "1", derived=True)
     return Comparison(
         name=settings.name,
@@ -47,9 +47,9 @@ def decrement_certificate(settings: CompareSettings, fits: Sequence[Fit]) -> Com
 def _decrements(fit: Fit, several: bool) -> list[Parameter]:
     """2 pi z / sqrt(1 - z^2) of every damping ratio with its interval, ends by the ends of z; or the decrement that the fit has."""
     given = [parameter for parameter in fit.parameters if parameter.name.startswith(DECREMENT)]
-    found = given or [_of_ratio(parameter) for parameter in fit.parameters if parameter.name.partition("_")[0] == RATIO]
+    decrements = given or [_of_ratio(parameter) for parameter in fit.parameters if parameter.name.partition("_")[0] == RATIO]
     suffix = f"_{fit.test}" if several and fit.test else ""
-    return [replace(parameter, name=parameter.name + suffix) for parameter in found if parameter.full_error is not None]
+    return [replace(parameter, name=parameter.name + suffix) for parameter in decrements if parameter.full_error is not None]
 
 
 def _of_ratio(ratio: Parameter) -> Parameter:

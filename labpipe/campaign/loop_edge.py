@@ -50,28 +50,28 @@ class HeldProblem:
 def at_edge(problem: LoopProblem, u: FloatArray) -> BoolArray:
     """(n_parameter,): the unknowns that would go below zero if a bearing could have that; u (n_parameter,) [1]."""
     gradient = problem.jacobian(u).T @ problem.residual(u)
-    held = np.zeros(u.size, dtype=bool)
+    at_zero = np.zeros(u.size, dtype=bool)
     for number in range(len(problem.unknowns)):
         falling = u[number] < ZERO + NEAR and gradient[number] > 0
         below = u.copy()
         below[number] = ZERO - NEAR
-        held[number] = falling and problem.residual_within(below) is None
-    return held
+        at_zero[number] = falling and problem.residual_within(below) is None
+    return at_zero
 
 
 def along_the_edge(problem: LoopProblem, minimum: Minimum) -> Minimum:
     """The minimum with the unknowns at zero that a descent stopped at; *minimum* as it is where it stopped for another reason."""
     if minimum.converged:
         return minimum
-    held = at_edge(problem, minimum.values)
-    if not held.any():
+    at_zero = at_edge(problem, minimum.values)
+    if not at_zero.any():
         return minimum
-    start = np.where(held, ZERO, minimum.values)
+    start = np.where(at_zero, ZERO, minimum.values)
     if problem.residual_within(start) is None:
         return minimum
-    along = HeldProblem(problem, start, ~held)
-    end = Minimum(start[~held], True, 0) if held.all() else minimise(along, start[~held])
+    along = HeldProblem(problem, start, ~at_zero)
+    end = Minimum(start[~at_zero], True, 0) if at_zero.all() else minimise(along, start[~at_zero])
     values = along.whole(end.values)
     # Left to itself an unknown that is held must still want to go below zero.
-    stays = bool(np.all(at_edge(problem, values)[held]))
+    stays = bool(np.all(at_edge(problem, values)[at_zero]))
     return Minimum(values, end.converged and stays, minimum.steps + end.steps)

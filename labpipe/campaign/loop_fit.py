@@ -184,7 +184,7 @@ def _curved(parameter: Parameter, at_end: LoopMinimum, number: int, inflation: f
 def _by_name(sources: Sequence[Doubt], changes: FloatArray) -> tuple[list[Doubt], FloatArray]:
     """Sources of one name as one, their changes (n_source, n) added up."""
     first = {source.source: source for source in reversed(sources)}
-    rows = [changes[[one.source == name for one in sources]].sum(axis=0) for name in first]
+    rows = [changes[[origin.source == name for origin in sources]].sum(axis=0) for name in first]
     return list(first.values()), np.array(rows).reshape(len(first), changes.shape[1])
 
 
@@ -220,11 +220,11 @@ def identifiability_findings(fit: LoopFit) -> list[Finding]:
         return [Finding("collinear", f"{what}. Fit one of them, and state the other.")]
     if not fit.converged:
         return [Finding("no-convergence", "the fit of the loop's unknowns did not converge; its values are those of the last step")]
-    found = []
+    findings = []
     if fit.condition_number > COLLINEAR_CONDITION:
         what = f"{together} are hardly told apart (condition number {fit.condition_number:.3g}, limit {COLLINEAR_CONDITION:g})"
-        found.append(Finding("collinear", f"{what}: their errors are large and correlated"))
-    return [*found, *_edge_findings(fit), *_bent_findings(fit)]
+        findings.append(Finding("collinear", f"{what}: their errors are large and correlated"))
+    return [*findings, *_edge_findings(fit), *_bent_findings(fit)]
 
 
 def _edge_findings(fit: LoopFit) -> list[Finding]:

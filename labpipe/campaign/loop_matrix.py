@@ -128,9 +128,9 @@ def sensitivity_matrix(response: FrequencyResponse, before: Sequence[str], after
 def _recorded_errors(response: FrequencyResponse, places: tuple[list[int], list[int]], picked: ComplexArray) -> tuple[MatrixError, ...]:
     """Changes (n_line, n_output, n_input) of all responses by the sources of those behind and ahead of the sums."""
     used = list(dict.fromkeys([*places[0], *places[1]]))
-    found = []
+    errors = []
     for error in response_errors(response, used, list(range(len(response.inputs)))):
         change = np.zeros((len(picked), len(response.outputs), len(response.inputs)), np.complex128)
         change[:, used] = error.change
-        found.append(replace(error, change=change))
-    return tuple(found)
+        errors.append(replace(error, change=change))
+    return tuple(errors)

@@ -45,8 +45,8 @@ class LoopMinimum:
         length[length == 0] = 1.0
         _, singular, turn = np.linalg.svd(jacobian / length, full_matrices=False)
         # What the responses do not tell has no step.
-        told = singular > singular.max(initial=0.0) / UNDETERMINED
-        inverse = (turn[told].T / singular[told] ** 2) @ turn[told] / np.outer(length, length)
+        determined = singular > singular.max(initial=0.0) / UNDETERMINED
+        inverse = (turn[determined].T / singular[determined] ** 2) @ turn[determined] / np.outer(length, length)
         return cls(problem, u, problem.residual(u), jacobian, inverse, *problem.changes(u))
 
     def chi2(self, excess: float) -> float:
@@ -54,8 +54,8 @@ class LoopMinimum:
         scale = np.sqrt(excess)
         # At the edge of what a bearing can have, the residual still has a part that the unknowns would take away.
         across = self.residual - self.jacobian @ (self.inverse @ (self.jacobian.T @ self.residual))
-        told = explained(across / scale, self.changes / scale, self.jacobian, self.inverse)
-        return float(self.residual @ self.residual) / excess - told
+        by_doubts = explained(across / scale, self.changes / scale, self.jacobian, self.inverse)
+        return float(self.residual @ self.residual) / excess - by_doubts
 
     @property
     def steps(self) -> FloatArray:
@@ -115,15 +115,15 @@ class LoopMinimum:
 
         covariance (n_parameter, n_parameter) [1] of u, combined. Equation (comp-bent).
         """
-        found: FloatArray = np.zeros(len(self.problem.unknowns))
+        bends: FloatArray = np.zeros(len(self.problem.unknowns))
         errors = np.sqrt(np.diag(covariance))
-        for column in range(found.size):
+        for column in range(bends.size):
             for sign in (1.0, -1.0):
                 away = sign * REACH * covariance[:, column] / errors[column]
                 try:
                     beyond = self.problem.residual(self.u + away) - self.residual - self.jacobian @ away
                 except ConfigError:
-                    return np.full(found.size, np.inf)
+                    return np.full(bends.size, np.inf)
                 shift = steps_by(beyond[None], self.jacobian, self.inverse)[0]
-                found = np.maximum(found, np.abs(shift / errors)[: found.size] / REACH)
-        return found
+                bends = np.maximum(bends, np.abs(shift / errors)[: bends.size] / REACH)
+        return bends

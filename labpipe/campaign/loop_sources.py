@@ -36,11 +36,11 @@ def response_errors(response: FrequencyResponse, rows: Sequence[int], columns: S
 
 def merged(errors: Iterable[MatrixError]) -> tuple[MatrixError, ...]:
     """The errors with those of one source added up."""
-    found: dict[str, MatrixError] = {}
+    by_source: dict[str, MatrixError] = {}
     for error in errors:
-        before = found.get(error.doubt.source)
-        found[error.doubt.source] = error if before is None else replace(before, change=before.change + error.change)
-    return tuple(found.values())
+        before = by_source.get(error.doubt.source)
+        by_source[error.doubt.source] = error if before is None else replace(before, change=before.change + error.change)
+    return tuple(by_source.values())
 
 
 def directions_left_out(ports: Iterable[Port]) -> list[str]:

@@ -118,11 +118,11 @@ def view_errors(view: View, measured: Measured, file: MagneticFile, support: tup
     the motion across it. *support* (k_s, c_s) [N/m, N.s/m]. Equation (comp-loop-change).
     """
     total = _total(view, file, measured.omega, support)[:, None, None]
-    found = [*matrix_errors(measured), *_direction_errors(measured, total)]
+    errors = [*matrix_errors(measured), *_direction_errors(measured, total)]
     mass = mass_doubt(view.settings)
     if mass is not None:
-        found.append(MatrixError(mass, -mass.std_error * _directions(view) * (measured.omega**2)[:, None, None] / total**2))
-    return merged(found)
+        errors.append(MatrixError(mass, -mass.std_error * _directions(view) * (measured.omega**2)[:, None, None] / total**2))
+    return merged(errors)
 
 
 def _direction_errors(measured: Measured, total: ComplexArray) -> Iterator[MatrixError]:

@@ -83,8 +83,8 @@ def _amounts(name: str, fits: Sequence[Fit], conditions: Mapping[str, Mapping[st
     for fit in fits:
         of_test = conditions.get(fit.test, {})
         if name not in of_test:
-            known = nearest(name, of_test) if of_test else "write it under the test's `conditions`"
-            raise ConfigError(f"test '{fit.test}' has no condition '{name}'", hint=known)
+            hint = nearest(name, of_test) if of_test else "write it under the test's `conditions`"
+            raise ConfigError(f"test '{fit.test}' has no condition '{name}'", hint=hint)
         try:
             pairs.append(si_amount(of_test[name]))
         except UnitError as error:
@@ -110,8 +110,8 @@ def _names(settings: MatrixSettings, fits: Sequence[Fit]) -> tuple[str, ...]:
     common = [p.name for p in fits[0].parameters if all(any(q.name == p.name for q in fit.parameters) for fit in fits)]
     for name in settings.parameters:
         if not any(parameter.name == name for fit in fits for parameter in fit.parameters):
-            known = [parameter.name for parameter in fits[0].parameters]
-            raise ConfigError(f"fit '{settings.fit}' has no '{name}'", hint=nearest(name, known), field="parameters")
+            names = [parameter.name for parameter in fits[0].parameters]
+            raise ConfigError(f"fit '{settings.fit}' has no '{name}'", hint=nearest(name, names), field="parameters")
     return settings.parameters or tuple(common)
 
 
@@ -151,20 +151,20 @@ def _judged(matrix: ConditionMatrix, settings: MatrixSettings) -> ConditionMatri
     tested = [(point, value) for point, value in values if value.p_value is not None and not value.parameter.derived]
     corrected = holm(np.array([value.p_value for _, value in tested]))
     apart = [pair for pair, p in zip(tested, corrected, strict=True) if p < settings.level]
-    held = [value.holds_theory for _, value in values if value.holds_theory is not None]
+    holding = [value.holds_theory for _, value in values if value.holds_theory is not None]
     tests = sum(len(point.tests) for point in matrix.points)
     amounts = [
         *(_largest_error(matrix, name) for name in matrix.names),
         Parameter("points", float(len(matrix.points)), "1", derived=True),
         Parameter("missing", float(len(matrix.missing)), "1", derived=True),
         Parameter("repeats_apart", float(len(apart)), "1", derived=True),
-        chance("theory_share", float(np.mean(held)) if held else None),
+        chance("theory_share", float(np.mean(holding)) if holding else None),
     ]
     grid = " x ".join(f"{len(axis.levels)} {axis.name}" for axis in matrix.axes)
     statement = f"{matrix.fit}: {tests} tests at {len(matrix.points)} points ({grid})"
     statement += f", {len(matrix.missing)} combinations without a test" if matrix.missing else ""
-    if held:
-        statement += f"; the theory lies in {sum(held)} of {len(held)} 95 % intervals"
+    if holding:
+        statement += f"; the theory lies in {sum(holding)} of {len(holding)} 95 % intervals"
     amplitude = amplitude_statement(matrix, settings.level)
     whole = f"{statement}.{f' {amplitude}.' if amplitude else ''}"
     return replace(matrix, amounts=tuple(amounts), findings=_repeats_findings(matrix, apart), statement=whole)

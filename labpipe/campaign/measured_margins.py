@@ -51,7 +51,7 @@ def measured_margins(
         for name, margin in (("phase_margin", _phase), ("delay_margin", _delay)):
             candidates.setdefault(name, []).append(_with_error(margin, near, n))
     units = {"phase_margin": "rad", "delay_margin": "s"}
-    chosen = {name: (max if name == "gain_margin_lower" else min)(found, key=_value) for name, found in candidates.items()}
+    chosen = {name: (max if name == "gain_margin_lower" else min)(margins, key=_value) for name, margins in candidates.items()}
     return [
         (with_error(f"measured_{name}{suffix}", units.get(name, "1"), value, error, quantile), moved)
         for name, (value, error, moved) in chosen.items()

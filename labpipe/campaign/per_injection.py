@@ -76,6 +76,6 @@ def _errors(
 
 def _port(spectra: ChannelSpectra, number: int) -> Port:
     channel = spectra.channels[number]
-    told = {factor.source for factor in spectra.factors}
-    left = tuple(doubted for doubted in channel.doubts if doubted.doubt.source not in told)
+    factor_sources = {factor.source for factor in spectra.factors}
+    left = tuple(doubted for doubted in channel.doubts if doubted.doubt.source not in factor_sources)
     return Port(channel.name, channel.name, channel.dof, channel.angle, left)

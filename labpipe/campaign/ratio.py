@@ -129,9 +129,9 @@ def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
     """ln(c / k) and its covariance (n, n), from that of c and k in each fit and from what the fits have in common."""
     covariances = [log_covariance(fit) for fit in fits]
     logs = np.array([np.log(fit.parameter("c").value / fit.parameter("k").value) for fit in fits])
-    own = np.diag([c[0, 0] + c[1, 1] - 2 * c[0, 1] for c in covariances])
+    variances = np.diag([c[0, 0] + c[1, 1] - 2 * c[0, 1] for c in covariances])
     common = common_changes(fits, _log_beta_change)
-    return logs, own + common.T @ common
+    return logs, variances + common.T @ common
 
 
 def _log_beta_change(fit: Fit, source: str) -> float:

@@ -186,8 +186,8 @@ def loop_sensitivity(settings: CompareSettings, response: FrequencyResponse, fil
     zone = zone_of(peak.value)
     theory = None if file is None else _Theory(file, loop_fit([measured.observation(file)], settings.estimate))
     predicted = None if theory is None else theory.size(theory.file, measured.frequency)
-    told, budget = _measured_amounts(measured, peak, predicted)
-    amounts, budgets = list(told), [budget]
+    measured_amounts, budget = _measured_amounts(measured, peak, predicted)
+    amounts, budgets = list(measured_amounts), [budget]
     if theory is not None and predicted is not None:
         amounts += [*_predicted_amounts(measured, predicted), *goodness(theory.fitted), *theory.fitted.parameters]
         budgets.append(theory.fitted.budget)
@@ -199,11 +199,11 @@ def loop_sensitivity(settings: CompareSettings, response: FrequencyResponse, fil
         points=(),
         amounts=tuple(amounts),
         verdict=f"zone {zone}",
-        statement=_statement(peak, told[0], zone, predicted, theory),
+        statement=_statement(peak, measured_amounts[0], zone, predicted, theory),
         curves=(_curve(measured, predicted, theory),),
         correlations=() if theory is None else theory.fitted.correlations,
         findings=_findings(peak, zone, theory),
-        budgets=tuple(one for one in budgets if one is not None),
+        budgets=tuple(budget_of_amount for budget_of_amount in budgets if budget_of_amount is not None),
     )
 
 

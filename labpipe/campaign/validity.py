@@ -32,8 +32,8 @@ def amplitude_statement(matrix: ConditionMatrix, level: float) -> str:
         return f"No coefficient differs up to {axis.text(axis.levels[-1])}"
     first = min(number for number, _ in differing)
     names = ", ".join(dict.fromkeys(name for number, name in differing if number == first))
-    held, changed = axis.text(axis.levels[first - 1]), axis.text(axis.levels[first])
-    return f"The coefficients of small motions hold up to {held}; at {changed} {names} differ"
+    valid, changed = axis.text(axis.levels[first - 1]), axis.text(axis.levels[first])
+    return f"The coefficients of small motions hold up to {valid}; at {changed} {names} differ"
 
 
 def _pairs(matrix: ConditionMatrix, place: int) -> Sequence[tuple[int, str, float]]:

@@ -76,8 +76,8 @@ def _print_version(context: click.Context, _option: click.Parameter, asked: bool
     if asked:
         from labpipe.commit import commit
 
-        known = commit()
-        echo(f"labpipe, version {__version__}" + (f" (commit {known})" if known else ""))
+        commit_hash = commit()
+        echo(f"labpipe, version {__version__}" + (f" (commit {commit_hash})" if commit_hash else ""))
         context.exit()
 
 

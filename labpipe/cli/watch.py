@@ -100,7 +100,7 @@ def watch(
     """
     if not is_remote(folder) and not folder.is_dir():
         raise DataError("no such folder", where=str(folder), hint="name the folder that recordings arrive in")
-    pipeline, each = load_for_files_to_come(pipeline_path, overrides)
+    pipeline, per_file = load_for_files_to_come(pipeline_path, overrides)
     if what := hindrance(pipeline, independent_fits(pipeline)):
         raise ConfigError(f"{what}, which needs all tests at once", where=str(pipeline_path), hint="watch with a pipeline of fits alone")
     settings = WatchSettings(settle=settle, every=every, append=append, marker=marker, names=names, once=once)
@@ -112,7 +112,7 @@ def watch(
     with only_one(log_folder / LOCK), _asked_to_stop() as asked, results_kept(output) as mirror:
         watched = Watch(
             pipeline,
-            each,
+            per_file,
             folder if is_remote(folder) else folder.resolve(),
             mirror.folder.resolve(),
             settings,

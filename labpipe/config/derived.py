@@ -123,7 +123,7 @@ class SumReader:
 
 def _combined(first: Dimension, second: Dimension, sign: int) -> Dimension:
     """Dimension of a product (sign 1) or quotient (-1)."""
-    m, kg, s, a, k, rad = (one + sign * other for one, other in zip(first, second, strict=True))
+    m, kg, s, a, k, rad = (exponent + sign * other for exponent, other in zip(first, second, strict=True))
     return m, kg, s, a, k, rad
 
 
@@ -166,8 +166,8 @@ def expanded(sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, 
 def _product(outer: Term, inner: Term) -> Term:
     """A term of a sum that is itself a member: d(ab) = a db + b da."""
     scaled = inner.times(outer.factor)
-    own = Term(inner.channel, 0.0, outer.numbers, tuple(inner.factor * derivative for derivative in outer.derivatives))
-    return replace(_added(scaled, own), factor=scaled.factor)
+    by_derivatives = Term(inner.channel, 0.0, outer.numbers, tuple(inner.factor * derivative for derivative in outer.derivatives))
+    return replace(_added(scaled, by_derivatives), factor=scaled.factor)
 
 
 def _added(first: Term, second: Term) -> Term:

@@ -49,15 +49,15 @@ def _objects(address: Path, node: Marked, key: str, faults: Faults) -> list[Path
     from labpipe.places.storage import below, status
 
     if not glob.has_magic(str(address)):
-        found = [address] if status(address) else []
+        objects = [address] if status(address) else []
     else:
         plain = next(number for number, part in enumerate(address.parts) if glob.has_magic(part))
         folder, pattern = Path(*address.parts[:plain]), address.parts[plain:]
-        found = [one.path for one in below(folder) if _matches(one.path.parts[plain:], pattern)]
-    if not found:
+        objects = [status_of_object.path for status_of_object in below(folder) if _matches(status_of_object.path.parts[plain:], pattern)]
+    if not objects:
         what = f"no object matches '{node.text}'" if glob.has_magic(node.text) else f"no such object '{node.text}'"
         faults.add(node, key, what, "names are those that the storage lists, capitals included")
-    return found
+    return objects
 
 
 def _matches(names: Sequence[str], pattern: Sequence[str]) -> bool:

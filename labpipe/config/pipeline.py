@@ -95,18 +95,18 @@ def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
 
 def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[Pipeline, EachFile]:
     """The pipeline of recordings that are not there yet, without tests, and what each of them becomes; errors as of `load_pipeline`."""
-    each: list[EachFile] = []
+    per_file: list[EachFile] = []
 
     def imagined(reader: TestReader) -> tuple[Test, ...]:
         """A test as each will be, so that settings are held against it."""
-        each.append(reader.each_file())
+        per_file.append(reader.each_file())
         if reader.rig is None and not len(reader.faults):
             raise ConfigError("no rig file is named", where=str(path), hint="add rig: FILE")
         source = () if reader.rig is None else (SourceFile(path, reader.rig),)
-        return (Test("", source, frf=each[0].frf),)
+        return (Test("", source, frf=per_file[0].frf),)
 
     pipeline = _loaded(path, overrides, imagined)
-    return replace(pipeline, tests=()), each[0]
+    return replace(pipeline, tests=()), per_file[0]
 
 
 def _loaded(path: Path, overrides: Iterable[str], tests_of: Callable[[TestReader], tuple[Test, ...]]) -> Pipeline:

@@ -67,13 +67,13 @@ def _sort_theory(node: Marked) -> None:
 def _kind(node: Marked, faults: Faults) -> PlanKind | None:
     """What the entry `model` asks for; None and a fault where there is none of that name."""
     entries = faults.mapping(node, "plan")
-    known = PLANS.names()
+    kinds = PLANS.names()
     if "model" not in entries or entries["model"].text == DECIDE:
-        faults.add(node, "plan.model", "is missing", f"known: {', '.join(known)}")
+        faults.add(node, "plan.model", "is missing", f"known: {', '.join(kinds)}")
         return None
     name = entries["model"].text
-    if name not in known:
-        faults.add(entries["model"], "plan.model", f"unknown model '{name}'", nearest(name, known))
+    if name not in kinds:
+        faults.add(entries["model"], "plan.model", f"unknown model '{name}'", nearest(name, kinds))
         return None
     kind: PlanKind = PLANS.load(name)
     return kind

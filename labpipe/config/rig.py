@@ -94,12 +94,12 @@ def moved(rig: Rig, dofs: Mapping[str, str]) -> Rig:
     places: dict[str, str] = {}
     for name, dof in dofs.items():
         of_role = [channel.name for channel in rig.all_channels if channel.role == name]
-        known = [channel.name for channel in rig.all_channels]
-        if name not in known and len(of_role) != 1:
+        names = [channel.name for channel in rig.all_channels]
+        if name not in names and len(of_role) != 1:
             what = f"'{name}' is no channel of the rig" if not of_role else f"the rig has {len(of_role)} channels of the role {name}"
-            raise ConfigError(what, hint=nearest(name, known))
-        places[name if name in known else of_role[0]] = dof
-    channels = tuple(replace(one, channel=_at(one.channel, places.get(one.channel.name))) for one in rig.channels)
+            raise ConfigError(what, hint=nearest(name, names))
+        places[name if name in names else of_role[0]] = dof
+    channels = tuple(replace(recorded, channel=_at(recorded.channel, places.get(recorded.channel.name))) for recorded in rig.channels)
     return replace(rig, channels=channels, derived=tuple(_at(channel, places.get(channel.name)) for channel in rig.derived))
 
 
@@ -181,7 +181,8 @@ def _read_channels(
     # A force in a sum is no force of its own unless the file says so.
     free = [channel.channel.name for channel in channels if "role" not in entries[channel.channel.name].content]
     channels = [
-        replace(one, channel=replace(one.channel, role="reference")) if one.channel.name in members & set(free) else one for one in channels
+        replace(recorded, channel=replace(recorded.channel, role="reference")) if recorded.channel.name in members & set(free) else recorded
+        for recorded in channels
     ]
     return channels, derived
 
@@ -212,15 +213,15 @@ def _read_sums(
         for key in RECORDED_ONLY:
             if key in entry.content:
                 faults.add(entry.content[key], join("channels", name, key), "belongs to a recorded channel, this is a sum", "leave it out")
-        own = settings[name]
-        if own is None:
+        setting = settings[name]
+        if setting is None:
             continue
         try:
-            terms[name] = reader.terms(own.derived, name)
+            terms[name] = reader.terms(setting.derived, name)
         except UnitError as error:
             faults.add_unit(entry.content["derived"], join("channels", name, "derived"), error)
-    known = {*terms, *(channel.channel.name for channel in recorded)}
-    whole = {name: sum_ for name, sum_ in terms.items() if all(term.channel in known for term in sum_)}
+    names = {*terms, *(channel.channel.name for channel in recorded)}
+    whole = {name: sum_ for name, sum_ in terms.items() if all(term.channel in names for term in sum_)}
     channels = [_sum_channel(name, sums[name], settings[name], whole, recorded, faults) for name in whole]
     return tuple(channel for channel in channels if channel is not None)
 
@@ -241,7 +242,7 @@ def _sum_channel(
     key = join("channels", name)
     assert settings is not None
     try:
-        terms = expanded({one: sums[one] for one in sums}, name)
+        terms = expanded({sum_name: sums[sum_name] for sum_name in sums}, name)
     except UnitError as error:
         faults.add_unit(entry.content["derived"], join(key, "derived"), error)
         return None

@@ -107,16 +107,16 @@ class TestReader:
 
         Files whose names differ only in the parts named by `together` are recordings of one test.
         """
-        each = self._each(entries, key)
+        per_file = self._each(entries, key)
         together = self._together(entries, key)
         tests: dict[tuple[tuple[str, str], ...], Test] = {}
         for source in self._recordings(entries["each"], join(key, "each")):
             try:
-                test = each.test(source)
+                test = per_file.test(source)
             except ConfigError as error:
                 self.faults.add(entries["pattern"], join(key, "pattern"), error.what, error.hint)
                 test = Test(source.path.name)
-            conditions = {part: text for part, text in each.named(source.path).items() if part not in together}
+            conditions = {part: text for part, text in per_file.named(source.path).items() if part not in together}
             place = tuple(conditions.items()) if together else (("file", str(source.path)),)
             first = tests.get(place, replace(test, name="-".join(conditions.values()) if together else test.name, recordings=()))
             common = {name: text for name, text in test.conditions.items() if name not in together}
@@ -168,8 +168,8 @@ class TestReader:
         if "frf" not in entries or key == "":
             return None
         common = self.top["frf"].content if "frf" in self.top and isinstance(self.top["frf"].content, dict) else {}
-        own = self.faults.mapping(entries["frf"], join(key, "frf"))
-        whole = {name: node for name, node in {**common, **own}.items() if node.content is not None}
+        frf_entries = self.faults.mapping(entries["frf"], join(key, "frf"))
+        whole = {name: node for name, node in {**common, **frf_entries}.items() if node.content is not None}
         return read_settings(FrfSettings, Marked(whole, entries["frf"].where, entries["frf"].key_where), join(key, "frf"), self.faults)
 
     def _recordings(self, node: Marked, key: str) -> list[SourceFile]:

@@ -99,15 +99,15 @@ def _measured(name: str, settings: RepeatSettings, folder: Path) -> RepeatSource
     """The scatter between settings of a repeatability test, relative to its mean, with one degree of freedom less than settings."""
     try:
         comparisons = read_digested(folder / settings.file, "identification.json").get("comparisons") or []
-        found: Mapping[str, Any] = {one["name"]: one for one in comparisons if one["kind"] == "repeatability"}
+        repeatabilities: Mapping[str, Any] = {entry["name"]: entry for entry in comparisons if entry["kind"] == "repeatability"}
     except DamagedError as error:
         raise UnitError(f"'{settings.file}' is not a readable identification.json: {error.what}", error.hint) from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise UnitError(f"'{settings.file}' is not a readable identification.json") from None
-    if settings.comparison not in found:
-        hint = nearest(settings.comparison, found) if found else "it needs a comparison of kind: repeatability"
+    if settings.comparison not in repeatabilities:
+        hint = nearest(settings.comparison, repeatabilities) if repeatabilities else "it needs a comparison of kind: repeatability"
         raise UnitError(f"'{settings.file}' holds no repeatability '{settings.comparison}'", hint)
-    comparison = found[settings.comparison]
+    comparison = repeatabilities[settings.comparison]
     try:
         amounts = {amount["name"]: float(amount["value"]) for amount in comparison["amounts"]}
         groups = {point["group"] for point in comparison["points"]}

@@ -24,7 +24,9 @@ def decay_sources(parameters: Sequence[Parameter], settings: FitSettings, ports:
     doubts: dict[str, Doubt] = {}
     changes: dict[str, FloatArray] = {}
     for mode, port in ports.items():
-        scaled = np.array([one.value if one.name in {f"{name}_{mode + 1}" for name in PER_AMPLITUDE} else 0.0 for one in parameters])
+        scaled = np.array(
+            [parameter.value if parameter.name in {f"{name}_{mode + 1}" for name in PER_AMPLITUDE} else 0.0 for parameter in parameters]
+        )
         for doubted in port.doubts:
             if doubted.effect == "gain":
                 source = doubted.doubt.source

@@ -41,14 +41,14 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
 
     ConfigError where settings and decays do not fit together, FitError where no decay stands out or it is too short.
     """
-    own: DecaySettings = settings.model_settings
+    decay_settings: DecaySettings = settings.model_settings
     _check(settings)
     columns = chosen_ports(decays.outputs, settings.output, "response")
     pieces = pieces_of(decays.decays, columns, decays.sample_rate, settings.band)
-    fitted = most_likely(decays.decays, columns, pieces, decays.sample_rate, settings.band, own.modes)
+    fitted = most_likely(decays.decays, columns, pieces, decays.sample_rate, settings.band, decay_settings.modes)
     _check_fitted(pieces, fitted)
     tested = judged(pieces, fitted, decays.sample_rate)
-    strongest = {mode: _strongest(fitted, mode) for mode in range(own.modes)}
+    strongest = {mode: _strongest(fitted, mode) for mode in range(decay_settings.modes)}
     laws = _laws(pieces, fitted, tested, strongest)
     missing = _missing(decays, columns, pieces, fitted, laws, strongest, settings)
     laws = {} if missing and missing.white else laws

@@ -108,8 +108,8 @@ def energies(pieces: Sequence[Piece], fitted: Decayed) -> FloatArray:
     total = np.zeros(fitted.poles.size)
     for piece, solved, variance in zip(pieces, fitted.pieces, fitted.variance, strict=True):
         course = np.exp(piece.time[:, None] * fitted.poles)
-        for amplitudes, one in zip(solved.amplitudes.T, variance, strict=True):
-            total += np.sum(piece.project((course * amplitudes).real) ** 2, axis=0) / one
+        for amplitudes, variance_of_output in zip(solved.amplitudes.T, variance, strict=True):
+            total += np.sum(piece.project((course * amplitudes).real) ** 2, axis=0) / variance_of_output
     return total
 
 
@@ -155,10 +155,10 @@ def _normal_equations(solved: Sequence[Solved], variance: FloatArray) -> tuple[F
     information, slope = np.zeros((2 * n_mode, 2 * n_mode)), np.zeros(2 * n_mode)
     for part, variances in zip(solved, variance, strict=True):
         gram, products = part.tangent.T @ part.tangent, part.tangent.T @ part.residual
-        for output, one in enumerate(variances):
+        for output, of_output in enumerate(variances):
             chain = _chain(part.amplitudes[:, output])
-            information += chain.T @ gram @ chain / one
-            slope += chain.T @ products[:, output] / one
+            information += chain.T @ gram @ chain / of_output
+            slope += chain.T @ products[:, output] / of_output
     return information, slope
 
 

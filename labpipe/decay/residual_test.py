@@ -106,7 +106,7 @@ def _strongest_line(residuals: Sequence[tuple[Piece, ComplexArray]], rate: float
         for column in power.T:
             n_series += 1
             share = float(np.max(column) / np.sum(column))
-            own = min(1.0, lines.size * (1 - share) ** (lines.size - 1))
-            if own < chance or frequency == 0.0:
-                chance, frequency = min(chance, own), float(lines[np.argmax(column)] * rate / n)
+            p_value = min(1.0, lines.size * (1 - share) ** (lines.size - 1))
+            if p_value < chance or frequency == 0.0:
+                chance, frequency = min(chance, p_value), float(lines[np.argmax(column)] * rate / n)
     return min(1.0, chance * n_series), frequency

@@ -36,20 +36,20 @@ def entries_of(panel: Panel) -> Entries:
 
 def legends(chart: Chart) -> tuple[Entries, tuple[Entries, ...]]:
     """Above all panels, and in each of them: every entry once, in the first panel that has it."""
-    known: Entries = {}
+    listed: Entries = {}
     panels: list[Entries] = []
     for panel in chart.panels:
-        fresh = {entry: series for entry, series in entries_of(panel).items() if entry not in known}
-        known |= fresh
+        fresh = {entry: series for entry, series in entries_of(panel).items() if entry not in listed}
+        listed |= fresh
         panels.append(fresh if chart.legend == "panels" else {})
-    return known if chart.legend == "above" else {}, tuple(panels)
+    return listed if chart.legend == "above" else {}, tuple(panels)
 
 
 def legend_size(entries: Entries, width: float) -> tuple[int, float, float]:
     """(number of columns, width of one, height) [pt] of a legend that is at most *width* wide [pt]."""
-    each = SAMPLE + GAP + max((text_width(name, LETTERS) for name, _ in entries), default=0.0) + APART
-    columns = max(1, min(len(entries), MOST_COLUMNS, int((width + APART) / each)))
-    return columns, each, LINE * -(-len(entries) // columns)
+    column_width = SAMPLE + GAP + max((text_width(name, LETTERS) for name, _ in entries), default=0.0) + APART
+    columns = max(1, min(len(entries), MOST_COLUMNS, int((width + APART) / column_width)))
+    return columns, column_width, LINE * -(-len(entries) // columns)
 
 
 def height_above(entries: Entries, width: float) -> float:
@@ -59,13 +59,13 @@ def height_above(entries: Entries, width: float) -> float:
 
 def place_inside(entries: Entries, panel: Panel, place: Place) -> tuple[int, float, float, float]:
     """(number of columns, width of one, left, top) [pt] of the legend within a panel, where it hides least of what is shown."""
-    columns, each, height = legend_size(entries, WIDEST * place.box.width)
-    width = columns * each - APART
+    columns, column_width, height = legend_size(entries, WIDEST * place.box.width)
+    width = columns * column_width - APART
     seen = _shown(panel, place)
     free = place.box.width - width - 2 * INSET, place.box.height - height - 2 * INSET
     boxes = [_corner(place.box, free, corner, width, height) for corner in CORNERS]
     best = min(boxes, key=lambda box: _hidden(seen, box))
-    return columns, each, best.left, best.top
+    return columns, column_width, best.left, best.top
 
 
 def _corner(box: Box, free: tuple[float, float], corner: tuple[float, float], width: float, height: float) -> Box:
@@ -80,7 +80,7 @@ def _shown(panel: Panel, place: Place) -> FloatArray:
         if series.kind in NAMED:
             ends = [end for end in (series.low, series.high) if end is not None]
             points: list[FloatArray] = [np.column_stack([place.x.places(series.x), place.y.places(values)]) for values in (series.y, *ends)]
-            parts += [_along(one) if series.line or series.kind == "area" else one for one in points]
+            parts += [_along(point) if series.line or series.kind == "area" else point for point in points]
         elif series.kind == "hline":
             across, (down,) = np.linspace(place.box.left, place.box.right, STEPS), place.y.places(series.y)
             # Its name stands above its end.

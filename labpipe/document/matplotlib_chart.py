@@ -139,8 +139,8 @@ def _listed(entries: Entries, handles: Handles) -> tuple[list[Any], list[str]]:
     """Samples and names: of an entry its first line and its first marks, one on the other."""
     samples: list[Any] = []
     for series in entries.values():
-        lined = next((one for one in series if one.line), series[0])
-        marked = next((one for one in series if one.marker), lined)
-        drawn = tuple(dict.fromkeys(handles[id(one)] for one in (lined, marked)))
+        lined = next((curve for curve in series if curve.line), series[0])
+        marked = next((curve for curve in series if curve.marker), lined)
+        drawn = tuple(dict.fromkeys(handles[id(shown)] for shown in (lined, marked)))
         samples.append(drawn if len(drawn) > 1 else drawn[0])
     return samples, [name for name, _ in entries]

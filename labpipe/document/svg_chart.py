@@ -60,7 +60,7 @@ def _inside(panel: Panel, place: NamedPlace) -> str:
     """What a panel shows, cut off at its edges, and its note."""
     series = "".join(painted(one, place) for one in sorted(panel.series, key=lambda one: DEPTHS[one.kind]))
     note = words(panel.note, *place.box.middle, LETTERS) if panel.note else ""
-    if not series or any(one.kind == "cells" for one in panel.series):
+    if not series or any(curve.kind == "cells" for curve in panel.series):
         return series + note
     box = place.box
     cut = f'<clipPath id="{place.name}">{rectangle(box.left, box.top, box.width, box.height, "")}</clipPath>'

@@ -15,8 +15,8 @@ def legend_above(entries: Entries, width: float) -> str:
     """The legend over panels of a drawing of this width [pt], in the middle."""
     if not entries:
         return ""
-    columns, each, _ = legend_size(entries, width)
-    return _drawn(entries, columns, each, (width - columns * each + APART) / 2, GAP)
+    columns, column_width, _ = legend_size(entries, width)
+    return _drawn(entries, columns, column_width, (width - columns * column_width + APART) / 2, GAP)
 
 
 def legend_inside(entries: Entries, panel: Panel, place: Place) -> str:
@@ -38,8 +38,8 @@ def _drawn(entries: Entries, columns: int, each: float, left: float, top: float)
 
 def _sample(series: list[Series], x: float, y: float) -> str:
     """A piece of the line and one mark of an entry, or of its shade."""
-    lined = next((one for one in series if one.line), None)
-    marked = next((one for one in series if one.marker), None)
+    lined = next((curve for curve in series if curve.line), None)
+    marked = next((curve for curve in series if curve.marker), None)
     if lined is None and marked is None:
         return rectangle(x, y - 3, SAMPLE, 6, f'class="shade" style="fill-opacity:{series[0].opacity:g}"')
     parts = []

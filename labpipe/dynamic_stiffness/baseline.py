@@ -24,20 +24,26 @@ NONE = Uncertain(0.0)
 
 def with_baseline(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
     """Settings with the result of the earlier fit (or of the only one of the test) that `baseline` names; ConfigError if there is none."""
-    own: DynamicStiffnessSettings = settings.model_settings
-    if not own.baseline:
+    stiffness_settings: DynamicStiffnessSettings = settings.model_settings
+    if not stiffness_settings.baseline:
         return settings
     usable = [fit for fit in fits if fit.dynamic_stiffness is not None]
-    found = [fit for fit in usable if fit.name == own.baseline] or [fit for fit in usable if fit.test == own.baseline]
-    if not found:
-        hint = nearest(own.baseline, [fit.name for fit in usable])
+    baselines = [fit for fit in usable if fit.name == stiffness_settings.baseline] or [
+        fit for fit in usable if fit.test == stiffness_settings.baseline
+    ]
+    if not baselines:
+        hint = nearest(stiffness_settings.baseline, [fit.name for fit in usable])
         raise ConfigError(
-            f"baseline: no earlier fit '{own.baseline}' of model dynamic-stiffness", hint=f"fits are made in their order; {hint}"
+            f"baseline: no earlier fit '{stiffness_settings.baseline}' of model dynamic-stiffness",
+            hint=f"fits are made in their order; {hint}",
         )
-    if len(found) > 1:
-        tests = ", ".join(fit.test for fit in found)
-        raise ConfigError(f"baseline: '{own.baseline}' has {len(found)} results ({tests})", hint="say `test:` in the fit of the baseline")
-    return replace(settings, model_settings=replace(own, known=baseline_of(found[0])))
+    if len(baselines) > 1:
+        tests = ", ".join(fit.test for fit in baselines)
+        raise ConfigError(
+            f"baseline: '{stiffness_settings.baseline}' has {len(baselines)} results ({tests})",
+            hint="say `test:` in the fit of the baseline",
+        )
+    return replace(settings, model_settings=replace(stiffness_settings, known=baseline_of(baselines[0])))
 
 
 def baseline_of(fit: Fit) -> Baseline:

@@ -22,8 +22,8 @@ def budgeted(valued: Sequence[Valued], doubts: Sequence[GivenDoubt], dof: int) -
 
     A source of several independent errors, the noise of a baseline, is listed as so many, since they are common to all fits on it.
     """
-    parameters = tuple(one.parameter for one in valued)
-    slopes = np.stack([one.slopes for one in valued])
+    parameters = tuple(quantity.parameter for quantity in valued)
+    slopes = np.stack([quantity.slopes for quantity in valued])
     whole = np.array([parameter.full_error or np.nan for parameter in parameters])
     sources, changes = [], []
     for doubt in doubts:

@@ -31,15 +31,17 @@ def compared(
     doubtful: GivenErrors | None = None,
 ) -> tuple[tuple[Candidate, ...], dict[str, Estimate]]:
     """Candidates in ascending BIC, and the estimates by form; forms that the lines cannot determine are left out. Equation (ds-bic)."""
-    found: dict[str, Estimate] = {}
+    estimates: dict[str, Estimate] = {}
     for form in dict.fromkeys((*forms, *([known.model.form.name] if known else []))):
         try:
             fits = known is not None and form == known.model.form.name
-            found[form] = known if fits and known is not None else estimate(balance, StiffnessModel(FORMS[form], symmetry), noise, doubtful)
+            estimates[form] = (
+                known if fits and known is not None else estimate(balance, StiffnessModel(FORMS[form], symmetry), noise, doubtful)
+            )
         except FitError:
             continue
-    ranked = sorted((_candidate(form, one, balance.n_equation) for form, one in found.items()), key=_bic)
-    return tuple(ranked), found
+    ranked = sorted((_candidate(form, fitted, balance.n_equation) for form, fitted in estimates.items()), key=_bic)
+    return tuple(ranked), estimates
 
 
 def _bic(candidate: Candidate) -> float:

@@ -65,15 +65,15 @@ def crossover(model: StiffnessModel, values: FloatArray, covariance: FloatArray,
     if not turns.size:
         return None
     at = int(turns[-1])
-    found = _zero(omega, course.damping, at)
-    slopes = forward(model.jacobian(values, np.array([found])), sense).imag[:, 0] / found
+    frequency = _zero(omega, course.damping, at)
+    slopes = forward(model.jacobian(values, np.array([frequency])), sense).imag[:, 0] / frequency
     along = float((course.damping[at + 1] - course.damping[at]) / (omega[at + 1] - omega[at]))
     upper, lower = course.damping + LIMIT * course.damping_error, course.damping - LIMIT * course.damping_error
     below = np.flatnonzero(upper[: at + 1] < 0)
     above = np.flatnonzero(lower[at + 1 :] > 0)
     low = _zero(omega, upper, int(below[-1])) if below.size else -np.inf
     high = _zero(omega, lower, at + int(above[0])) if above.size else np.inf
-    return Crossover(found, -slopes / along, (low, high))
+    return Crossover(frequency, -slopes / along, (low, high))
 
 
 def _zero(omega: FloatArray, values: FloatArray, at: int) -> float:

@@ -146,8 +146,8 @@ def whirl_findings(turning: Whirl | None, speed: float | None) -> tuple[Finding,
     if square > 0 and low > 0:
         return ()
     if square > 0:
-        told = f"the whirl frequency ratio cannot be told from zero: its square is {square:.3g}, 95 % {low:.3g} to {high:.3g}"
-        return (note("no-whirl", told),)
+        statement = f"the whirl frequency ratio cannot be told from zero: its square is {square:.3g}, 95 % {low:.3g} to {high:.3g}"
+        return (note("no-whirl", statement),)
     message = (
         f"there is no whirl: the square of the whirl frequency ratio is {square:.3g} (95 % {low:.3g} to {high:.3g}). The cross-coupled "
         "stiffness does not drive a forward or backward whirl at any frequency"

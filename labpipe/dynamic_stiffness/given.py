@@ -133,8 +133,8 @@ def _joined(errors: Sequence[tuple[Doubt, ComplexArray]]) -> list[tuple[Doubt, C
     """Errors of one source added with their signs, each source once."""
     sources: dict[str, tuple[Doubt, ComplexArray]] = {}
     for doubt, error in errors:
-        known = sources.get(doubt.source)
-        sources[doubt.source] = (doubt, error) if known is None else (known[0], known[1] + error)
+        source = sources.get(doubt.source)
+        sources[doubt.source] = (doubt, error) if source is None else (source[0], source[1] + error)
     return list(sources.values())
 
 

@@ -46,8 +46,8 @@ def least_squares(balance: Balance, model: StiffnessModel) -> tuple[Estimate, Ca
     dof = 2 * n_element * lines.omega.size - values.size
     columns = model.jacobian(values, lines.omega).reshape(values.size, -1)
     design = triangle_of(np.concatenate([columns.real, columns.imag], axis=1).T)
-    found = Estimate(model, values, covariance, float("nan"), dof, float("nan"), True, 0, design)
-    return found, _response(model, lines, designs)
+    estimate = Estimate(model, values, covariance, float("nan"), dof, float("nan"), True, 0, design)
+    return estimate, _response(model, lines, designs)
 
 
 def _rows_of(model: StiffnessModel, part: int) -> list[int]:
@@ -69,13 +69,13 @@ def _elements(model: StiffnessModel, stiffness: ComplexArray) -> ComplexArray:
 def _solved(model: StiffnessModel, stiffness: ComplexArray, designs: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Values (n_parameter,) and the variance of the residual (2, n_element) [(N/m)^2] of real and imaginary part."""
     measured = _elements(model, stiffness)
-    found = np.empty((len(model.form.matrices), measured.shape[-1]))
+    solution = np.empty((len(model.form.matrices), measured.shape[-1]))
     variance = np.empty((2, measured.shape[-1]))
     for part, (design, side) in enumerate(zip(designs, (measured.real, measured.imag), strict=True)):
         coefficients = np.linalg.pinv(design) @ side
-        found[_rows_of(model, part)] = coefficients
+        solution[_rows_of(model, part)] = coefficients
         variance[part] = np.sum((side - design @ coefficients) ** 2, axis=0) / (design.shape[0] - design.shape[1])
-    return found.reshape(-1), variance
+    return solution.reshape(-1), variance
 
 
 def _response(model: StiffnessModel, lines: LineStiffness, designs: tuple[FloatArray, FloatArray]) -> Callable[[ComplexArray], FloatArray]:

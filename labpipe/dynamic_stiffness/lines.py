@@ -60,11 +60,11 @@ def shown_stiffness(balance: Balance, stiffness: ComplexArray) -> tuple[LineStif
         )
         residual, motion, noise = _pairs(residual), _pairs(motion), _pairs(noise)
     vectors = motion.swapaxes(-1, -2)
-    told = np.linalg.cond(vectors) < ONE_DIRECTION
-    inverse = np.linalg.pinv(vectors[told])
-    h = stiffness[told] + residual[told].swapaxes(-1, -2) @ inverse
-    variance = np.einsum("lri,lrj->lij", noise[told], np.abs(inverse) ** 2)
-    return LineStiffness(omega[told], h, inverse, paired), variance
+    is_determined = np.linalg.cond(vectors) < ONE_DIRECTION
+    inverse = np.linalg.pinv(vectors[is_determined])
+    h = stiffness[is_determined] + residual[is_determined].swapaxes(-1, -2) @ inverse
+    variance = np.einsum("lri,lrj->lij", noise[is_determined], np.abs(inverse) ** 2)
+    return LineStiffness(omega[is_determined], h, inverse, paired), variance
 
 
 def _pairs(values: NDArray[Any]) -> NDArray[Any]:

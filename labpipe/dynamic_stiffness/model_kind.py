@@ -18,8 +18,8 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
 
 
 def _earlier(settings: FitSettings) -> str:
-    own: DynamicStiffnessSettings = settings.model_settings
-    return own.baseline
+    stiffness_settings: DynamicStiffnessSettings = settings.model_settings
+    return stiffness_settings.baseline
 
 
 def _begin(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:

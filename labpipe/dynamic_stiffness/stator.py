@@ -95,11 +95,11 @@ def _chosen(spectra: ChannelSpectra, quantity: str, names: Sequence[str]) -> lis
 def _check_names(spectra: ChannelSpectra, names: Sequence[str], quantities: Sequence[str], key: str) -> None:
     """ConfigError for a name that no channel has."""
     columns = [n for quantity in quantities for n in _measured(spectra, quantity)]
-    known = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
+    places = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
     for name in names:
-        if name not in known:
+        if name not in places:
             what = " or ".join(quantities)
-            raise ConfigError(f"no {what} channel '{name}'", hint=nearest(name, sorted(known)), field=key)
+            raise ConfigError(f"no {what} channel '{name}'", hint=nearest(name, sorted(places)), field=key)
 
 
 def _to_axes(spectra: ChannelSpectra, columns: Sequence[int], quantity: str) -> FloatArray:

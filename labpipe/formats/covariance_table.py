@@ -54,7 +54,7 @@ def _rows(fit: Fit) -> Iterator[dict[str, object]]:
 
 def _by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
     """Source, covariance (n, n) and change (n,) of all parameters by it [SI units]; noise has no change with a sign."""
-    errors = np.array([np.nan if (error := random_error(fit, one)) is None else error for one in fit.parameters], np.float64)
+    errors = np.array([np.nan if (error := random_error(fit, parameter)) is None else error for parameter in fit.parameters], np.float64)
     correlation = np.eye(errors.size)
     n = min(fit.correlation.shape[0], errors.size)
     correlation[:n, :n] = fit.correlation[:n, :n]

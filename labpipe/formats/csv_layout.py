@@ -85,8 +85,8 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     # Of equal rows blanks delimit none: they stand beside other delimiters, too.
     delimited = (_rank(c[2]) for c in candidates if c[0] != BLANKS and c[3] > 1)
     most = max(delimited, default=0)
-    known = [c for c in candidates if c[0] != BLANKS or _rank(c[2]) > most]
-    delimiter, decimal, rows, n_field = max(known, key=lambda c: (_rank(c[2]), _header_fits(lines, c), c[3]))
+    layouts = [c for c in candidates if c[0] != BLANKS or _rank(c[2]) > most]
+    delimiter, decimal, rows, n_field = max(layouts, key=lambda c: (_rank(c[2]), _header_fits(lines, c), c[3]))
     if not rows:
         raise DataError("no row of numbers in it", where=str(path), hint="a table of numbers below one header line is needed")
     first = next(

@@ -142,9 +142,9 @@ def _course(identification: Identification, matrix: ConditionMatrix, point: Matr
     fits = [fit for fit in identification.fits if fit.name == matrix.fit and fit.test in point.tests]
     drawn = [fit.dynamic_stiffness for fit in fits if fit.dynamic_stiffness is not None]
     if drawn:
-        low, high = (end(each.drawn_frequency[place] for each in drawn) for end, place in ((max, 0), (min, -1)))
+        low, high = (end(drawing.drawn_frequency[place] for drawing in drawn) for end, place in ((max, 0), (min, -1)))
         frequency = np.linspace(low, high, N_WHIRL)
-        return frequency, np.mean([_interpolated(each.drawn_frequency, each.fitted, frequency) for each in drawn], axis=0)
+        return frequency, np.mean([_interpolated(drawing.drawn_frequency, drawing.fitted, frequency) for drawing in drawn], axis=0)
     return _of_coefficients(matrix, point, fits)
 
 

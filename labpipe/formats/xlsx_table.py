@@ -80,8 +80,8 @@ class XlsxTable:
 def _is_numeric(row: Row) -> bool:
     """True for a row of numbers and dates, some of which may be missing."""
     cells = [cell for cell in row if cell is not None]
-    known = all(isinstance(cell, (int, float, datetime, time)) and not isinstance(cell, bool) for cell in cells)
-    return known and any(isinstance(cell, (int, float)) for cell in cells)
+    is_value = all(isinstance(cell, (int, float, datetime, time)) and not isinstance(cell, bool) for cell in cells)
+    return is_value and any(isinstance(cell, (int, float)) for cell in cells)
 
 
 def _width(row: Row) -> int:

@@ -111,7 +111,7 @@ def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
     budget = added if fit.budget is None else fit.budget.with_sources(added.sources, added.changes)
     widened = with_systematic(fit.parameters, added, budget.dof)
     stated = zip(widened, budget.systematic, strict=True)
-    parameters = tuple(one if one.systematic is None else replace(one, systematic=float(size)) for one, size in stated)
+    parameters = tuple(entry if entry.systematic is None else replace(entry, systematic=float(size)) for entry, size in stated)
     return replace(fit, parameters=parameters, budget=budget)
 
 

@@ -85,10 +85,10 @@ def _gathered(model: DynamicModel, kinds: list[str], sums: dict[int, ComplexArra
     n_dof, numbers = model.constant.force.shape[0], np.arange(len(model.terms))
     products = np.zeros((numbers.size, numbers.size))
     whole = {power: _whole(total, n_dof) for power, total in sums.items()}
-    for one, other in product(kinds, kinds):
-        (factor, exponent), (other_factor, other_exponent) = FACTORS[one], FACTORS[other]
+    for first, other in product(kinds, kinds):
+        (factor, exponent), (other_factor, other_exponent) = FACTORS[first], FACTORS[other]
         elements = (np.conj(factor) * other_factor * whole[exponent + other_exponent]).real
-        acting, other_acting = model.acting[one], model.acting[other]
+        acting, other_acting = model.acting[first], model.acting[other]
         assert acting is not None and other_acting is not None
         combined = acting.combined(other_acting.combined(elements).T).T.real
         products[np.ix_(numbers[acting.place], numbers[other_acting.place])] = combined

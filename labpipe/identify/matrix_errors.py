@@ -54,13 +54,13 @@ def across_ports(ports: Sequence[Port]) -> FloatArray | None:
     Rows of zeros for ports without a direction. A port at a + d sees what one at a sees, and d times that at a + 90 deg.
     Equation (unc-across).
     """
-    known = [number for number, port in enumerate(ports) if port.angle is not None]
-    angles = np.array([ports[number].angle for number in known], float)
+    with_angle = [number for number, port in enumerate(ports) if port.angle is not None]
+    angles = np.array([ports[number].angle for number in with_angle], float)
     plane = np.column_stack([np.cos(angles), np.sin(angles)])
-    if len(known) < 2 or np.linalg.svd(plane, compute_uv=False)[-1] < PARALLEL:
+    if len(with_angle) < 2 or np.linalg.svd(plane, compute_uv=False)[-1] < PARALLEL:
         return None
     across = np.zeros((len(ports), len(ports)))
-    across[np.ix_(known, known)] = np.column_stack([-np.sin(angles), np.cos(angles)]) @ np.linalg.pinv(plane)
+    across[np.ix_(with_angle, with_angle)] = np.column_stack([-np.sin(angles), np.cos(angles)]) @ np.linalg.pinv(plane)
     return across
 
 
@@ -79,4 +79,4 @@ def turned(matrix: ComplexArray, number: int, across: FloatArray, *, of_forces: 
 
 def changes_by(errors: tuple[MatrixError, ...], values: Callable[[ComplexArray], FloatArray]) -> list[tuple[Doubt, FloatArray]]:
     """Central differences (n_parameter,) [parameter units] of reported *values* of a change of the matrix [m/N], one for each error."""
-    return [(one.doubt, (values(SHARE * one.change) - values(-SHARE * one.change)) / (2 * SHARE)) for one in errors]
+    return [(error.doubt, (values(SHARE * error.change) - values(-SHARE * error.change)) / (2 * SHARE)) for error in errors]

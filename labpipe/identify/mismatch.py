@@ -95,22 +95,22 @@ class _Judge:
         """
         problem: OutputError[ReceptanceModel] = OutputError(self.measured, model, self._whitener)
         try:
-            found = minimise(problem, start, most_steps=MOST_STEPS)
-            if not found.converged:
+            minimum = minimise(problem, start, most_steps=MOST_STEPS)
+            if not minimum.converged:
                 return None
-            assessed = assess(self.measured, self.model, problem, found.values)
+            assessed = assess(self.measured, self.model, problem, minimum.values)
         except (FitError, np.linalg.LinAlgError):
             return None
-        if self.exact(model, found.values):
-            return _Minimum(problem, found.values, assessed, 1.0)
+        if self.exact(model, minimum.values):
+            return _Minimum(problem, minimum.values, assessed, 1.0)
         if assessed.p_value is not None:
-            return _Minimum(problem, found.values, assessed, assessed.p_value)
+            return _Minimum(problem, minimum.values, assessed, assessed.p_value)
         null = Null(self.measured.line_noise, n_smooth=n_smooth, n_draw=FEW_DRAWS if n_smooth else DRAWS)
-        structure = self.structure(problem, found.values, null)
+        structure = self.structure(problem, minimum.values, null)
         if structure is None:
             return None
         p_value = structure.p_value if n_smooth else min(1.0, structure.p_value * self.n_band)
-        return _Minimum(problem, found.values, assessed, p_value, structure)
+        return _Minimum(problem, minimum.values, assessed, p_value, structure)
 
     def structure(self, problem: OutputError[ReceptanceModel], values: FloatArray, null: Null) -> Structure | None:
         """The structure of the residual at *values* (n_parameter,) [parameter units] against noise."""
@@ -150,14 +150,14 @@ def judge(
         return Judgement()
     if judged.exact(expected(measured, model), estimate.values):
         return Judgement()
-    own = None if estimator == "amplitude" else judged.minimum(expected(measured, model), estimate.values)
-    if own is None:
+    minimum = None if estimator == "amplitude" else judged.minimum(expected(measured, model), estimate.values)
+    if minimum is None:
         return Judgement(judged=False) if judged.factor is None else _by_factor(judged, judged.factor)
-    if own.p_value >= MISMATCH_P:
-        return _biased(judged, own)
-    if judged.uneven(own):
-        return _of_uneven_noise(judged, own)
-    return _explained(judged, own) or _unexplained(judged, own)
+    if minimum.p_value >= MISMATCH_P:
+        return _biased(judged, minimum)
+    if judged.uneven(minimum):
+        return _of_uneven_noise(judged, minimum)
+    return _explained(judged, minimum) or _unexplained(judged, minimum)
 
 
 def excess(estimate: Estimate) -> float | None:

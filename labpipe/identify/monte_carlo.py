@@ -46,7 +46,7 @@ def propagated(case: Case, parameters: Sequence[Parameter], budget: Budget, fitt
     if not has_noise(case.measured):
         raise FitError("monte_carlo needs the noise of the FRF, which is not known", hint="leave `monte_carlo` out")
     rng = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode()))
-    values = [found for _ in range(draws) if (found := _drawn(case, fitted, refit, rng)) is not None]
+    values = [drawn for _ in range(draws) if (drawn := _drawn(case, fitted, refit, rng)) is not None]
     if len(values) < (1 - MOST_FAILED) * draws:
         raise FitError(f"monte_carlo: {draws - len(values)} of {draws} refits failed", hint="widen the band")
     columns = np.array(values)

@@ -70,9 +70,9 @@ class OutputError(Generic[Model]):
         if linear is not None and has_line_products(linear[0], self.weights):
             model, values, slopes = linear
             equations = self._normal_equations(model, values)
-            found = triangle_of_products(slopes.T @ equations.products @ slopes)
-            if found is not None:
-                scale, triangle = found
+            factor = triangle_of_products(slopes.T @ equations.products @ slopes)
+            if factor is not None:
+                scale, triangle = factor
                 projected = np.linalg.solve(triangle.T, (slopes.T @ equations.projected) / scale)
                 return Linearisation(triangle, projected, scale, equations.square, self.measured.n_equation)
         return linearised(self, parameters)

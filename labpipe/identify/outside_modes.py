@@ -27,16 +27,16 @@ class OutsideModes:
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """H [m/N] at *parameters* (n_parameter,), (n_line, n_dof, n_input); *omega* (n_line,) [rad/s]."""
-        own = self.model.receptance(parameters[: self.n_own], omega)
+        receptance = self.model.receptance(parameters[: self.n_own], omega)
         amounts = parameters[self.n_own :].reshape(2, self.curves.shape[1], -1)
-        return own + (self.curves @ ((amounts[0] + 1j * amounts[1]) * self.size)).reshape(own.shape)
+        return receptance + (self.curves @ ((amounts[0] + 1j * amounts[1]) * self.size)).reshape(receptance.shape)
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
-        own = self.model.jacobian(parameters[: self.n_own], omega)
-        n_line, n_element = own.shape[1], self.size.size
+        jacobian = self.model.jacobian(parameters[: self.n_own], omega)
+        n_line, n_element = jacobian.shape[1], self.size.size
         terms = np.einsum("ln,e,ef->nelf", self.curves, self.size, np.eye(n_element)).reshape(-1, n_line, n_element)
-        return np.concatenate([own, np.concatenate([terms, 1j * terms]).reshape(-1, *own.shape[1:])])
+        return np.concatenate([jacobian, np.concatenate([terms, 1j * terms]).reshape(-1, *jacobian.shape[1:])])
 
     def start(self, values: FloatArray) -> FloatArray:
         """Start values (n_parameter,) [parameter units]: those of the model (n_own,) without residual terms."""

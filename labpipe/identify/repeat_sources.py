@@ -30,6 +30,6 @@ def _source(source: RepeatSource, fit: Fit, test: str, conditions: Mapping[str, 
         what = f"{source.name} goes by the condition '{source.per}', which {f'test {test}' if test else 'the test'} does not have"
         raise ConfigError(what, hint=f"conditions: {{{source.per}: ...}}, or leave `per` out")
     same = f"{source.per} {conditions[source.per]}" if source.per else test or "this test"
-    changes = np.array([source.relative * one.value if one.name == source.parameter else 0.0 for one in fit.parameters])
+    changes = np.array([source.relative * parameter.value if parameter.name == source.parameter else 0.0 for parameter in fit.parameters])
     size = abs(float(np.sum(changes)))
     return Doubt(f"{source.name} ({same})", size, fit.parameter(source.parameter).unit, source.dof), changes

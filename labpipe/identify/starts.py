@@ -91,10 +91,10 @@ def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | No
 
     values = np.zeros(len(linear.terms))
     equations = equations_at(values, True)
-    found = triangle_of_products(equations.products)
-    if found is None:
+    factor = triangle_of_products(equations.products)
+    if factor is None:
         return None
-    scale, triangle = found
+    scale, triangle = factor
     for projected in (equations.projected, None):
         # The second round is the one refinement of the seminormal equations.
         side = equations_at(values, False).projected if projected is None else projected

@@ -26,5 +26,5 @@ def explained(residual: FloatArray, changes: FloatArray, slopes: FloatArray, cov
     if not len(changes):
         return 0.0
     left = changes + steps_by(changes, slopes, covariance) @ slopes.T
-    told = changes @ residual
-    return float(told @ np.linalg.solve(np.eye(len(left)) + left @ changes.T, told))
+    projected = changes @ residual
+    return float(projected @ np.linalg.solve(np.eye(len(left)) + left @ changes.T, projected))

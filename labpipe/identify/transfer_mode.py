@@ -49,8 +49,8 @@ class TransferMode:
     def whole(self, parameters: FloatArray) -> Matrices:
         """Matrices of an oscillator of 1 kg with the mode's frequency and damping, at *parameters* (6,) [parameter units]."""
         w_n, zeta = 2 * np.pi * parameters[0], parameters[1]
-        one = np.ones((1, 1))
-        return Matrices(w_n**2 * one, 2 * zeta * w_n * one, one, parameters[2] * one)
+        unit = np.ones((1, 1))
+        return Matrices(w_n**2 * unit, 2 * zeta * w_n * unit, unit, parameters[2] * unit)
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """H [m/N] at *parameters* (6,) [parameter units], (n_line, 1, 1); *omega* (n_line,) [rad/s]."""
@@ -62,8 +62,8 @@ class TransferMode:
         w_n, zeta = 2 * np.pi * parameters[0], parameters[1]
         below = 1 / _denominator(parameters, omega)
         slope = -complex(*parameters[2:4]) * below**2
-        one = np.ones(omega.size, np.complex128)
-        rows = [slope * 2 * np.pi * (2 * w_n + 2j * zeta * omega), slope * 2j * w_n * omega, below, 1j * below, one, 1j * one]
+        unit = np.ones(omega.size, np.complex128)
+        rows = [slope * 2 * np.pi * (2 * w_n + 2j * zeta * omega), slope * 2j * w_n * omega, below, 1j * below, unit, 1j * unit]
         return np.array(rows)[:, :, None, None]
 
 
@@ -107,11 +107,11 @@ def transfer_start(measured: Measured) -> FloatArray:
     if h.size < 5:
         raise FitError(f"{h.size} lines cannot determine a mode and its residual term", hint="widen the band")
     weight = np.ones(h.size, np.complex128)
-    one = np.ones(h.size, np.complex128)
+    unit = np.ones(h.size, np.complex128)
     start = None
     for _ in range(REWEIGHTINGS):
         # C + j D times the denominator is a polynomial: its terms in w^2 and w are columns of their own.
-        columns = [h, 1j * w * h, -one, -1j * one, w**2 * one, 1j * w**2, w * one, 1j * w]
+        columns = [h, 1j * w * h, -unit, -1j * unit, w**2 * unit, 1j * w**2, w * unit, 1j * w]
         rows = stacked(np.array([column * weight for column in columns])).T
         solved = solve_scaled(rows, stacked(weight * w**2 * h))[0]
         below = solved[0] - w**2 + 1j * w * solved[1]
@@ -122,7 +122,7 @@ def transfer_start(measured: Measured) -> FloatArray:
         peak = float(w[np.argmax(np.abs(h))])
         start = np.array([peak**2, 2 * LIGHT * peak])
     below = start[0] - w**2 + 1j * w * start[1]
-    rows = stacked(np.array([1 / below, 1j / below, one, 1j * one])).T
+    rows = stacked(np.array([1 / below, 1j / below, unit, 1j * unit])).T
     amounts = solve_scaled(rows, stacked(h))[0]
     w_n = np.sqrt(start[0])
     return np.array([w_n / (2 * np.pi), start[1] / (2 * w_n), *amounts])

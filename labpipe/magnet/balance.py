@@ -69,10 +69,10 @@ class MagnetModel:
     def matrices(self, values: FloatArray) -> dict[str, FloatArray]:
         """K_i [N/A], K_s [N/m] and C [N.s/m], (n, n), of values (n_parameter,)."""
         n = len(self.mass)
-        found: dict[str, FloatArray] = {kind: np.zeros((n, n)) for kind in UNITS}
+        matrices: dict[str, FloatArray] = {kind: np.zeros((n, n)) for kind in UNITS}
         for (kind, row, column), value in zip(self.places, values, strict=True):
-            found[kind][row, column] = value
-        return found
+            matrices[kind][row, column] = value
+        return matrices
 
     def rows(self, values: FloatArray, omega: FloatArray, mass: FloatArray | None = None) -> ComplexArray:
         """B (n_line, n, 2 n) [N/A, N/m] of values (n_parameter,) at omega (n_line,) [rad/s]; another *mass* (n, n) [kg] in its place.
@@ -80,19 +80,19 @@ class MagnetModel:
         Equation (mag-balance).
         """
         mass = self.mass if mass is None else mass
-        found, w = self.matrices(values), np.asarray(omega)[:, None, None]
+        matrices, w = self.matrices(values), np.asarray(omega)[:, None, None]
         if self.between is None:
-            current = np.broadcast_to(-found["k_i"].astype(np.complex128), (len(omega), *mass.shape))
-            return np.concatenate([current, found["k_s"] - w**2 * mass + 1j * w * found["c"]], axis=2)
+            current = np.broadcast_to(-matrices["k_i"].astype(np.complex128), (len(omega), *mass.shape))
+            return np.concatenate([current, matrices["k_s"] - w**2 * mass + 1j * w * matrices["c"]], axis=2)
         interval = 1 / self.between.rate
-        a = np.linalg.solve(mass, found["k_s"])
+        a = np.linalg.solve(mass, matrices["k_s"])
         powers = [np.linalg.matrix_power(-a, j) for j in range(POWERS + 1)]
         moments = self.between.moments(omega)
-        pushed = mass @ sum(moments[j][:, None, None] * powers[j] for j in range(POWERS)) @ np.linalg.solve(mass, found["k_i"])
+        pushed = mass @ sum(moments[j][:, None, None] * powers[j] for j in range(POWERS)) @ np.linalg.solve(mass, matrices["k_i"])
         # 2 (cos(w T) - cos(sqrt(A) T)) / T^2, the one of both cosines taken from both series.
         turned = 2 * sum(powers[j] * interval ** (2 * j - 2) / factorial(2 * j) for j in range(1, POWERS + 1))
         moved = -4 * np.sin(w * interval / 2) ** 2 / interval**2 * mass - mass @ turned
-        return np.concatenate([-pushed, moved + 1j * np.sin(w * interval) / interval * found["c"]], axis=2)
+        return np.concatenate([-pushed, moved + 1j * np.sin(w * interval) / interval * matrices["c"]], axis=2)
 
     def slopes(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
         """dB/dp (n_parameter, n_line, n, 2 n) [N/A, N/m per parameter unit], by differences where B is not linear."""

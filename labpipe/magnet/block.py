@@ -113,18 +113,18 @@ def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
 
 
 def _fit(measured: Measured, response: FrequencyResponse, settings: FitSettings) -> Fit:
-    own: BlockSettings = settings.model_settings
+    block_settings: BlockSettings = settings.model_settings
     if not has_noise(measured):
         raise FitError("the noise of the response is not known", hint="average several periods or blocks")
     if measured.omega.size < LEAST_LINES:
         raise FitError(f"{measured.omega.size} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`")
-    orders = [int(own.order)] if own.order != AUTO else [int(order) for order in ORDERS[1:]]
-    found = [one for one in (_most_likely(measured, order) for order in orders) if one is not None]
-    if not found:
+    orders = [int(block_settings.order)] if block_settings.order != AUTO else [int(order) for order in ORDERS[1:]]
+    minima = [minimum_of_order for minimum_of_order in (_most_likely(measured, order) for order in orders) if minimum_of_order is not None]
+    if not minima:
         raise FitError("no block can be determined by these lines", hint="widen the band")
-    ranked = sorted((_candidate(measured, *one) for one in found), key=lambda candidate: candidate.bic or 0.0)
-    problem, minimum = next(one for one in found if f"order {one[0].block.order}" == ranked[0].name)
-    return _reported(measured, response, settings, problem, minimum, tuple(ranked) if own.order == AUTO else ())
+    ranked = sorted((_candidate(measured, *minimum_of_order) for minimum_of_order in minima), key=lambda candidate: candidate.bic or 0.0)
+    problem, minimum = next(minimum_of_order for minimum_of_order in minima if f"order {minimum_of_order[0].block.order}" == ranked[0].name)
+    return _reported(measured, response, settings, problem, minimum, tuple(ranked) if block_settings.order == AUTO else ())
 
 
 def _most_likely(measured: Measured, order: int) -> tuple[_Problem, Minimum] | None:

@@ -122,8 +122,8 @@ def errors_by_given(
             errors.append((Doubt(factor.source, factor.std_error, factor.unit), factor.std_error * error))
     sources: dict[str, tuple[Doubt, ComplexArray]] = {}
     for doubt, error in errors:
-        known = sources.get(doubt.source)
-        sources[doubt.source] = (doubt, error) if known is None else (known[0], known[1] + error)
+        source = sources.get(doubt.source)
+        sources[doubt.source] = (doubt, error) if source is None else (source[0], source[1] + error)
     return list(sources.values())
 
 
@@ -135,11 +135,11 @@ def _doubts(
     scale = np.linalg.norm(jacobian, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     gain = -np.linalg.pinv(jacobian / scale) / scale[:, None]
-    found = []
+    doubts = []
     for doubt, error in errors_by_given(problem, values, given):
         changes = real_rows(state.whiten(error).reshape(1, -1)) @ gain.T
-        found.append(GivenDoubt(doubt.source, changes, std_error=doubt.std_error, unit=doubt.unit))
-    return tuple(found)
+        doubts.append(GivenDoubt(doubt.source, changes, std_error=doubt.std_error, unit=doubt.unit))
+    return tuple(doubts)
 
 
 def _explained(

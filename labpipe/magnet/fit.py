@@ -54,11 +54,11 @@ def _check(settings: FitSettings) -> None:
 
 
 def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, float] | None) -> Fit:
-    own: MagnetSettings = settings.model_settings
+    magnet_settings: MagnetSettings = settings.model_settings
     mass = settings.mass if isinstance(settings.mass, float) else _matrix(settings.mass)
-    rotor = levitation_of(spectra, band, (settings.input, settings.output), mass, own)
-    between = None if own.hold is None else Between(own.hold, own.amplifier_bandwidth)
-    model = magnet_model(rotor.labels, rotor.bearing, rotor.mass, own.coupling, own.passive_damping, between)
+    rotor = levitation_of(spectra, band, (settings.input, settings.output), mass, magnet_settings)
+    between = None if magnet_settings.hold is None else Between(magnet_settings.hold, magnet_settings.amplifier_bandwidth)
+    model = magnet_model(rotor.labels, rotor.bearing, rotor.mass, magnet_settings.coupling, magnet_settings.passive_damping, between)
     best = magnet_estimate(rotor, model, _given(rotor, settings, mass))
     factor = float(np.sqrt(best.reduced)) if best.p_value < MISMATCH_P else 1.0
     whole = factor**2 * best.covariance + systematic(best.doubts, best.values.size)
@@ -84,7 +84,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *spectra.findings,
     )
     curve = drawn(rotor, best)
-    plant = None if curve is None else robust_plant(best, curve, spectra.covariance_dof, own.band_confidence)
+    plant = None if curve is None else robust_plant(best, curve, spectra.covariance_dof, magnet_settings.band_confidence)
     return Fit(
         name=settings.name,
         model=settings.model,
@@ -115,17 +115,17 @@ def _matrix(mass: object) -> FloatArray:
 
 def _given(rotor: Levitation, settings: FitSettings, mass: FloatArray | float) -> list[tuple[Doubt, FloatArray]]:
     """Doubts of the mass and of the moment of inertia, with the change (n, n) [kg] of the mass matrix by one standard deviation."""
-    own: MagnetSettings = settings.model_settings
+    magnet_settings: MagnetSettings = settings.model_settings
     given: list[tuple[Doubt, FloatArray]] = []
     of_mass = dict(settings.doubts).get("mass")
     if of_mass is not None and of_mass.std_error > 0 and isinstance(mass, float):
         source = f"mass of the rotor, {of_mass.value:g} kg +- {of_mass.std_error:g} kg"
-        given.append((doubt_of(of_mass, source, "kg"), _mass_of(rotor, own, mass + of_mass.std_error) - rotor.mass))
-    if own.inertia is not None and own.inertia.std_error > 0:
-        larger = replace(own, inertia=Uncertain(own.inertia.value + own.inertia.std_error))
+        given.append((doubt_of(of_mass, source, "kg"), _mass_of(rotor, magnet_settings, mass + of_mass.std_error) - rotor.mass))
+    if magnet_settings.inertia is not None and magnet_settings.inertia.std_error > 0:
+        larger = replace(magnet_settings, inertia=Uncertain(magnet_settings.inertia.value + magnet_settings.inertia.std_error))
         change = _mass_of(rotor, larger, mass) - rotor.mass
-        source = f"moment of inertia, {own.inertia.value:g} kg.m^2 +- {own.inertia.std_error:g} kg.m^2"
-        given.append((doubt_of(own.inertia, source, "kg.m^2"), change))
+        source = f"moment of inertia, {magnet_settings.inertia.value:g} kg.m^2 +- {magnet_settings.inertia.std_error:g} kg.m^2"
+        given.append((doubt_of(magnet_settings.inertia, source, "kg.m^2"), change))
     return given
 
 
@@ -136,13 +136,13 @@ def _mass_of(rotor: Levitation, own: MagnetSettings, mass: FloatArray | float) -
 def _valued(best: MagnetEstimate, whole: FloatArray) -> list[Valued]:
     """The parameters with their slopes; intervals by the *whole* covariance (n_parameter, n_parameter) [their units]."""
     vifs = inflation_factors(best.design)
-    found = []
+    parameters = []
     for number, (name, unit) in enumerate(zip(best.model.names, best.model.units, strict=True)):
         noise, full = (float(np.sqrt(matrix[number, number])) for matrix in (best.covariance, whole))
         plain = estimated(name, unit, float(best.values[number]), noise, best.dof, float(vifs[number]))
         shown: Parameter = widened(plain, full / noise) if noise > 0 and full > SAME * noise else plain
-        found.append(Valued(shown, np.eye(best.values.size)[number]))
-    return found
+        parameters.append(Valued(shown, np.eye(best.values.size)[number]))
+    return parameters
 
 
 def _goodness(rotor: Levitation, model: MagnetModel, best: MagnetEstimate) -> Goodness:

@@ -102,7 +102,7 @@ def start(problem: MagnetLikelihood) -> FloatArray:
     none = np.zeros(len(model.names))
     slopes = smooth.slopes(none, rotor.omega) @ rotor.to_axes
     columns = np.einsum("plac,lrc->plra", slopes, rotor.channels)
-    values, found = none, []
+    values, starts = none, []
     for _ in range(REWEIGHTED):
         state = residual(rotor, smooth.rows(values, rotor.omega) @ rotor.to_axes)
         free = (smooth.rows(none, rotor.omega) @ rotor.to_axes)[:, None] @ rotor.channels[..., None]
@@ -111,8 +111,8 @@ def start(problem: MagnetLikelihood) -> FloatArray:
         scale = np.linalg.norm(design, axis=0)
         scale = np.where(scale > 0, scale, 1.0)
         values = -np.linalg.lstsq(design / scale, side, rcond=None)[0] / scale
-        found.append(values)
-    return min(found, key=problem.chi2)
+        starts.append(values)
+    return min(starts, key=problem.chi2)
 
 
 def unweighted(rotor: Levitation, model: MagnetModel) -> FloatArray:

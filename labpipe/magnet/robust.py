@@ -55,11 +55,11 @@ def scatter_radius(dof: float, count: int, confidence: float) -> float:
 
 def state_space(model: MagnetModel, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements and velocities under the currents."""
-    found, n = model.matrices(values), len(model.mass)
+    matrices, n = model.matrices(values), len(model.mass)
     a, b, c = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, n)), np.zeros((n, 2 * n))
     a[:n, n:], c[:, :n] = np.eye(n), np.eye(n)
-    a[n:] = np.linalg.solve(model.mass, np.hstack([-found["k_s"], -found["c"]]))
-    b[n:] = np.linalg.solve(model.mass, found["k_i"])
+    a[n:] = np.linalg.solve(model.mass, np.hstack([-matrices["k_s"], -matrices["c"]]))
+    b[n:] = np.linalg.solve(model.mass, matrices["k_i"])
     return a, b, c, np.zeros((n, n))
 
 

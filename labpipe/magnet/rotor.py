@@ -97,10 +97,10 @@ def levitation_of(
 def _chosen(spectra: ChannelSpectra, quantity: str, roles: Sequence[str], names: Sequence[str], key: str) -> list[int]:
     """Columns of a quantity in one of its roles that are named, or all."""
     columns = [n for role in roles for n in spectra.columns(quantity, role)]
-    known = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
+    places = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
     for name in names:
-        if name not in known:
-            raise ConfigError(f"no {quantity} channel '{name}'", hint=nearest(name, sorted(known)), field=key)
+        if name not in places:
+            raise ConfigError(f"no {quantity} channel '{name}'", hint=nearest(name, sorted(places)), field=key)
     if names:
         columns = [n for n in columns if {spectra.channels[n].name, spectra.channels[n].dof} & set(names)]
     if not columns:

@@ -83,8 +83,12 @@ def width_findings(refined: Refined, lines: Lines, *, window_known: bool) -> tup
 
 def mass_findings(parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
     """A warning for every modal mass that is negative by more than its doubt: at a driving point no structure has one."""
-    negative = [one for one in parameters if one.name.startswith("m_") and one.std_error is not None and one.value < -SURE * one.std_error]
-    modes = [one.name.removeprefix("m_") for one in negative]
+    negative = [
+        parameter
+        for parameter in parameters
+        if parameter.name.startswith("m_") and parameter.std_error is not None and parameter.value < -SURE * parameter.std_error
+    ]
+    modes = [mode.name.removeprefix("m_") for mode in negative]
     if not modes:
         return ()
     named = f"mode {modes[0]} has" if len(modes) == 1 else f"modes {', '.join(modes)} have"

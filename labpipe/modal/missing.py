@@ -140,8 +140,8 @@ def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed
 def _distinct(refined: Refined) -> bool:
     """Whether no two modes are one: R / (s - lambda - d_o) with d_o of the points looks like two poles close to lambda."""
     apart = np.abs(refined.poles[:, None] - refined.poles) / np.abs(refined.poles.real)
-    one = (apart < DISTINCT) & (similarity(refined.participation, refined.participation) > ALIKE)
-    return bool(np.count_nonzero(one) == refined.poles.size)
+    is_same = (apart < DISTINCT) & (similarity(refined.participation, refined.participation) > ALIKE)
+    return bool(np.count_nonzero(is_same) == refined.poles.size)
 
 
 def _strongest(residual: ComplexArray, refined: Refined, line: int, width: int) -> ComplexArray:

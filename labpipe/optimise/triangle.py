@@ -16,9 +16,9 @@ def scaled_triangle(columns: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
     *columns* (n_row, n) [any unit]; a column of zeros keeps its length 1. Products of columns (Cholesky) cost a fraction of Householder's
     QR and are as accurate while the condition number is far below 1 / sqrt(rounding); QR is used beyond that.
     """
-    found = triangle_of_products(columns.T @ columns)
-    if found is not None:
-        return *found, True
+    triangle = triangle_of_products(columns.T @ columns)
+    if triangle is not None:
+        return *triangle, True
     lengths = np.linalg.norm(columns, axis=0)
     scale = np.where(lengths > 0, lengths, 1.0)
     return scale, np.asarray(np.linalg.qr(columns / scale, mode="r")), False

@@ -24,9 +24,9 @@ class Arrived:
 
 def arrived_in(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
     """The files of readable kinds whose names fit the glob *names*, without hidden ones; *marker*: ending of the files that mark others."""
-    for one in _objects(folder, names, marker) if is_remote(folder) else _files(folder, names, marker):
-        if plain_suffix(one.path) in READERS and not any(part.startswith(".") for part in one.path.relative_to(folder).parts):
-            yield one
+    for arrival in _objects(folder, names, marker) if is_remote(folder) else _files(folder, names, marker):
+        if plain_suffix(arrival.path) in READERS and not any(part.startswith(".") for part in arrival.path.relative_to(folder).parts):
+            yield arrival
 
 
 def _files(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
@@ -40,7 +40,7 @@ def _files(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
 
 
 def _objects(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
-    found = {one.path: one for one in below(folder)}
-    for path, one in found.items():
+    objects = {status.path: status for status in below(folder)}
+    for path, status in objects.items():
         if path.match(names):
-            yield Arrived(path, one.size, one.changed, bool(marker) and path.with_name(path.name + marker) in found)
+            yield Arrived(path, status.size, status.changed, bool(marker) and path.with_name(path.name + marker) in objects)

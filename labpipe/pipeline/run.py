@@ -82,7 +82,7 @@ def run_only(pipeline: Pipeline, target: Path, test: str) -> Done:
 
     Several tests may be worked on at once, each by its own process, as schedulers of jobs do.
     """
-    names = [one.name for one in pipeline.tests]
+    names = [declared.name for declared in pipeline.tests]
     if test not in names or len(names) < MANY:
         raise ConfigError(f"no test '{test}' among several", where=str(pipeline.path), hint=nearest(test, names))
     with staging_folder(existing_home(target)) as scratch:

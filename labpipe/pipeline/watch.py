@@ -122,9 +122,9 @@ class Watch:
         if before.exists() and read_identification(before).settings != settings_of_many(self.pipeline):
             hint = "name another folder, or run the whole archive with `labpipe run`"
             raise ConfigError("holds results of other settings", where=str(self.results), hint=hint)
-        found = parts(self.results)
-        self._summary = summed(read_summary(part) for part in found)
-        rows = [row for part in found for row in read_part(part, ("test", "failed")).to_pylist()]
+        written = parts(self.results)
+        self._summary = summed(read_summary(part) for part in written)
+        rows = [row for part in written for row in read_part(part, ("test", "failed")).to_pylist()]
         for arrived in self._arrived():
             self._paths[self.name_of(arrived.path)] = arrived.path
         self._done.update(row["test"] for row in rows)
@@ -132,7 +132,7 @@ class Watch:
             self._files.setdefault(Path(fits_file_name(row["test"])).stem, row["test"])
             if row["failed"] is not None and not self._stays:
                 self._quarantine(row["test"], row["failed"])
-        if found:
+        if written:
             self._write_index()
 
     def _complete(self) -> Iterator[Arrived]:
@@ -142,8 +142,8 @@ class Watch:
         for arrived in self._arrived():
             seen[arrived.path] = arrived
             still = not self.settings.marker and self.clock() - arrived.changed >= self.settings.settle
-            known = self._seen.get(arrived.path) == arrived or self.settings.settle == 0 or self.settings.once
-            if arrived.marked or (still and known):
+            is_complete = self._seen.get(arrived.path) == arrived or self.settings.settle == 0 or self.settings.once
+            if arrived.marked or (still and is_complete):
                 yield arrived
             else:
                 self.counts.arriving += 1
@@ -152,8 +152,8 @@ class Watch:
     def _arrived(self) -> Iterator[Arrived]:
         """Recordings that have no results yet, the oldest first."""
         home = self.home or self.results
-        found = arrived_in(self.folder, self.settings.names, self.settings.marker)
-        new = (one for one in found if home not in one.path.parents and self.name_of(one.path) not in self._done)
+        arrivals = arrived_in(self.folder, self.settings.names, self.settings.marker)
+        new = (arrival for arrival in arrivals if home not in arrival.path.parents and self.name_of(arrival.path) not in self._done)
         return iter(sorted(new, key=lambda arrived: (arrived.changed, arrived.path)))
 
     def name_of(self, path: Path) -> str:

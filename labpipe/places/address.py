@@ -25,8 +25,8 @@ def path_of(text: str) -> Path:
         if len(path.parts) < 2 or "//" in text.split("://", 1)[-1] or ".." in path.parts:
             raise ConfigError("is no URL of an object", where=text, hint="write it as s3://bucket/folder/name")
     elif "://" in text:
-        known = ", ".join(f"{scheme}//" for scheme in SCHEMES)
-        raise ConfigError("is a URL that cannot be read", where=text, hint=f"known: {known}, {FILE}")
+        schemes = ", ".join(f"{scheme}//" for scheme in SCHEMES)
+        raise ConfigError("is a URL that cannot be read", where=text, hint=f"known: {schemes}, {FILE}")
     return path
 
 

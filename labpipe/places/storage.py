@@ -68,8 +68,8 @@ def below(path: Path) -> list[Found]:
     """All objects whose names begin with that of a folder, sorted by name; none where there is nothing."""
     with _said(path):
         infos = _listed(path, recursive=True)
-    found = [_found(Path(path.parts[0]) / info.path, info) for info in infos if info.is_file and _is_plain(info.path)]
-    return sorted(found, key=lambda one: one.path)
+    objects = [_found(Path(path.parts[0]) / info.path, info) for info in infos if info.is_file and _is_plain(info.path)]
+    return sorted(objects, key=lambda one: one.path)
 
 
 def get(path: Path, target: Path) -> None:

@@ -52,8 +52,8 @@ def weights_of(inverse: FloatArray, multipliers: FloatArray, wanted: FloatArray)
 
     Equation (plan-gradient).
     """
-    told = wanted @ inverse
-    return np.asarray(told.T @ (multipliers[:, None] * told))
+    rows = wanted @ inverse
+    return np.asarray(rows.T @ (multipliers[:, None] * rows))
 
 
 def certificate(criterion: str, information: FloatArray, design: FloatArray, wanted: FloatArray) -> Certificate:
@@ -83,9 +83,9 @@ def _multipliers(inverse: FloatArray, information: FloatArray, wanted: FloatArra
     v = np.einsum("wi,ij,wj->w", wanted, inverse, wanted)
     active = np.flatnonzero(v >= (1 - ACTIVE) * v.max())
     rows = wanted[active] @ inverse
-    told = np.einsum("ij,ajk,ik->ai", rows, information, rows) * v.max()
+    gains = np.einsum("ij,ajk,ik->ai", rows, information, rows) * v.max()
     unit = v[active] / v.max()
-    bounds = np.hstack([told / unit.max() / v.max(), -np.ones((len(told), 1))])
+    bounds = np.hstack([gains / unit.max() / v.max(), -np.ones((len(gains), 1))])
     cost = np.zeros(active.size + 1)
     cost[-1] = 1.0
     solved = linprog(cost, bounds, np.zeros(len(bounds)), np.append(unit, 0.0)[None], [1.0])

@@ -45,16 +45,16 @@ def optimum(criterion: str, information: FloatArray, wanted: FloatArray | None =
     whole = free * information + np.einsum("a,aij->ij", floor, information)
     _check_regular(whole)
     shares = _multiplied(criterion, whole, wanted)
-    found = certificate(criterion, whole, _sum(shares, whole), wanted)
-    best, best_shares = found, shares
+    bound = certificate(criterion, whole, _sum(shares, whole), wanted)
+    best, best_shares = bound, shares
     for _ in range(ROUNDS):
         if best.efficiency >= ENOUGH:
             break
         remaining = np.flatnonzero(shares > NEGLIGIBLE * shares.max())
-        shares = _polished(criterion, whole, wanted, np.union1d(remaining, [found.candidate]), shares)
-        found = certificate(criterion, whole, _sum(shares, whole), wanted)
-        if found.efficiency > best.efficiency:
-            best, best_shares = found, shares
+        shares = _polished(criterion, whole, wanted, np.union1d(remaining, [bound.candidate]), shares)
+        bound = certificate(criterion, whole, _sum(shares, whole), wanted)
+        if bound.efficiency > best.efficiency:
+            best, best_shares = bound, shares
     return Design(floor + free * best_shares, _sum(best_shares, whole), best)
 
 
@@ -92,9 +92,9 @@ def _polished(criterion: str, information: FloatArray, wanted: FloatArray, chose
     begin = np.maximum(start[chosen], 1e-3 / chosen.size)
     begin /= begin.sum()
     solve = _least_largest if criterion == MINIMAX else _least_smooth
-    found = np.maximum(solve(criterion, some, wanted, begin), 0.0)
+    polished = np.maximum(solve(criterion, some, wanted, begin), 0.0)
     shares = np.zeros(len(information))
-    shares[chosen] = found / found.sum()
+    shares[chosen] = polished / polished.sum()
     return shares
 
 
@@ -125,8 +125,8 @@ def _least_largest(_criterion: str, information: FloatArray, wanted: FloatArray,
 
     def slopes(unknowns: FloatArray) -> FloatArray:
         rows = wanted @ np.linalg.inv(_sum(np.maximum(unknowns[:-1], 0), information))
-        told = np.einsum("ij,ajk,ik->ia", rows, information, rows)
-        return np.asarray(-told / np.einsum("wi,wi->w", rows, wanted)[:, None])
+        gains = np.einsum("ij,ajk,ik->ia", rows, information, rows)
+        return np.asarray(-gains / np.einsum("wi,wi->w", rows, wanted)[:, None])
 
     unit = np.append(np.zeros(begin.size), 1.0)
     level = float(logarithms(np.append(begin, 0.0)).max())

@@ -108,15 +108,15 @@ def spread(
     errors, gains, over = [], [], []
     for drawn in draws:
         truth = replace(rig, model=rig.model.with_expected(drawn))
-        own, other = (_rate(rig, truth, campaign) + rig.known_rate for campaign in (planned, flat))
-        errors.append(relative_errors(own * duration))
-        poor = score(own, criterion, limits)
+        planned_rate, other = (_rate(rig, truth, campaign) + rig.known_rate for campaign in (planned, flat))
+        errors.append(relative_errors(planned_rate * duration))
+        poor = score(planned_rate, criterion, limits)
         gains.append(score(other, criterion, limits) / poor if np.isfinite(poor) else 0.0)
         over.append(max(float(peaks(test.lines, truth.over_limits(test).sum(axis=1)).max()) for test in planned.tests))
     ends = [(1 - MIDDLE) / 2, (1 + MIDDLE) / 2]
     met = float(np.mean(np.all(np.array(errors) <= limits, axis=1)))
     # An end is the value of a draw: between an infinite one and another there is none.
-    middle = [np.quantile(np.array(each), ends, axis=0, method="nearest") for each in (errors, gains)]
+    middle = [np.quantile(np.array(of_draws), ends, axis=0, method="nearest") for of_draws in (errors, gains)]
     return Spread(middle[0], middle[1], met, float(np.quantile(over, ends[1], method="nearest")))
 
 

@@ -71,11 +71,11 @@ def identifiability(model: PlannedModel, noise: Noise, excitation: Excitation) -
 
     Equation (plan-rank).
     """
-    found = _ranked(model, noise, excitation)
-    if found.full:
-        return found
+    ranked = _ranked(model, noise, excitation)
+    if ranked.full:
+        return ranked
     remedies = tuple(words for words, changed, other in _changes(model, excitation) if _ranked(changed, noise, other).full)
-    return Identifiability(found.rank, found.n_coefficient, found.undetermined, remedies)
+    return Identifiability(ranked.rank, ranked.n_coefficient, ranked.undetermined, remedies)
 
 
 def _ranked(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identifiability:
@@ -84,8 +84,8 @@ def _ranked(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identi
     rows = np.concatenate([change.real, change.imag])
     length = np.linalg.norm(rows, axis=0)
     # A column of zeros stays one: scaling would hide a coefficient without any information.
-    told = length > SINGULAR * length.max()
-    scaled = rows / np.where(told, length, 1.0) * told
+    determined = length > SINGULAR * length.max()
+    scaled = rows / np.where(determined, length, 1.0) * determined
     _, singular, right = np.linalg.svd(scaled, full_matrices=True)
     rank = int(np.count_nonzero(singular > SINGULAR * singular[0]))
     involved = np.any(np.abs(right[rank:]) > INVOLVED, axis=0)

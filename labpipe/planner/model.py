@@ -87,19 +87,19 @@ def sdof(expected: Mapping[str, float], mass: float | None = None) -> PlannedMod
     values = _values(expected, wanted)
     elements = np.zeros((len(wanted), 3, 1, 1))
     elements[np.arange(len(wanted)), np.arange(len(wanted))] = 1.0
-    known = np.zeros((3, 1, 1))
-    known[2] = mass or 0.0
-    return PlannedModel("sdof", wanted, values, elements, known)
+    known_matrices = np.zeros((3, 1, 1))
+    known_matrices[2] = mass or 0.0
+    return PlannedModel("sdof", wanted, values, elements, known_matrices)
 
 
 def rotor(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
     """A rotor in x and y with eight coefficients k_xx ... c_yy [N/m, N.s/m] and a known *mass* [kg]; ConfigError without it."""
     if mass is None:
         raise ConfigError("model rotor-2dof needs the mass of the rotor", hint="for example mass: 0.92 kg", field="mass")
-    known = np.zeros((3, 2, 2))
-    known[2] = mass * np.eye(2)
+    known_matrices = np.zeros((3, 2, 2))
+    known_matrices[2] = mass * np.eye(2)
     names = _matrix_names("kc")
-    return PlannedModel("rotor-2dof", names, _values(expected, names), _matrix_elements("kc"), known)
+    return PlannedModel("rotor-2dof", names, _values(expected, names), _matrix_elements("kc"), known_matrices)
 
 
 def floating(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:

@@ -97,17 +97,17 @@ def make_plan(settings: PlanSettings, expected: Expected, title: str, rehearse: 
     """
     question = _question(settings, expected, title, rehearse)
     rig, wanted = question.rig, question.wanted
-    found = best(rig, question.lines, wanted, schemes_of(len(rig.shakers), _scheme(settings)))
-    periods = _periods(settings, found.campaign)
-    timed = with_shares(rig, found.campaign.tests, np.array(periods) / sum(periods))
+    design = best(rig, question.lines, wanted, schemes_of(len(rig.shakers), _scheme(settings)))
+    periods = _periods(settings, design.campaign)
+    timed = with_shares(rig, design.campaign.tests, np.array(periods) / sum(periods))
     budget = None if rehearse is None else rehearse(rig, timed.tests, periods)
-    plan = _plan(question, found, timed, periods)
+    plan = _plan(question, design, timed, periods)
     if budget is not None:
         plan = _with_budget(plan, question, timed, budget, expected.earlier)
     if expected.earlier is not None:
         common = () if budget is None else tuple(source.source for source in budget.sources)
         plan = _over_draws(plan, question, timed, expected.earlier, common)
-    return Planned(plan, rig, found.campaign.tests)
+    return Planned(plan, rig, design.campaign.tests)
 
 
 def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: Rehearse | None) -> _Question:
@@ -127,9 +127,9 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
     if settings.combine_earlier:
         assert expected.earlier is not None
         common = () if first is None else tuple(source.source for source in first.sources)
-        known = expected.earlier.known(model, settings.duration, common)
-        rig, flats = replace(rig, known=known), {phases: replace(told, known=known) for phases, told in flats.items()}
-        if not np.all(np.diagonal(known.information) > 0):
+        prior = expected.earlier.known(model, settings.duration, common)
+        rig, flats = replace(rig, known=prior), {phases: replace(of_phases, known=prior) for phases, of_phases in flats.items()}
+        if not np.all(np.diagonal(prior.information) > 0):
             _check_identifiable(rig, lines)
     wanted = Wanted(settings.criterion, aims(limits(goals, first, model.scales), goals), settings.floor)
     return _Question(settings, title, rig, lines, goals, wanted, flats)
@@ -137,7 +137,7 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
 
 def _scheme(settings: PlanSettings) -> str:
     """The scheme that is asked for; one by one where the rig file has one force for two shakers."""
-    forces = [] if settings.sensors is None else [one for one in settings.sensors.channels if one.channel.role == "input"]
+    forces = [] if settings.sensors is None else [channel for channel in settings.sensors.channels if channel.channel.role == "input"]
     if len(forces) != 1 or len(settings.shakers) == 1 or settings.model == "sdof":
         return settings.scheme
     if settings.scheme not in (BEST, ONE_BY_ONE):
@@ -183,14 +183,16 @@ def _over_draws(plan: Plan, question: _Question, timed: Campaign, earlier: Earli
         return replace(plan, notes=(*plan.notes, NO_ERRORS))
     if not np.any(covariance):
         return plan
-    found = spread(rig, timed, question.flats[LEAST_CREST], covariance, wanted.goals / plan.factor, wanted.criterion, plan.duration)
-    ranges = [(float(low), float(high)) if np.isfinite(high) else None for low, high in found.errors.T]
+    spread_of_draws = spread(
+        rig, timed, question.flats[LEAST_CREST], covariance, wanted.goals / plan.factor, wanted.criterion, plan.duration
+    )
+    ranges = [(float(low), float(high)) if np.isfinite(high) else None for low, high in spread_of_draws.errors.T]
     errors = np.array([c.error for c in plan.coefficients])
     return replace(
         plan,
         coefficients=tuple(replace(c, error_range=ends) for c, ends in zip(plan.coefficients, ranges, strict=True)),
-        gain_range=(float(found.gain[0]), float(found.gain[1])),
-        notes=(*plan.notes, *spread_notes(found, errors, dict(plan.gains)[LEAST_CREST], question.goals.any)),
+        gain_range=(float(spread_of_draws.gain[0]), float(spread_of_draws.gain[1])),
+        notes=(*plan.notes, *spread_notes(spread_of_draws, errors, dict(plan.gains)[LEAST_CREST], question.goals.any)),
     )
 
 
@@ -216,8 +218,8 @@ def planned_lines(settings: PlanSettings) -> IntArray:
 
 def weighting_factor(periods: int, of_spectra: bool) -> float:
     """Standard error over that with known noise, where *periods* periods tell it; *of_spectra*: in a fit of all channels' spectra."""
-    known = sorted(OF_SPECTRA)
-    return float(np.interp(periods, known, [OF_SPECTRA[number] for number in known])) if of_spectra else 1.0
+    names = sorted(OF_SPECTRA)
+    return float(np.interp(periods, names, [OF_SPECTRA[number] for number in names])) if of_spectra else 1.0
 
 
 def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
@@ -229,8 +231,8 @@ def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
     if len(names) == 2 and abs(np.linalg.det(directions)) < 1e-3:
         raise ConfigError("both shakers push in one direction", hint="x and y", field="shakers")
     if settings.noise_density is not None:
-        own = settings.noise_density
-        noise = Noise(own.force, own.displacement, own.acceleration)
+        density = settings.noise_density
+        noise = Noise(density.force, density.displacement, density.acceleration)
     else:
         assert settings.noise is not None
         sampled = settings.noise
@@ -251,9 +253,9 @@ def _direction(name: str) -> tuple[float, float]:
 
 
 def _check_identifiable(rig: Rig, lines: IntArray) -> None:
-    found = identifiability(rig.model, rig.noise, Excitation.of_directions(rig.spacing * lines, rig.directions))
-    if not found.full:
-        raise ConfigError(f"with forces along {', '.join(rig.shakers)} {found.words}", hint=found.remedy, field="shakers")
+    identified = identifiability(rig.model, rig.noise, Excitation.of_directions(rig.spacing * lines, rig.directions))
+    if not identified.full:
+        raise ConfigError(f"with forces along {', '.join(rig.shakers)} {identified.words}", hint=identified.remedy, field="shakers")
 
 
 def _periods(settings: PlanSettings, found: Campaign) -> tuple[int, ...]:
@@ -272,8 +274,10 @@ def _plan(question: _Question, found: Candidate, timed: Campaign, periods: tuple
     duration = sum(periods) * settings.period
     of_spectra = rig.model.stator_mass > 0 or any(np.count_nonzero(running_shakers(test)) > 1 for test in found.campaign.tests)
     factor = weighting_factor(min(periods), of_spectra)
-    own = score(timed.information, wanted.criterion, wanted.goals)
-    gains = tuple((phases, score(told.information, wanted.criterion, wanted.goals) / own) for phases, told in question.flats.items())
+    planned_score = score(timed.information, wanted.criterion, wanted.goals)
+    gains = tuple(
+        (phases, score(flat.information, wanted.criterion, wanted.goals) / planned_score) for phases, flat in question.flats.items()
+    )
     certificate = found.certificate or reference(rig, question.lines, wanted).certificate
     return Plan(
         title=question.title,

@@ -172,8 +172,8 @@ def _gain(criterion: str, choices: RunChoices, design: RunDesign, flat: FloatArr
     if criterion == D:
         levels = [float(np.linalg.slogdet(choices.of(counts))[1]) for counts in (design.counts, flat)]
         return float(np.exp((levels[0] - levels[1]) / (2 * len(choices.prior))))
-    own, other = (errors_after(choices, counts, wanted) for counts in (design.counts, flat))
-    return float(np.sqrt(np.sum(other**2) / np.sum(own**2)) if criterion == A else other.max() / own.max())
+    planned, other = (errors_after(choices, counts, wanted) for counts in (design.counts, flat))
+    return float(np.sqrt(np.sum(other**2) / np.sum(planned**2)) if criterion == A else other.max() / planned.max())
 
 
 def _numbers(

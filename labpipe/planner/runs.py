@@ -94,18 +94,18 @@ def _separate(criterion: str, whole: FloatArray, choices: RunChoices, wanted: Fl
     With the variances v of what is wanted of a run in all the time, its share goes as max v, as the root of sum v, or as its number of
     parameters: the Lagrange conditions of minimax, A and D.
     """
-    told = np.diagonal(choices.information, axis1=1, axis2=2) > 0
-    owner = np.argmax(told, axis=0)
-    of_run = np.abs(wanted) @ told.T > 0
-    if np.any(choices.prior) or np.any(told.sum(axis=0) != 1) or np.any(of_run.sum(axis=1) != 1) or not np.all(of_run.any(axis=0)):
+    determined = np.diagonal(choices.information, axis1=1, axis2=2) > 0
+    owner = np.argmax(determined, axis=0)
+    of_run = np.abs(wanted) @ determined.T > 0
+    if np.any(choices.prior) or np.any(determined.sum(axis=0) != 1) or np.any(of_run.sum(axis=1) != 1) or not np.all(of_run.any(axis=0)):
         return None
     sizes = np.zeros(len(whole))
     for number, information in enumerate(whole):
-        own = np.ix_(owner == number, owner == number)
-        if np.linalg.matrix_rank(information[own], hermitian=True) < len(information[own]):
+        block = np.ix_(owner == number, owner == number)
+        if np.linalg.matrix_rank(information[block], hermitian=True) < len(information[block]):
             return None
-        v = variances(information[own], wanted[of_run[:, number]][:, owner == number])
-        sizes[number] = {D: float(len(information[own])), A: float(np.sqrt(v.sum()))}.get(criterion, float(v.max()))
+        v = variances(information[block], wanted[of_run[:, number]][:, owner == number])
+        sizes[number] = {D: float(len(information[block])), A: float(np.sqrt(v.sum()))}.get(criterion, float(v.max()))
     shares = sizes / sizes.sum()
     together = np.tensordot(shares, whole, 1)
     return Design(shares, together, certificate(criterion, whole, together, wanted))
@@ -170,7 +170,7 @@ def _values(criterion: str, information: FloatArray, wanted: FloatArray) -> Floa
     if criterion == D:
         values[regular] = np.exp(-np.linalg.slogdet(information[regular])[1] / information.shape[-1])
         return values
-    v = np.stack([variances(one, wanted) for one in information[regular]])
+    v = np.stack([variances(of_run, wanted) for of_run in information[regular]])
     values[regular] = v.sum(axis=1) if criterion == A else v.max(axis=1)
     return values
 

@@ -102,13 +102,13 @@ def _candidates(rig: Rig, lines: IntArray, share: float) -> Candidates:
     The cost that the limits will allow is taken from a flat multisine: an information of that size is what an earlier one adds to.
     """
     stroke = (rig.limits.displacement or 1.0) / rig.limits.force
-    found = candidates(rig.model, rig.noise, 2 * np.pi * rig.spacing * lines, rig.directions, share, stroke)
+    candidates_of_lines = candidates(rig.model, rig.noise, 2 * np.pi * rig.spacing * lines, rig.directions, share, stroke)
     if rig.known is None:
-        return found
+        return candidates_of_lines
     tests = flat(rig, lines, ONE_BY_ONE, LEAST_CREST).tests
-    price = found.cost.reshape(lines.size, -1)
+    price = candidates_of_lines.cost.reshape(lines.size, -1)
     cost = float(np.mean([np.sum(price[np.isin(lines, test.lines)] * np.abs(test.forces) ** 2 / 2) for test in tests]))
-    return replace(found, information=found.information + rig.known_rate / cost)
+    return replace(candidates_of_lines, information=candidates_of_lines.information + rig.known_rate / cost)
 
 
 def _design(found: Candidates, wanted: Wanted, criterion: str, floor: float) -> Design:
@@ -147,16 +147,16 @@ def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) 
     limited = rig.limits.displacement is not None
     at_once = [scheme for scheme in schemes if scheme != ONE_BY_ONE]
     for share in DISPLACEMENT_SHARES if limited else (0.0,):
-        found = _candidates(rig, lines, share)
+        choices = _candidates(rig, lines, share)
         for criterion in CRITERIA:
             for floor in _floors(wanted) if criterion == wanted.criterion else (wanted.floor,):
                 if ONE_BY_ONE in schemes:
-                    design = _design(found, wanted, criterion, floor)
-                    yield _Source(criterion, share, ONE_BY_ONE, design.certificate, _power(found, design, lines), floor)
+                    design = _design(choices, wanted, criterion, floor)
+                    yield _Source(criterion, share, ONE_BY_ONE, design.certificate, _power(choices, design, lines), floor)
                 if at_once:
-                    design = _balanced(found, wanted, criterion, floor, len(rig.shakers))
-                    told = design.certificate, _power(found, design, lines), floor
-                    yield from (_Source(criterion, share, name, *told) for name in at_once)
+                    design = _balanced(choices, wanted, criterion, floor, len(rig.shakers))
+                    source = design.certificate, _power(choices, design, lines), floor
+                    yield from (_Source(criterion, share, name, *source) for name in at_once)
     for scheme in schemes:
         yield _Source("flat", 0.0, scheme, None, np.ones((lines.size, len(rig.shakers))), wanted.floor)
 
@@ -174,8 +174,10 @@ def _power(found: Candidates, design: Design, lines: IntArray) -> FloatArray:
 def _looked(rig: Rig, lines: IntArray, wanted: Wanted, source: _Source | Candidate, random_starts: int) -> Candidate:
     tests: tuple[Multisines, ...] = SCHEMES[source.scheme](lines, source.power, rig.shakers)
     large = [as_large_as_allowed(rig, test, random_starts=random_starts) for test in tests]
-    told = campaign(rig, large, wanted.criterion, wanted.goals)
-    return Candidate(source.criterion, source.displacement_share, source.scheme, source.certificate, source.power, told, source.floor)
+    campaign_at_limit = campaign(rig, large, wanted.criterion, wanted.goals)
+    return Candidate(
+        source.criterion, source.displacement_share, source.scheme, source.certificate, source.power, campaign_at_limit, source.floor
+    )
 
 
 def _crest(candidate: Candidate) -> float:

@@ -59,8 +59,8 @@ class StatePlanSettings(Settings):
             raise ConfigError(f"{self.periods} periods in a run, the noise is known from {FEWEST_PERIODS}", hint=hint, field="run")
         for name, values in self.goal:
             if name not in (*COEFFICIENTS, *self.estimate):
-                known = f"known: {', '.join((*COEFFICIENTS, *self.estimate))}"
-                raise ConfigError(f"no {name} is predicted", hint=known, field="goal")
+                allowed = f"known: {', '.join((*COEFFICIENTS, *self.estimate))}"
+                raise ConfigError(f"no {name} is predicted", hint=allowed, field="goal")
             if len(values) != 1 or values[0] <= 0:
                 raise ConfigError(f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal")
         self.at(self.speeds[0])

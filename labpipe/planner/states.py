@@ -63,12 +63,12 @@ def state_tests(settings: StatePlanSettings, states: Sequence[BearingState]) -> 
 
 
 def _test(settings: StatePlanSettings, state: BearingState) -> StateTest:
-    own = settings.at(state.speed)
-    rig = bench(own, state.model)
-    told = flat(rig, planned_lines(own), settings.scheme, BOTH_LIMITS)
+    state_settings = settings.at(state.speed)
+    rig = bench(state_settings, state.model)
+    campaign = flat(rig, planned_lines(state_settings), settings.scheme, BOTH_LIMITS)
     factor = weighting_factor(settings.periods, of_spectra=True)
-    information = told.rate * settings.periods * settings.period / factor**2 / np.outer(state.model.scales, state.model.scales)
-    return StateTest(state, rig, told.tests[0], planned_test(own, rig, told.tests[0], settings.periods), information)
+    information = campaign.rate * settings.periods * settings.period / factor**2 / np.outer(state.model.scales, state.model.scales)
+    return StateTest(state, rig, campaign.tests[0], planned_test(state_settings, rig, campaign.tests[0], settings.periods), information)
 
 
 def question_of(settings: StatePlanSettings, tests: Sequence[StateTest], common: Sequence[Common]) -> RunQuestion:
@@ -107,10 +107,10 @@ def _quantities(
 ) -> Iterator[Quantity]:
     """The numbers in common, and every coefficient of every state."""
     goals = {name: values[0] for name, values in settings.goal}
-    for number, each in enumerate(common):
-        size = abs(each.value)
-        goal = goals[each.name] * size if each.name in goals else None
-        yield Quantity(each.name, each.unit, each.value, np.eye(len(common))[number], goal, size)
+    for number, quantity in enumerate(common):
+        size = abs(quantity.value)
+        goal = goals[quantity.name] * size if quantity.name in goals else None
+        yield Quantity(quantity.name, quantity.unit, quantity.value, np.eye(len(common))[number], goal, size)
     for test, rows in zip(tests, slopes, strict=True):
         model = test.state.model
         for name, value, scale, row in zip(COEFFICIENTS, model.expected, model.scales, rows, strict=True):

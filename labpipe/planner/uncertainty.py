@@ -51,13 +51,13 @@ class Goals:
 
 def goals_of(settings: PlanSettings, model: PlannedModel) -> Goals:
     """Those of the settings; ConfigError for a coefficient that the model does not have."""
-    found = {kind: np.full(len(model.names), np.inf) for kind in (False, True)}
+    goals = {kind: np.full(len(model.names), np.inf) for kind in (False, True)}
     for name, (value,) in settings.goal:
         coefficient = name.removesuffix(EXPANDED)
         if coefficient not in model.names:
             raise ConfigError(f"the model has no coefficient {coefficient}", hint=nearest(coefficient, model.names), field="goal")
-        found[name.endswith(EXPANDED)][model.names.index(coefficient)] = value
-    return Goals(found[False], found[True])
+        goals[name.endswith(EXPANDED)][model.names.index(coefficient)] = value
+    return Goals(goals[False], goals[True])
 
 
 def limits(goals: Goals, budget: Budget | None, scales: FloatArray) -> FloatArray:
@@ -95,12 +95,12 @@ def predicted(budget: Budget, random: FloatArray) -> Budget:
 def beside_earlier(budget: Budget, earlier: Earlier, campaign: Campaign, model: PlannedModel, duration: float) -> Budget:
     """The budget of a test of *duration* [s] and the earlier result together. Equation (plan-beside)."""
     assert campaign.known is not None
-    own, scales = campaign.rate * duration, model.scales
-    weight = np.linalg.inv(own + campaign.known.information)
+    information, scales = campaign.rate * duration, model.scales
+    weight = np.linalg.inv(information + campaign.known.information)
     places = earlier.places(model)
     changes = []
     for source, change in zip(budget.sources, budget.changes, strict=True):
-        pulled = own @ (change / scales)
+        pulled = information @ (change / scales)
         if source.source in earlier.sources:
             before = np.zeros(len(scales))
             for there, here in places:

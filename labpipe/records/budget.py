@@ -47,9 +47,9 @@ class Budget:
 
         Equation (unc-dof).
         """
-        known = [self.random**4 / self.random_dof if self.random_dof else np.zeros_like(self.random)]
-        known += [change**4 / source.dof for change, source in zip(self.changes, self.sources, strict=True) if source.dof]
-        total = np.sum(known, axis=0)
+        terms = [self.random**4 / self.random_dof if self.random_dof else np.zeros_like(self.random)]
+        terms += [change**4 / source.dof for change, source in zip(self.changes, self.sources, strict=True) if source.dof]
+        total = np.sum(terms, axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(total > 0, self.combined**4 / total, np.inf)
 
@@ -71,5 +71,5 @@ class Budget:
     def change_by(self, source: str, name: str) -> float:
         """Change of a parameter by one standard uncertainty of a source; zero for a source that the fit does not have."""
         column = self.names.index(name)
-        numbers = [number for number, one in enumerate(self.sources) if one.source == source]
+        numbers = [number for number, source_of_change in enumerate(self.sources) if source_of_change.source == source]
         return float(sum(self.changes[number, column] for number in numbers))

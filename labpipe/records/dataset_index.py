@@ -41,10 +41,10 @@ class DatasetIndex:
     def with_more(self, other: DatasetIndex) -> DatasetIndex:
         """Of these tests and of further ones."""
         counted: dict[tuple[str, str], CountedFinding] = {}
-        for one in (*self.findings, *other.findings):
-            key = one.finding.level, one.finding.code
+        for finding in (*self.findings, *other.findings):
+            key = finding.finding.level, finding.finding.code
             before = counted.get(key)
-            counted[key] = one if before is None else CountedFinding(before.finding, before.origin, before.tests + one.tests)
+            counted[key] = finding if before is None else CountedFinding(before.finding, before.origin, before.tests + finding.tests)
         return DatasetIndex(
             tests=self.tests + other.tests,
             failed=self.failed + other.failed,

@@ -70,7 +70,7 @@ class PartialOutcome:
 
     def with_more(self, other: PartialOutcome) -> PartialOutcome:
         """Of these tests and of further ones."""
-        both = [one.outcome for one in (self, other) if one.outcome is not None]
+        both = [partial.outcome for partial in (self, other) if partial.outcome is not None]
         first = next((outcome for outcome in both if not outcome.passed), both[0] if both else None)
         return PartialOutcome(outcome=first, addressed=self.addressed + other.addressed, fault=self.fault or other.fault)
 
@@ -120,5 +120,5 @@ def noise_covariance(fit: Fit) -> dict[str, FloatArray]:
 
 def accepted(partial: Sequence[PartialOutcome], forbidden: Sequence[RuleOutcome]) -> bool | None:
     """Whether every rule that addresses a test holds there; None where none does."""
-    outcomes = [one.outcome for one in partial if one.outcome is not None] + list(forbidden)
+    outcomes = [row.outcome for row in partial if row.outcome is not None] + list(forbidden)
     return all(outcome.passed for outcome in outcomes) if outcomes else None

@@ -70,12 +70,12 @@ class HeldCovariance:
         if instance is None:
             # The default of a data class.
             return None
-        held: ComplexArray | FactoredCovariance | None = instance.__dict__["covariance"]
-        if isinstance(held, FactoredCovariance):
-            held = held.whole()
-            held.flags.writeable = False
-            instance.__dict__["covariance"] = held
-        return held
+        covariance: ComplexArray | FactoredCovariance | None = instance.__dict__["covariance"]
+        if isinstance(covariance, FactoredCovariance):
+            covariance = covariance.whole()
+            covariance.flags.writeable = False
+            instance.__dict__["covariance"] = covariance
+        return covariance
 
     def __set__(self, instance: object, value: ComplexArray | FactoredCovariance | None) -> None:
         instance.__dict__["covariance"] = value

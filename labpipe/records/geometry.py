@@ -68,8 +68,8 @@ class Geometry:
         point = directed["point"] if directed else dof
         alone = not point and len(self.names) == 1
         if directed is None or not (alone or point in self.names):
-            known = ", ".join(self.names[:MOST_NAMES]) + (", ..." if len(self.names) > MOST_NAMES else "")
-            raise DataError(f"the geometry has no point '{point or dof}', of the dof '{dof}'", hint=f"its points: {known}")
+            names = ", ".join(self.names[:MOST_NAMES]) + (", ..." if len(self.names) > MOST_NAMES else "")
+            raise DataError(f"the geometry has no point '{point or dof}', of the dof '{dof}'", hint=f"its points: {names}")
         vector = np.zeros(3)
         vector[AXES.index(directed["axis"].lower())] = -1.0 if directed["sign"] == "-" else 1.0
         return (0 if alone else self.names.index(point)), vector

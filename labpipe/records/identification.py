@@ -223,7 +223,10 @@ class Identification:
     def measured_tests(self) -> list[tuple[str, dict[str, Any]]]:
         """Name and conditions of every test that was measured: as a response, as spectra, or as free decays that were fitted."""
         if self.responses or self.spectra:
-            return [*((one.name, one.conditions) for one in self.responses), *((one.name, one.conditions) for one in self.spectra)]
+            return [
+                *((response.name, response.conditions) for response in self.responses),
+                *((spectrum.name, spectrum.conditions) for spectrum in self.spectra),
+            ]
         decayed = {fit.test for fit in self.fits if fit.ring_down is not None}
         return [(name, dict(conditions)) for name, conditions in self.test_conditions.items() if name in decayed]
 
@@ -231,5 +234,5 @@ class Identification:
     def test_conditions(self) -> dict[str, dict[str, str]]:
         """The conditions of every test by its name, as people wrote them: as listed, and as its response had them."""
         listed = {test["name"]: dict(test["conditions"]) for test in self.settings.get("tests", [])}
-        spectra = {one.name: dict(one.conditions) for one in self.spectra}
+        spectra = {spectrum.name: dict(spectrum.conditions) for spectrum in self.spectra}
         return {**listed, **{response.name: dict(response.conditions) for response in self.responses}, **spectra}

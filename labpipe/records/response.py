@@ -174,19 +174,19 @@ class FrequencyResponse:
     @property
     def variance(self) -> FloatArray | None:
         """E|H - E H|^2 per element, (n_frequency, n_output, n_input) [unit^2 of H], or None."""
-        held = self.__dict__["covariance"]
-        if held is None:
+        covariance = self.__dict__["covariance"]
+        if covariance is None:
             return None
-        if isinstance(held, FactoredCovariance):
-            return held.variance
-        return np.asarray(np.einsum("fii->fi", held).real.reshape(self.matrix.shape))
+        if isinstance(covariance, FactoredCovariance):
+            return covariance.variance
+        return np.asarray(np.einsum("fii->fi", covariance).real.reshape(self.matrix.shape))
 
     def covariance_of(self, p: int, q: int) -> ComplexArray:
         """The covariance of elements *p* and *q* of vec(H), row-major, (n_frequency,) [unit^2 of H]; DataError where none is known."""
-        held = self.__dict__["covariance"]
-        if held is None:
+        covariance = self.__dict__["covariance"]
+        if covariance is None:
             raise DataError(f"the covariance of '{self.name}' is not known")
-        element: ComplexArray = held.element(p, q) if isinstance(held, FactoredCovariance) else held[:, p, q]
+        element: ComplexArray = covariance.element(p, q) if isinstance(covariance, FactoredCovariance) else covariance[:, p, q]
         return element
 
 

@@ -98,12 +98,12 @@ class RunUp:
     def changes(self) -> dict[str, ComplexArray]:
         """Change (n_speed, n_plane, 2) [m] of the response by one standard uncertainty of every source; one source errs as one."""
         omega = self.speed if self.shaker is None else self.shaker.frequency_ratio * self.speed
-        found: dict[str, ComplexArray] = {}
+        changes: dict[str, ComplexArray] = {}
         for error in self.doubts:
             course = error.doubt.std_error * omega**error.power
             change = course[:, None, None] * np.einsum("pij,npj->npi", error.matrix, self.response)
-            found[error.doubt.source] = found.get(error.doubt.source, np.zeros_like(self.response)) + change
-        return found
+            changes[error.doubt.source] = changes.get(error.doubt.source, np.zeros_like(self.response)) + change
+        return changes
 
     @property
     def n_speed(self) -> int:

@@ -91,6 +91,6 @@ def _qualified(plain: Uncertain, qualities: Iterable[str]) -> Uncertain:
                 raise UnitError(f"'{quality}' must be above zero")
             factor, entries = (factor * number, entries) if name == "k" else (factor, {**entries, "dof": number})
         else:
-            known = (*SHAPES, "k=2", "dof=12", "source=NAME")
-            raise UnitError(f"'{quality}' says nothing of an uncertainty", nearest(name, known))
+            words = (*SHAPES, "k=2", "dof=12", "source=NAME")
+            raise UnitError(f"'{quality}' says nothing of an uncertainty", nearest(name, words))
     return replace(plain, std_error=plain.std_error / factor, **entries)

@@ -49,18 +49,18 @@ def comparison_budget_blocks(comparison: Comparison) -> list[Block]:
 
 def _blocks(name: str, parameters: Sequence[Parameter], budget: Budget, explained: str) -> tuple[Block, ...]:
     drawn = budget.drawn is not None
-    told = {parameter.name: parameter for parameter in parameters if parameter.systematic}
-    if not told:
+    with_systematic = {parameter.name: parameter for parameter in parameters if parameter.systematic}
+    if not with_systematic:
         return ()
     header = (*HEADER, *(["Monte Carlo / first order"] if drawn else []))
-    rows = tuple((*_row(budget, parameter), *([_drawn(budget, parameter)] if drawn else [])) for parameter in told.values())
-    named = list(told)
+    rows = tuple((*_row(budget, parameter), *([_drawn(budget, parameter)] if drawn else [])) for parameter in with_systematic.values())
+    named = list(with_systematic)
     return (
         *([Paragraph(explained)] if explained else []),
         Table(header, rows, f"Uncertainty of {name}", tuple(range(1, len(header)))),
         _bars(budget, named[:MOST_BARS]),
         _shares_table(budget, named),
-        Paragraph(_improvement(told, budget), "note"),
+        Paragraph(_improvement(with_systematic, budget), "note"),
         *([Paragraph(text, "warning")] if (text := _sharp_ends(budget, named)) else []),
     )
 
@@ -163,11 +163,11 @@ def _relative(parameter: Parameter) -> float:
 def _sharp_ends(budget: Budget, names: list[str]) -> str:
     """Parameters of which one source with sharp limits holds most: Student's factor is too large there."""
     shapes = {source.source: source.shape for source in budget.sources}
-    found = []
+    ends = []
     for name in names:
         source, share = next(iter(budget.shares(name).items()))
         if shapes.get(source, "normal") != "normal" and share > RECTANGULAR:
-            found.append(f"{name} ({source}, {shapes[source]})")
-    if not found:
+            ends.append(f"{name} ({source}, {shapes[source]})")
+    if not ends:
         return ""
-    return f"One source with sharp limits holds most of the variance of {', '.join(found)}: the expanded intervals are too wide there."
+    return f"One source with sharp limits holds most of the variance of {', '.join(ends)}: the expanded intervals are too wide there."

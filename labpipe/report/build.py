@@ -80,4 +80,9 @@ def _of_test(identification: Identification, test: str) -> Identification:
         raise ConfigError(f"the result has no test '{test}'", hint=nearest(test, names))
     fits = tuple(fit for fit in identification.fits if fit.test == test)
     responses = tuple(response for response in identification.responses if response.name == test)
-    return replace(identification, fits=fits, responses=responses, spectra=tuple(one for one in identification.spectra if one.name == test))
+    return replace(
+        identification,
+        fits=fits,
+        responses=responses,
+        spectra=tuple(spectrum for spectrum in identification.spectra if spectrum.name == test),
+    )

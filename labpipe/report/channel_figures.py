@@ -64,7 +64,7 @@ def amplitude_figure(spectra: ChannelSpectra) -> Figure:
     panels = []
     for quantity in dict.fromkeys(channel.quantity for channel in spectra.channels):
         unit = QUANTITIES[quantity].si_unit
-        series = [one for column, number in enumerate(spectra.columns(quantity)) for one in _series(spectra, noise, number, column)]
+        series = [curve for column, number in enumerate(spectra.columns(quantity)) for curve in _series(spectra, noise, number, column)]
         panels.append(over_frequency(Axis(quantity, unit_text(unit), logarithmic=True), series))
     name = spectra.name or "the measurement"
     caption = f"Amplitudes of all channels of {name} at the excited lines, every run as points, and their noise as lines."
@@ -84,7 +84,7 @@ def _series(spectra: ChannelSpectra, noise: FloatArray, number: int, column: int
 def _orbit_figures(spectra: ChannelSpectra) -> Iterator[Figure]:
     """Half axes of the orbits of displacements in two directions of one plane."""
     outputs = spectra.columns("displacement", "output")
-    ports = [Port(one.name, one.name, one.dof, one.angle) for one in (spectra.channels[number] for number in outputs)]
+    ports = [Port(channel.name, channel.name, channel.dof, channel.angle) for channel in (spectra.channels[number] for number in outputs)]
     for plane in planes_of(ports):
         pair = [outputs[column] for column in plane.columns]
         motion = np.einsum("ij,lrj->lri", np.linalg.inv(plane.directions), spectra.vectors[:, :, pair])

@@ -102,8 +102,8 @@ def _line(first: ConditionAxis, line: Sequence[tuple[MatrixPoint, Repeated]], ti
 def _theory_line(first: ConditionAxis, line: Sequence[tuple[MatrixPoint, Repeated]], unit: str, number: int) -> list[Series]:
     """The theory of a line in its colour, without a name; nothing where there is none."""
     theory = np.array([np.nan if value.theory is None else to_display(value.theory, unit) for _, value in line])
-    known = bool(np.any(np.isfinite(theory)))
-    return [curve("", _abscissa(first, line), theory, number % PALETTE_SIZE, "--", width=0.9)] if known else []
+    has_theory = bool(np.any(np.isfinite(theory)))
+    return [curve("", _abscissa(first, line), theory, number % PALETTE_SIZE, "--", width=0.9)] if has_theory else []
 
 
 def _value_map(matrix: ConditionMatrix, name: str, points: Sequence[MatrixPoint], at: str) -> Figure:

@@ -78,7 +78,7 @@ def rotor_figure(rig: Mapping[str, Any]) -> Figure:
 def rotor_chart(sketch: RotorSketch) -> Chart:
     """The sketch over the length of the shaft [mm]; parts that lie within others are drawn on them."""
     reach, length = sketch.reach, sketch.stations[-1]
-    series = [one for ring in sketch.rings for one in _drawn(ring)]
+    series = [curve for ring in sketch.rings for curve in _drawn(ring)]
     numbers = [str(number) for number in range(1, len(sketch.stations) + 1)]
     lower = [-ODD_NUMBERS * reach if number % 2 == 0 else -EVEN_NUMBERS * reach for number in range(len(numbers))]
     series += [

@@ -57,9 +57,9 @@ def run_sentences(plan: RunPlan) -> Iterator[str]:
     total = sum(run.count for run in plan.runs)
     aimed = [number for number in plan.numbers if number.goal is not None and number.error is not None]
     worst = max(aimed, key=lambda number: (number.error or 0.0) / (number.goal or 1.0)) if aimed else None
-    told = f" determine {worst.name}, the tightest against its goal, to {error_text(worst, worst.error)}:" if worst else " are"
+    determined = f" determine {worst.name}, the tightest against its goal, to {error_text(worst, worst.error)}:" if worst else " are"
     yield (
-        f"{total} {MODELS[plan.model]} under {len(plan.runs)} of {plan.candidates} conditions ({_time(plan.duration)}){told} "
+        f"{total} {MODELS[plan.model]} under {len(plan.runs)} of {plan.candidates} conditions ({_time(plan.duration)}){determined} "
         f"{plan.gain:.2f} times better by {CRITERIA[plan.criterion]} than the same time shared alike."
     )
     if aimed:

@@ -161,11 +161,11 @@ class RotorRig:
     @property
     def sources(self) -> tuple[Doubt, ...]:
         """The doubts in the bearings' entries, each source once."""
-        found: dict[str, Doubt] = {}
+        doubts: dict[str, Doubt] = {}
         for place in self.bearings:
-            for one in place.doubts:
-                found.setdefault(one.doubt.source, one.doubt)
-        return tuple(found.values())
+            for bearing_doubt in place.doubts:
+                doubts.setdefault(bearing_doubt.doubt.source, bearing_doubt.doubt)
+        return tuple(doubts.values())
 
     def ends(self, source: str) -> tuple[RotorRig, RotorRig]:
         """The rig with all numbers of a *source* a standard uncertainty above, and below."""

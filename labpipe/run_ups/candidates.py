@@ -108,13 +108,13 @@ def information(expected: ExpectedRig, candidate: RunCandidate) -> FloatArray:
     eight, by_parameter = expected.family.coefficients_and_slopes(expected.values, np.full(run.n_speed, run.load), run.speed)
     _, slopes = ExcitedRun.of(expected.rig, run).residual_and_slopes(eight)
     rows = (slopes @ by_parameter).reshape(-1, len(PARAMETERS))
-    told = rows.T @ rows
+    matrix = rows.T @ rows
     if run.threshold is not None:
         _, row = threshold_row(expected.rig, expected.family, expected.values, run.load, run.threshold)
-        told = told + np.outer(row, row)
+        matrix = matrix + np.outer(row, row)
     elif candidate.to_threshold:
         raise FitError(f"no threshold is expected under {candidate.load:.4g} N", hint="leave to_threshold out")
-    return np.asarray(told)
+    return np.asarray(matrix)
 
 
 def allowed(expected: ExpectedRig, candidate: RunCandidate, limits: Limits) -> BoolArray:

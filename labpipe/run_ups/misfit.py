@@ -89,12 +89,12 @@ class LoadRuns:
 
 def sources_of(groups: Iterable[LoadRuns]) -> tuple[Doubt, ...]:
     """The doubts of the probes of all runs, each source once."""
-    found: dict[str, Doubt] = {}
+    doubts: dict[str, Doubt] = {}
     for group in groups:
         for run in group.runs:
             for error in run.run.doubts:
-                found.setdefault(error.doubt.source, error.doubt)
-    return tuple(found.values())
+                doubts.setdefault(error.doubt.source, error.doubt)
+    return tuple(doubts.values())
 
 
 def runs_by_load(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:

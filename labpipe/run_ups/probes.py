@@ -25,7 +25,7 @@ class ProbeDoubts:
 
     def errors(self, planes: Sequence[str]) -> tuple[ProbeError, ...]:
         """The errors of every probe, named by plane and direction; each is its own, unless the doubt names a source."""
-        found = []
+        errors = []
         for effect, unit in (("gain", "1"), ("phase", "rad"), ("delay", "s")):
             number: Uncertain | None = getattr(self, effect)
             if number is None or number.std_error == 0:
@@ -35,10 +35,10 @@ class ProbeDoubts:
                 for axis, direction in enumerate(DIRECTIONS):
                     matrix = np.zeros((len(planes), 2, 2), np.complex128)
                     matrix[at, axis, axis] = slope
-                    found.append(ProbeError(doubt_of(number, f"{plane} {direction}.{effect}", unit), matrix, power))
+                    errors.append(ProbeError(doubt_of(number, f"{plane} {direction}.{effect}", unit), matrix, power))
         if self.keyphasor is not None and self.keyphasor.std_error > 0:
-            found.extend(turning(doubt_of(self.keyphasor, KEYPHASOR, "rad"), len(planes)))
-        return tuple(found)
+            errors.extend(turning(doubt_of(self.keyphasor, KEYPHASOR, "rad"), len(planes)))
+        return tuple(errors)
 
 
 def turning(doubt: Doubt, n_plane: int) -> tuple[ProbeError, ...]:

@@ -32,9 +32,9 @@ class Sweep:
             raise ConfigError(f"a sweep needs a band above 0 Hz, not {low:g}-{high:g} Hz")
         if self.duration <= 0 or self.rms <= 0 or self.pause < 0:
             raise ConfigError("length and level of a sweep must be positive, its pause not negative")
-        for name, value, known in (("law", self.law, LAWS), ("direction", self.direction, DIRECTIONS)):
-            if value not in known:
-                raise ConfigError(f"unknown {name} '{value}'", hint=f"known: {', '.join(known)}")
+        for name, value, names in (("law", self.law, LAWS), ("direction", self.direction, DIRECTIONS)):
+            if value not in names:
+                raise ConfigError(f"unknown {name} '{value}'", hint=f"known: {', '.join(names)}")
 
     def samples(self, sample_rate: float, count: int) -> FloatArray:
         """*count* sweeps with their pauses sampled at *sample_rate* [Hz], (n_sample,) [unit of rms]; up-down goes up first, then down.

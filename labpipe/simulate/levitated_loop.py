@@ -41,10 +41,10 @@ def mechanics(rig: LevitatedRig) -> Mechanics:
     """The rotor's matrices with the passive damping, without k_i and k_s."""
     directions = np.eye(len(AXES[rig.axes]))
     if rig.rotor is None:
-        masses, gyroscopic, own, own_damping = [rig.mass], [0.0], [0.0], [0.0]
+        masses, gyroscopic, stiffnesses, own_damping = [rig.mass], [0.0], [0.0], [0.0]
         shapes: tuple[FloatArray, FloatArray, FloatArray] = np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1))
     else:
-        masses, gyroscopic, own, own_damping = _inertias(rig.mass, rig.rotor)
+        masses, gyroscopic, stiffnesses, own_damping = _inertias(rig.mass, rig.rotor)
         shapes = _shapes(rig.rotor, rig.unbalance_place)
     at_bearings, at_sensors, at_unbalance = (np.kron(shape, directions) for shape in shapes)
     # Spin from x to y: J a'' - W J_p b' and J b'' + W J_p a' of the slopes b in x, a in y.
@@ -54,7 +54,7 @@ def mechanics(rig: LevitatedRig) -> Mechanics:
     return Mechanics(
         mass=np.kron(np.diag(masses), directions),
         damping=np.kron(np.diag(own_damping), directions) + turning + passive,
-        stiffness=np.kron(np.diag(own), directions),
+        stiffness=np.kron(np.diag(stiffnesses), directions),
         at_bearings=at_bearings,
         at_sensors=at_sensors,
         at_unbalance=at_unbalance,
@@ -63,12 +63,12 @@ def mechanics(rig: LevitatedRig) -> Mechanics:
 
 def _inertias(mass: float, rotor: LongRotor) -> tuple[list[float], list[float], list[float], list[float]]:
     """Masses, polar inertias, own stiffnesses and dampings of the coordinates of one plane."""
-    masses, gyroscopic, own, damping = [mass, rotor.inertia], [0.0, rotor.polar_inertia], [0.0, 0.0], [0.0, 0.0]
+    masses, gyroscopic, stiffnesses, damping = [mass, rotor.inertia], [0.0, rotor.polar_inertia], [0.0, 0.0], [0.0, 0.0]
     if rotor.bending is not None:
         natural = 2 * np.pi * rotor.bending.frequency
         masses, gyroscopic = [*masses, 1.0], [*gyroscopic, 0.0]
-        own, damping = [*own, natural**2], [*damping, 2 * rotor.bending.damping_ratio * natural]
-    return masses, gyroscopic, own, damping
+        stiffnesses, damping = [*stiffnesses, natural**2], [*damping, 2 * rotor.bending.damping_ratio * natural]
+    return masses, gyroscopic, stiffnesses, damping
 
 
 def _shapes(rotor: LongRotor, unbalance: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -184,7 +184,7 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
         motion, memory, waiting = np.split(state, [n_plant, n_plant + 2 * n_axis])
         forces, seen, added_in, added_out = np.split(inputs, [2 * n_q, 2 * n_q + n_axis, 2 * n_q + 2 * n_axis])
         error = mixing @ (of.at_sensors @ motion[:n_q] + seen + added_in)
-        parts = [b0 * error + own for (b0, _, _), own in zip(terms, memory.reshape(2, n_axis), strict=True)]
+        parts = [b0 * error + stored for (b0, _, _), stored in zip(terms, memory.reshape(2, n_axis), strict=True)]
         memories = [b1 * error - a1 * part for (_, b1, a1), part in zip(terms, parts, strict=True)]
         output = added_out - control.proportional * error - parts[0] - parts[1]
         line = np.concatenate([waiting, output])

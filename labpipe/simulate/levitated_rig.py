@@ -207,12 +207,12 @@ def _parameters(rig: LevitatedRig, _runs: Sequence[str]) -> Truth:
 
 def _magnets(rig: LevitatedRig) -> dict[str, float]:
     """k_i_xx, k_s_xx, c_xx and so on of two axes, k_i_ax_ax of two bearings, as a magnet's fit names them."""
-    found: dict[str, float] = {}
+    magnets: dict[str, float] = {}
     glue = "" if rig.rotor is None else "_"
     for (row, column), stiffness in np.ndenumerate(bearing_stiffness(rig)):
         term, direct = f"{rig.labels[row]}{glue}{rig.labels[column]}", float(row == column)
-        found |= {f"k_i_{term}": direct * rig.force_per_current, f"k_s_{term}": float(stiffness), f"c_{term}": direct * rig.damping}
-    return found
+        magnets |= {f"k_i_{term}": direct * rig.force_per_current, f"k_s_{term}": float(stiffness), f"c_{term}": direct * rig.damping}
+    return magnets
 
 
 def _at_level(rig: LevitatedRig, level: float) -> LevitatedRig:

@@ -49,15 +49,19 @@ def turned_channels(channels: Sequence[Channel], number: int) -> FloatArray:
     f_j along n_j add up: f_j along n_j + d m_j, m_j at right angles, is f_j m_j d more, in components along all n.
     """
     change = np.zeros((len(channels), len(channels)))
-    known = {n: angle for n, one in enumerate(channels) if one.quantity == channels[number].quantity and (angle := _angle(one)) is not None}
-    if number not in known or len(known) != 2:
+    known_angles = {
+        n: angle
+        for n, channel in enumerate(channels)
+        if channel.quantity == channels[number].quantity and (angle := _angle(channel)) is not None
+    }
+    if number not in known_angles or len(known_angles) != 2:
         return change
-    pair = list(known)
-    angles = np.array(list(known.values()))
+    pair = list(known_angles)
+    angles = np.array(list(known_angles.values()))
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
     if abs(np.linalg.det(directions)) <= np.sin(np.deg2rad(1)):
         return change
-    across = np.array([-np.sin(known[number]), np.cos(known[number])])
+    across = np.array([-np.sin(known_angles[number]), np.cos(known_angles[number])])
     if channels[number].quantity == FORCE:
         change[pair, number] = np.linalg.solve(directions.T, across)
     else:

@@ -88,7 +88,7 @@ def find_channel_layout(sources: Sequence[SampleSource]) -> ChannelLayout:
         if lacking:
             raise DataError(f"recording '{source.name}' lacks the channel {', '.join(lacking)} of another recording")
     recorded = [channel for channel in distinct if not channel.terms]
-    columns = tuple(tuple(source.channels.index(one) if one in source.channels else -1 for one in recorded) for source in sources)
+    columns = tuple(tuple(source.channels.index(sensor) if sensor in source.channels else -1 for sensor in recorded) for source in sources)
     named = _unique_names(recorded)
     return ChannelLayout(named, (*named, *(channel for channel in distinct if channel.terms)), columns)
 
@@ -109,4 +109,4 @@ def _unique_names(channels: Iterable[Channel]) -> tuple[Channel, ...]:
     """Channels under their names, or name@dof where a force moved between recordings."""
     channels = tuple(channels)
     names = [channel.name for channel in channels]
-    return tuple(replace(one, name=f"{one.name}@{one.dof}") if names.count(one.name) > 1 else one for one in channels)
+    return tuple(replace(sensor, name=f"{sensor.name}@{sensor.dof}") if names.count(sensor.name) > 1 else sensor for sensor in channels)

@@ -78,16 +78,16 @@ def free_decays(
 
 def _spans(samples: FloatArray, rate: float, settings: FrfSettings, name: str) -> list[tuple[int, int]]:
     """First sample and end of every decay of a recording (n_sample, n_output)."""
-    own = settings.decay
-    if own.start is not None:
-        end = samples.shape[0] if own.end is None else round(own.end * rate)
-        spans = [(round(own.start * rate), min(end, samples.shape[0]))]
+    decay = settings.decay
+    if decay.start is not None:
+        end = samples.shape[0] if decay.end is None else round(decay.end * rate)
+        spans = [(round(decay.start * rate), min(end, samples.shape[0]))]
     else:
         levels = _levels(samples, name)
-        settle = levels.period if own.settle is None else round(own.settle * rate)
-        spans = _found(levels, own.trigger, settle)
-        if own.end is not None:
-            spans = [(start, min(end, round(own.end * rate))) for start, end in spans]
+        settle = levels.period if decay.settle is None else round(decay.settle * rate)
+        spans = _found(levels, decay.trigger, settle)
+        if decay.end is not None:
+            spans = [(start, min(end, round(decay.end * rate))) for start, end in spans]
         spans = [span for span in spans if span[1] - span[0] >= LEAST_PERIODS * levels.period]
     if not spans or spans[0][1] - spans[0][0] < 2:
         raise DataError(f"recording '{name}' holds no free decay", hint="say where it is with `decay: {start: ..., end: ...}`")

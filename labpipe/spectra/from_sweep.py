@@ -72,7 +72,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     """
     rate = sources[0].sample_rate
     swept = [_swept(source, layout.input_columns[number]) for number, source in enumerate(sources)]
-    sweeps = [sweep for one in swept for sweep in one.sweeps]
+    sweeps = [sweep for run in swept for sweep in run.sweeps]
     n_input = len(layout.inputs)
     if len(sweeps) < n_input:
         names = ", ".join(port.label for port in layout.inputs)
@@ -99,7 +99,7 @@ def _swept(source: SampleSource, input_columns: Sequence[int]) -> _Swept:
 
 def _common_length(swept: Sequence[_Swept], rate: float) -> int:
     """Samples of a block: as many as every sweep has up to the next one; DataError where a sweep is longer than that."""
-    n_sample = min(stop - start for one in swept for start, stop in one.cuts)
+    n_sample = min(stop - start for run in swept for start, stop in run.cuts)
     for one in swept:
         for sweep, (start, _) in zip(one.sweeps, one.cuts, strict=True):
             if sweep.stop - start > n_sample:
@@ -157,19 +157,19 @@ def _without_leakage(spectra: _Spectra, n_input: int) -> tuple[_Spectra, tuple[F
     A sweep at the very end of a record looks like leakage itself: its lines are left out then. DataError when that leaves none.
     """
     local = spectra.local
-    told = np.all(local.spread < LARGEST_SPREAD, axis=(1, 2))
-    if not _leaks(spectra.select(told)):
+    is_determined = np.all(local.spread < LARGEST_SPREAD, axis=(1, 2))
+    if not _leaks(spectra.select(is_determined)):
         return spectra, ()
-    if np.count_nonzero(told) < 2:
+    if np.count_nonzero(is_determined) < 2:
         raise DataError("the responses ring on at the ends of the record, and no line can be told from that", hint="pauses between sweeps")
     blocks = spectra.blocks.copy()
     blocks[:, :, n_input:] -= local.leakage.swapaxes(0, 1)
-    lost = f"; {np.count_nonzero(~told)} lines swept next to its ends are left out" if not np.all(told) else ""
+    lost = f"; {np.count_nonzero(~is_determined)} lines swept next to its ends are left out" if not np.all(is_determined) else ""
     message = (
         "the responses had not come to rest before a sweep, or at the end of the record: this leakage is estimated over the lines and "
         f"taken out{lost}"
     )
-    return replace(spectra, blocks=blocks, leaking=True).select(told), (note("sweep-leakage", message),)
+    return replace(spectra, blocks=blocks, leaking=True).select(is_determined), (note("sweep-leakage", message),)
 
 
 def _leaks(spectra: _Spectra) -> bool:

@@ -211,9 +211,9 @@ class RowProducts(SegmentProducts):
     def _taper_into(self, place: slice, segments: FloatArray) -> None:
         for number, segment in enumerate(segments, place.start):
             is_second = number % 2 == 1
-            known = max(self._n - self._step, 0) if is_second else 0
+            n_known = max(self._n - self._step, 0) if is_second else 0
             begin = self._step if is_second else 0
-            for start in range(known, self._n, CACHED_ROWS):
+            for start in range(n_known, self._n, CACHED_ROWS):
                 end = min(start + CACHED_ROWS, self._n)
                 self._rows[:, begin + start : begin + end] = segment[start:end].T
             half = self._pair.imag if is_second else self._pair.real

@@ -75,8 +75,8 @@ def random_lines(sources: Sequence[SampleSource], settings: FrfSettings, layout:
 
 def _drives(sources: Sequence[SampleSource], settings: FrfSettings) -> tuple[str, ...]:
     """The names of the drives: those of `reference`, else all voltages and currents of role reference; DataError where there are none."""
-    known = [channel for source in sources for channel in source.channels if channel.role == "reference"]
-    names = tuple(dict.fromkeys(channel.name for channel in known if channel.quantity in DRIVES))
+    references = [channel for source in sources for channel in source.channels if channel.role == "reference"]
+    names = tuple(dict.fromkeys(channel.name for channel in references if channel.quantity in DRIVES))
     if settings.reference:
         every = [channel.name for source in sources for channel in source.channels]
         for name in settings.reference:
@@ -137,7 +137,7 @@ def _unexplained(s_zz: ComplexArray, residual: ComplexArray, layout: ChannelLayo
     """Warnings for channels of whose power in the band the drives leave much unexplained."""
     power, rest = (np.sum(np.einsum("lcc->lc", matrix).real, axis=0) for matrix in (s_zz, residual))
     return tuple(
-        Finding("low-coherence", f"channel {one.name}: {100 * part / whole:.0f} % of its power in the band is not due to the drives")
-        for one, whole, part in zip(layout.channels, power, rest, strict=True)
-        if one.role != "reference" and whole > 0 and part > (1 - LOW_COHERENCE) * whole
+        Finding("low-coherence", f"channel {channel.name}: {100 * part / whole:.0f} % of its power in the band is not due to the drives")
+        for channel, whole, part in zip(layout.channels, power, rest, strict=True)
+        if channel.role != "reference" and whole > 0 and part > (1 - LOW_COHERENCE) * whole
     )

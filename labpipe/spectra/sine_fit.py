@@ -22,8 +22,8 @@ def amplitudes(samples: FloatArray, frequency: float) -> ComplexArray:
     Equation (spec-sine).
     """
     factors = np.linalg.lstsq(design(frequency, samples.shape[0]), samples, rcond=None)[0]
-    found: ComplexArray = factors[0] + 1j * factors[1]
-    return found
+    amplitude: ComplexArray = factors[0] + 1j * factors[1]
+    return amplitude
 
 
 def sine_frequency(signal: FloatArray, frequency: float) -> float:

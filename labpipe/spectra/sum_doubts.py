@@ -70,7 +70,7 @@ def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Ite
     """What the numbers and the members of the sums among the ports do to them."""
     by_name = {channel.name: channel for source in sources for channel in source.channels}
     for port, sensor in enumerate(sensors):
-        yield from _of_directions(port, sensor, [one for one in by_name.values() if not one.terms])
+        yield from _of_directions(port, sensor, [recorded for recorded in by_name.values() if not recorded.terms])
         for term in sensor.terms:
             for number, slope in zip(term.numbers, term.derivatives, strict=True):
                 named = number.source or f"{number.name}, {number.value:g} {number.unit}"
@@ -87,7 +87,7 @@ def _of_directions(port: int, sensor: Channel, recorded: Sequence[Channel]) -> I
         directions = [doubted.doubt for doubted in channel.doubts if doubted.effect == "direction"]
         if not sensor.terms or not directions:
             continue
-        changes = {one.name: row for one, row in zip(recorded, turned_channels(recorded, number), strict=True)}
+        changes = {sensor_channel.name: row for sensor_channel, row in zip(recorded, turned_channels(recorded, number), strict=True)}
         for term in sensor.terms:
             for read, change in zip(recorded, changes.get(term.channel, ()), strict=False):
                 if change:

@@ -38,10 +38,10 @@ def without_shaft(sources: Sequence[SampleSource], settings: FrfSettings) -> tup
         elif settings.excitation == "random":
             cleaned.append(without_synchronous(source, remove))
         else:
-            one = without_runout(source, settings)
-            cleaned.append(one.source)
-            bands |= dict.fromkeys(one.bands)
-            findings.extend(one.findings)
+            without = without_runout(source, settings)
+            cleaned.append(without.source)
+            bands |= dict.fromkeys(without.bands)
+            findings.extend(without.findings)
     return cleaned, dataclasses.replace(settings, exclude=(*settings.exclude, *bands)), tuple(findings)
 
 

@@ -100,16 +100,16 @@ def copies(names: Sequence[str], rows: FloatArray) -> dict[str, str]:
 
     A copy equals the other column, or is it under a window: everywhere between zero and the other, and somewhere nearly equal.
     """
-    found: dict[str, str] = {}
+    copied: dict[str, str] = {}
     for number, name in enumerate(names):
         for other in range(len(names)):
-            if other == number or names[other] in found:
+            if other == number or names[other] in copied:
                 continue
             reason = _copied(rows[:, number], rows[:, other], other < number)
             if reason:
-                found[name] = f"{reason} of {names[other]}"
+                copied[name] = f"{reason} of {names[other]}"
                 break
-    return found
+    return copied
 
 
 def _copied(column: FloatArray, other: FloatArray, is_later: bool) -> str:

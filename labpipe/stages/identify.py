@@ -127,8 +127,8 @@ def settings_entry(pipeline: Pipeline, tests: Sequence[MeasuredTest] = ()) -> di
 
 
 def _test_entry(test: Test, conditions: Mapping[str, Any]) -> dict[str, Any]:
-    own = {"frf": test.frf} if test.frf is not None else {}
-    return {"name": test.name, "conditions": {**test.conditions, **conditions}, **own}
+    frf_entry = {"frf": test.frf} if test.frf is not None else {}
+    return {"name": test.name, "conditions": {**test.conditions, **conditions}, **frf_entry}
 
 
 def rig_entry(pipeline: Pipeline) -> dict[str, Any]:

@@ -86,7 +86,7 @@ def judged_part(rule: Rule, fits: Sequence[Fit]) -> PartialOutcome:
             hint = nearest(_split(rule.item, addressed)[0], [*names, *_FIT_VALUES, "warnings", "count"])
             return PartialOutcome(addressed=len(addressed), fault=(f"the fit has no '{_split(rule.item, addressed)[0]}'", hint))
         compared = [_compare_item(rule, fit) for fit in having]
-    first = next((one for one in compared if not one[1]), compared[0])
+    first = next((pair for pair in compared if not pair[1]), compared[0])
     return PartialOutcome(outcome=RuleOutcome(rule.section, rule.text, *first), addressed=len(addressed))
 
 

@@ -22,16 +22,16 @@ _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operato
 def compare_number(rule: Rule, value: float | None, unit: str) -> tuple[float | None, bool, str]:
     """Whether a number [*unit*, SI] meets the rule, and the number in the unit of the rule; one that could not be given meets none."""
     try:
-        found = "" if value is None else found_text(rule, value, unit)
+        text = "" if value is None else found_text(rule, value, unit)
         if rule.kind == "+-":
             wanted = parse_uncertain(rule.bound, unit)
-            return value, value is not None and abs(value - wanted.value) <= wanted.std_error, found
+            return value, value is not None and abs(value - wanted.value) <= wanted.std_error, text
         bound = parse_value(rule.bound, unit)
     except UnitError as error:
         raise ConfigError(f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint) from None
     if rule.kind == "=":
-        return value, value is not None and value == bound, found
-    return value, value is not None and bool(_COMPARE[rule.kind](value, bound)), found
+        return value, value is not None and value == bound, text
+    return value, value is not None and bool(_COMPARE[rule.kind](value, bound)), text
 
 
 def found_text(rule: Rule, value: float, unit: str) -> str:

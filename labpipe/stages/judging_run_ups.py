@@ -106,7 +106,7 @@ def _speed(rule: Rule, address: _Address, result: RunUpResult, compare_number: C
     candidates = [(run, _amount(rule, address, result, run)) for run in runs]
     selected = [(run, amount) for run, amount in candidates if amount is not None] or candidates[:1]
     outcomes = [_attribute(rule, address, run, amount, compare_number) for run, amount in selected]
-    return RuleOutcome(rule.section, rule.text, *next((one for one in outcomes if not one[1]), outcomes[0]))
+    return RuleOutcome(rule.section, rule.text, *next((outcome for outcome in outcomes if not outcome[1]), outcomes[0]))
 
 
 def _amount(rule: Rule, address: _Address, result: RunUpResult, run: MeasuredRun) -> Amount | None:

@@ -38,7 +38,7 @@ def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -
     if not values:
         raise ConfigError(f"{rule.section}.{rule.address}: no such case in the study", where=rule.place)
     outcomes = [compare_number(rule, value, "1") for value in values]
-    return RuleOutcome(rule.section, rule.text, *next((one for one in outcomes if not one[1]), outcomes[0]))
+    return RuleOutcome(rule.section, rule.text, *next((outcome for outcome in outcomes if not outcome[1]), outcomes[0]))
 
 
 def _studied(rule: Rule, case: StudyCase, item: str) -> float | None:

@@ -57,17 +57,17 @@ def _theory(settings: MatrixSettings, folder: Path) -> PointTheory | None:
 
 def _bearing_theory(path: Path, theory: MatrixTheorySettings) -> PointTheory:
     """K and C of a bearing file at the conditions of a point, in the rig's x and y; ConfigError for unknown dofs."""
-    known: dict[tuple[float, ...], Mapping[str, float]] = {}
+    theories: dict[tuple[float, ...], Mapping[str, float]] = {}
 
     def at(conditions: tuple[float, ...], units: tuple[str, ...]) -> Mapping[str, float]:
-        if conditions not in known:
+        if conditions not in theories:
             file = open_bearing(path)
             for entry, value, unit in zip(theory.entries, conditions, units, strict=True):
                 if entry != NO_ENTRY:
                     set_entry(file.tree, f"{entry}={value!r} {unit}")
             (coefficients,) = file.coefficients([file.settings()])
-            known[conditions] = _in_rig_axes(coefficients, theory.axes)
-        return known[conditions]
+            theories[conditions] = _in_rig_axes(coefficients, theory.axes)
+        return theories[conditions]
 
     return at
 

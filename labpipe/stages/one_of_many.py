@@ -30,8 +30,8 @@ def one_of_many(identification: Identification, folder: Path, test: str) -> Iden
     return dataclasses.replace(
         identification,
         fits=tuple(read_fits(fits)) if fits.exists() else (),
-        responses=tuple(one for one in measured if isinstance(one, FrequencyResponse)),
-        spectra=tuple(one for one in measured if isinstance(one, ChannelSpectra)),
+        responses=tuple(measurement for measurement in measured if isinstance(measurement, FrequencyResponse)),
+        spectra=tuple(measurement for measurement in measured if isinstance(measurement, ChannelSpectra)),
         settings={**identification.settings, "tests": [{"name": test, "conditions": conditions}]},
         dataset=None,
     )

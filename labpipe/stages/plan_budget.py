@@ -35,7 +35,7 @@ def rehearsal(file: PlanFile) -> Rehearse | None:
     settings: PlanSettings = file.settings
     if settings.sensors is not None:
         check_rig(settings.sensors, settings, settings.shakers or (("x",) if settings.model == "sdof" else ("x", "y")))
-    of_sensors = settings.sensors is not None and any(one.channel.doubts for one in settings.sensors.channels)
+    of_sensors = settings.sensors is not None and any(channel.channel.doubts for channel in settings.sensors.channels)
     if not of_sensors and not settings.doubts:
         return None
 
@@ -69,7 +69,7 @@ def _fit(pipeline: Pipeline, rig: Rig, tests: Sequence[Multisines], periods: Seq
         rehearsed(
             rig,
             test,
-            [one.channel for one in source.rig.channels if one.channel.role != "reference"],
+            [channel.channel for channel in source.rig.channels if channel.channel.role != "reference"],
             number / rig.spacing,
             settings.skip,
             highest,

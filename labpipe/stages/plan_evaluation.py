@@ -57,20 +57,20 @@ def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
     axes = ("x",) if settings.model == SDOF else ("x", "y")
     needed = [("displacement", axis) for axis in axes]
     needed += [("acceleration", axis) for axis in axes] if settings.model == FLOATING else []
-    channels = [one.channel for one in rig.channels if one.channel.role != "reference"]
+    channels = [channel.channel for channel in rig.channels if channel.channel.role != "reference"]
     for quantity, axis in needed:
-        having = [one for one in channels if one.quantity == quantity and one.role == "output"]
-        if not any(settings.model == SDOF or one.dof == axis for one in having):
+        having = [channel for channel in channels if channel.quantity == quantity and channel.role == "output"]
+        if not any(settings.model == SDOF or channel.dof == axis for channel in having):
             raise ConfigError(f"the rig has no {quantity} in {axis}", hint="a channel with `dof`", field="rig")
-    wrong = [one for one in channels if one.role == "output" and one.quantity not in {quantity for quantity, _ in needed}]
+    wrong = [channel for channel in channels if channel.role == "output" and channel.quantity not in {quantity for quantity, _ in needed}]
     if wrong:
         raise ConfigError(
             f"{wrong[0].name} is no response that this model takes", hint="role: reference, or a rig file without it", field="rig"
         )
-    forces = [one for one in channels if one.role == "input"]
-    if not forces or (len(forces) > 1 and {one.dof for one in forces} != set(shakers)):
+    forces = [channel for channel in channels if channel.role == "input"]
+    if not forces or (len(forces) > 1 and {force.dof for force in forces} != set(shakers)):
         raise ConfigError(
-            f"the rig's forces ({', '.join(one.dof for one in forces)}) are not those of the shakers ({', '.join(shakers)})",
+            f"the rig's forces ({', '.join(force.dof for force in forces)}) are not those of the shakers ({', '.join(shakers)})",
             hint="one force that is moved, or one for every shaker",
             field="rig",
         )
@@ -78,7 +78,7 @@ def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
 
 def forces_of(rig: Rig) -> list[Channel]:
     """The forces of a rig."""
-    return [one.channel for one in rig.channels if one.channel.role == "input"]
+    return [channel.channel for channel in rig.channels if channel.channel.role == "input"]
 
 
 def rig_entries(evaluation: Evaluation) -> dict[str, Any]:
@@ -155,12 +155,12 @@ def _fit(evaluation: Evaluation) -> dict[str, Any]:
     if not evaluation.side_by_side:
         mass: dict[str, Any] = {"mass": "estimate"} if number is None else {"mass": uncertain_text(number, "kg")}
         return {"model": settings.model, **mass}
-    own = {"form": "kcm" if evaluation.with_masses else "kc"}
+    form = {"form": "kcm" if evaluation.with_masses else "kc"}
     if settings.model == ROTOR:
-        own["motion"] = "absolute"
+        form["motion"] = "absolute"
     if number is not None:
-        own["stator_mass"] = uncertain_text(number, "kg")
-    return {"model": FLOATING, "dynamic_stiffness": own}
+        form["stator_mass"] = uncertain_text(number, "kg")
+    return {"model": FLOATING, "dynamic_stiffness": form}
 
 
 def uncertain_text(number: Uncertain, unit: str) -> str:

@@ -66,8 +66,8 @@ def _expected(file: PlanFile) -> Expected:
     name = settings.fit or next(iter(fits), "")
     if name not in fits or (not settings.fit and len(fits) > 1):
         raise ConfigError(f"name the fit of {path.name}", hint=nearest(settings.fit, tuple(fits)), field="fit")
-    found = {p.name: p.value for p in fits[name].parameters if _is_coefficient(p)}
-    return Expected(theory | found | typed, earlier_doubts(fits[name], typed))
+    coefficients = {p.name: p.value for p in fits[name].parameters if _is_coefficient(p)}
+    return Expected(theory | coefficients | typed, earlier_doubts(fits[name], typed))
 
 
 def _is_coefficient(parameter: Parameter) -> bool:
@@ -96,7 +96,7 @@ def _theory(theory: TheorySettings, folder: Path) -> dict[str, float]:
     if theory.rig is not None:
         rig = theory.rig if theory.speed is None else theory.rig.at_speed(theory.speed)
         place = rig.place(theory.name)
-        found = place.bearing.at(OperatingPoint(rig.static_loads()[place.name], rig.omega, rig.omega))
+        coefficients = place.bearing.at(OperatingPoint(rig.static_loads()[place.name], rig.omega, rig.omega))
     else:
         bearing = open_bearing(folder / theory.bearing)
         for name, value, unit in (("load", theory.load, "N"), ("speed", theory.speed, "Hz")):
@@ -105,12 +105,12 @@ def _theory(theory: TheorySettings, folder: Path) -> dict[str, float]:
             if value is not None:
                 set_entry(bearing.tree, f"{name}={value!r} {unit}")
         (whole,) = bearing.coefficients([bearing.settings()])
-        found = whole.lateral(*bearing.kind.lateral)
-    if not np.any(found.damping):
+        coefficients = whole.lateral(*bearing.kind.lateral)
+    if not np.any(coefficients.damping):
         raise ConfigError(
             "this theory has no damping", hint="a journal or a magnetic bearing has; or state all under `expected`", field="theory"
         )
-    matrices = {"k": found.stiffness, "c": found.damping}
+    matrices = {"k": coefficients.stiffness, "c": coefficients.damping}
     return {f"{letter}_{AXES[i]}{AXES[j]}": float(matrix[i, j]) for letter, matrix in matrices.items() for i in (0, 1) for j in (0, 1)}
 
 

@@ -89,16 +89,16 @@ def plan_run_ups(settings: RunUpPlanSettings, title: str, earlier: dict[str, flo
     """The runs that tell most within the time; ConfigError where a goal cannot be met however many there are."""
     expected = _expected(settings, earlier)
     candidates, notes = _allowed(expected, _candidates(settings, expected, settings.loads), settings)
-    known = settings.known
+    given = settings.known
     question = RunQuestion(
         parameters=PARAMETERS,
         units=PRIOR,
-        prior=_prior(known),
+        prior=_prior(given),
         conditions=tuple(_condition(settings, expected, candidate) for candidate in candidates),
         quantities=tuple(_quantities(settings, expected)),
         duration=settings.duration,
         criterion=settings.criterion,
-        known=known,
+        known=given,
         remedies=tuple(_remedies(settings, expected, candidates)),
     )
     answered = plan_runs(question, title, settings.model, notes)
@@ -146,9 +146,9 @@ def _allowed(
     limits = Limits(settings.displacement_limit, settings.journal_limit)
     kept, cut, whole = [], 0, 0
     for candidate in candidates:
-        found = at_allowed_speeds(expected, candidate, limits)
-        kept += [] if found is None else [found]
-        full = found is not None and found.speed.size == candidate.speed.size
+        allowed = at_allowed_speeds(expected, candidate, limits)
+        kept += [] if allowed is None else [allowed]
+        full = allowed is not None and allowed.speed.size == candidate.speed.size
         cut, whole = cut + (not full), whole + full
     if not kept:
         raise ConfigError(
@@ -176,7 +176,7 @@ def _condition(settings: RunUpPlanSettings, expected: ExpectedRig, candidate: Ru
 
 def _remedies(settings: RunUpPlanSettings, expected: ExpectedRig, candidates: Sequence[RunCandidate]) -> Iterator[Change]:
     """A measured clearance, a shaker, a second load: alone, then two of them."""
-    own = tuple(_condition(settings, expected, candidate) for candidate in candidates)
+    conditions = tuple(_condition(settings, expected, candidate) for candidate in candidates)
     shaken = TrialSettings(shaker=expected.rig.plane_names[0])
     with_shaker = replace(settings, trials=(*settings.trials, ("shaker", shaken)))
     other = (OTHER_LOAD * max(settings.loads),)
@@ -188,16 +188,16 @@ def _remedies(settings: RunUpPlanSettings, expected: ExpectedRig, candidates: Se
     for size in (1, 2):
         for names in combinations(changes, size):
             extra = tuple(condition for name in names for condition in changes[name][0])
-            known = tuple(parameter for name in names for parameter in changes[name][1])
-            yield Change(" and ".join(names), size, (*own, *extra), known)
+            parameters = tuple(parameter for name in names for parameter in changes[name][1])
+            yield Change(" and ".join(names), size, (*conditions, *extra), parameters)
 
 
 def _extra(settings: RunUpPlanSettings, expected: ExpectedRig, loads: Sequence[float]) -> tuple[Condition, ...]:
     try:
-        found, _ = _allowed(expected, _candidates(replace(settings, to_threshold=False), expected, loads), settings)
+        allowed, _ = _allowed(expected, _candidates(replace(settings, to_threshold=False), expected, loads), settings)
     except (ConfigError, FitError):
         return ()
-    return tuple(_condition(settings, expected, candidate) for candidate in found)
+    return tuple(_condition(settings, expected, candidate) for candidate in allowed)
 
 
 def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[Quantity]:
@@ -211,9 +211,9 @@ def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[
     if settings.at_load is None:
         return
     for name in SPEEDS:
-        found = _speed_row(expected, settings.at_load, name)
-        if found is not None:
-            value, row = found
+        at_speed = _speed_row(expected, settings.at_load, name)
+        if at_speed is not None:
+            value, row = at_speed
             goal = None if name not in goals else goals[name] * value
             yield Quantity(name, "rad/s", value, row, goal, value)
         elif name in goals:

@@ -72,13 +72,13 @@ def _common(bearing: BearingFile, name: str) -> Common:
     """A number of the bearing file, with its doubt as what is known before."""
     declared = settings_of(bearing.kind.settings)
     if name not in declared or declared[name][0].kind != "value" or name in ("load", "speed"):
-        numbers = tuple(key for key, (one, _) in declared.items() if one.kind == "value" and key not in ("load", "speed"))
+        numbers = tuple(key for key, (declaration, _) in declared.items() if declaration.kind == "value" and key not in ("load", "speed"))
         raise ConfigError(f"'{name}' is no number of a {bearing.kind_name}", hint=nearest(name, numbers), field="estimate")
     value = getattr(bearing.settings(), name)
     if not value:
         raise ConfigError(f"the bearing file gives no {name}", hint="state it there", field="estimate")
-    known = bearing.doubts.get(name)
-    return Common(name, float(value), declared[name][0].unit, None if known is None else known.std_error)
+    doubt = bearing.doubts.get(name)
+    return Common(name, float(value), declared[name][0].unit, None if doubt is None else doubt.std_error)
 
 
 def _states(settings: StatePlanSettings, bearing: BearingFile, common: Sequence[Common]) -> list[BearingState]:
@@ -86,12 +86,12 @@ def _states(settings: StatePlanSettings, bearing: BearingFile, common: Sequence[
     points = [(load, speed) for load in settings.loads for speed in settings.speeds]
     changes: list[tuple[Common, float] | None] = [None, *((number, sign) for number in common for sign in (1.0, -1.0))]
     wanted = [_settings(bearing, load, speed, change) for load, speed in points for change in changes]
-    values = np.array([_eight(bearing, one) for one in bearing.coefficients(wanted)]).reshape(len(points), len(changes), -1)
+    values = np.array([_eight(bearing, state) for state in bearing.coefficients(wanted)]).reshape(len(points), len(changes), -1)
     states = []
-    for (load, speed), each in zip(points, values, strict=True):
+    for (load, speed), coefficients in zip(points, values, strict=True):
         steps = np.array([2 * STEP * number.value for number in common])
-        slopes = ((each[1::2] - each[2::2]) / steps[:, None]).T if common else np.zeros((len(COEFFICIENTS), 0))
-        model = MODELS[FLOATING](dict(zip(COEFFICIENTS, each[0].tolist(), strict=True)), settings.mass)
+        slopes = ((coefficients[1::2] - coefficients[2::2]) / steps[:, None]).T if common else np.zeros((len(COEFFICIENTS), 0))
+        model = MODELS[FLOATING](dict(zip(COEFFICIENTS, coefficients[0].tolist(), strict=True)), settings.mass)
         states.append(BearingState(_name(load, speed), load, speed, model, slopes))
     return states
 

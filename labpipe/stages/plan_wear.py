@@ -195,13 +195,13 @@ def _term_notes(
     for terms in PLACES:
         if terms == "full":
             continue
-        told = _prior(settings)
+        total = _prior(settings)
         for point in points:
             if point.name in counts:
                 at = expected.at(point.speed, settings.node, point.force)
-                told = told + counts[point.name] * information(at, testing, point.band, terms)
+                total = total + counts[point.name] * information(at, testing, point.band, terms)
         scale = _units(settings, expected)
-        errors = np.sqrt(np.diagonal(np.linalg.pinv(told * np.outer(scale, scale))))
+        errors = np.sqrt(np.diagonal(np.linalg.pinv(total * np.outer(scale, scale))))
         yield f"From the {terms} terms alone: depth to {errors[0]:.2g} um, angle to {errors[1]:.2g} deg."
 
 

@@ -45,7 +45,7 @@ def result_of_test(
     return TestResult(
         # A test without fits has a row as well: the dataset knows that it was worked on.
         rows=tuple(row for fit in fits for row in rows_of_fit(fit, common)) or (DatasetRow(**common),),  # type: ignore[arg-type]
-        findings=(*((test.name, finding) for finding in findings), *((fit_title(fit), found) for fit in fits for found in fit.findings)),
+        findings=(*((test.name, finding) for finding in findings), *((fit_title(fit), of_fit) for fit in fits for of_fit in fit.findings)),
         partial=partial,
         forbidden=outcomes,
     )
@@ -93,8 +93,8 @@ def _changed(path: Path) -> str:
 def _seconds(path: Path) -> float:
     if not is_remote(path):
         return path.stat().st_mtime
-    found = status(path)
-    return 0.0 if found is None else found.changed
+    status_of_file = status(path)
+    return 0.0 if status_of_file is None else status_of_file.changed
 
 
 def digest_of_sources(sources: Sequence[SourceRef]) -> str:

@@ -90,7 +90,7 @@ def _tracked(recording: StoredRecording, lines: ShaftLines, settings: RunSetting
     assert settings.load is not None
     run = run_up_of(track, settings.name, settings.load, unbalance)
     tacho = next(channel for channel in recording.channels if channel.name == settings.tacho)
-    turned = [one.doubt for one in tacho.doubts if one.effect == "phase"]
+    turned = [effect.doubt for effect in tacho.doubts if effect.effect == "phase"]
     of_keyphasor = [error for doubt in turned for error in turning(doubt, len(run.planes))]
     return replace(run, doubts=(*run.doubts, *of_keyphasor))
 

@@ -107,10 +107,10 @@ def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
     """
     if not folder.is_dir():
         raise DataError("no such folder", where=str(folder), hint="name the folder that holds the results of your runs")
-    found = artefacts_below(folder)
-    if not found:
+    artefacts = artefacts_below(folder)
+    if not artefacts:
         raise DataError("holds no artefact of labpipe", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER`")
-    for path in found:
+    for path in artefacts:
         kind = _kind(path)
         assert kind is not None
         yield _verified(path, kind, base)
@@ -134,11 +134,11 @@ def _verified(path: Path, kind: _Kind, base: Path | None) -> Verified:
     faults: list[str] = []
     same = 0
     base = base or pipeline_folder(path.parent if (path.parent / NAME).exists() else path.parent.parent)
-    for (name, sha256), folders in [*((one, [base] if base else []) for one in sources), *((one, _near(path)) for one in inputs)]:
-        found = _digest(name, folders)
-        if found is None:
+    for (name, sha256), folders in [*((source, [base] if base else []) for source in sources), *((file, _near(path)) for file in inputs)]:
+        actual = _digest(name, folders)
+        if actual is None:
             remarks.append(f"'{name}' is not there to be compared")
-        elif found != sha256:
+        elif actual != sha256:
             faults.append(f"'{name}' is not the file that it was made from")
         else:
             same += 1

@@ -90,10 +90,10 @@ class ExpectedWear:
         if not place.is_film:
             fixed = place.bearing.at(OperatingPoint(load, self.rig.omega, self.rig.omega))
             return VaryingSupport(Support(place.node, fixed.stiffness, fixed.damping), *slopes)
-        own = [name for name in self.values if name != "beta" and (place.name == self.bearing or name not in (DEPTH, ANGLE))]
-        bearing = replace(place.film("wear"), **{name: self.values[name] for name in own})
+        names = [name for name in self.values if name != "beta" and (place.name == self.bearing or name not in (DEPTH, ANGLE))]
+        bearing = replace(place.film("wear"), **{name: self.values[name] for name in names})
         film = journal_equilibrium(bearing, load, self.rig.omega, mesh)
-        for name, slope in film_slopes(film, own).items():
+        for name, slope in film_slopes(film, names).items():
             slopes[:, tuple(self.values).index(name)] = slope
         return VaryingSupport(Support(place.node, film.stiffness, film.damping), *slopes)
 

@@ -86,8 +86,8 @@ def film_slopes(film: JournalEquilibrium, names: Collection[str]) -> dict[str, F
     cavitation pressure over the mean pressure): the derivative by clearance follows from that by viscosity, without films of its own.
     """
     alike = film.bearing.wear_depth == 0 and "clearance" in names
-    own = dict.fromkeys([*names, *(["viscosity"] if alike else [])])
-    slopes = {name: _difference(film, name) for name in own if not (alike and name == "clearance")}
+    own_names = dict.fromkeys([*names, *(["viscosity"] if alike else [])])
+    slopes = {name: _difference(film, name) for name in own_names if not (alike and name == "clearance")}
     if alike:
         scaled = np.stack([film.stiffness, film.damping]) + 2 * film.bearing.viscosity * slopes["viscosity"]
         slopes["clearance"] = -scaled / film.bearing.clearance
@@ -179,8 +179,8 @@ class TabledBearing:
         slopes = np.zeros_like(by_parameter) if self.correction is None else self.correction.slopes
         if with_slopes:
             slopes = np.zeros_like(by_parameter)
-            own = [name for name in PARAMETERS if name in values and (self.worn or name not in WEAR)]
-            for name, slope in film_slopes(film, own).items():
+            names = [name for name in PARAMETERS if name in values and (self.worn or name not in WEAR)]
+            for name, slope in film_slopes(film, names).items():
                 number = PARAMETERS.index(name)
                 slopes[:, number] = slope - by_parameter[:, number]
         correction = Correction(_point(bearing), np.stack([film.stiffness, film.damping]) - matrices, slopes)
