@@ -7,6 +7,7 @@ the plain Python value. The tree is edited by ``--set`` and read by the configur
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,8 @@ _Loader.yaml_implicit_resolvers = {
 
 # A file that people write has fewer entries and characters, also when its aliases stand for what they name.
 MOST_NODES, MOST_BYTES = 200_000, 1 << 24
+# Characters of a file whose nodes are kept: pipelines share their rigs, and a watch reads the same files again and again.
+MOST_KEPT = 1 << 15
 
 
 def load_marked(path: Path) -> Marked:
@@ -74,8 +77,7 @@ def load_marked(path: Path) -> Marked:
 def parse_marked(text: str, name: str) -> Marked:
     """The marked tree of YAML *text*; *name* is the file's name in messages."""
     try:
-        loader = _Loader(text)
-        node = loader.get_single_node()
+        node = _composed(text) if len(text) <= MOST_KEPT else _Loader(text).get_single_node()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
@@ -94,6 +96,12 @@ def parse_marked(text: str, name: str) -> Marked:
     if tree.duplicates:
         raise ConfigErrors(tree.duplicates)
     return marked
+
+
+@lru_cache(maxsize=32)
+def _composed(text: str) -> yaml.Node | None:
+    """The nodes of YAML *text*, which nobody changes."""
+    return _Loader(text).get_single_node()
 
 
 def _place(mark: yaml.Mark, name: str) -> str:

@@ -64,7 +64,12 @@ def is_number(field: str, decimal: str) -> bool:
 
 def is_number_or_missing(field: str, decimal: str, number: IsNumber = is_cell) -> bool:
     """True if a field is a number or a known mark for a missing one."""
-    return field.strip().strip('"') in MISSING or number(field, decimal)
+    return is_missing(field) or number(field, decimal)
+
+
+def is_missing(field: str) -> bool:
+    """True if a field is a known mark for a missing number."""
+    return field.strip().strip('"') in MISSING
 
 
 def fields_of(line: str, delimiter: str) -> list[str]:
@@ -133,8 +138,13 @@ def _sample(n_line: int) -> list[int]:
 
 def _is_numeric(line: str, delimiter: str, decimal: str, number: IsNumber) -> bool:
     """True if a line is a row of numbers, some of which may be missing."""
-    fields = fields_of(line, delimiter)
-    return any(number(field, decimal) for field in fields) and all(is_number_or_missing(field, decimal, number) for field in fields)
+    numbers = 0
+    for field in fields_of(line, delimiter):
+        if number(field, decimal):
+            numbers += 1
+        elif not is_missing(field):
+            return False
+    return numbers > 0
 
 
 def _numeric_rows(lines: list[str], sample: list[int], delimiter: str, decimal: str, is_cell: IsNumber) -> tuple[list[int], int]:

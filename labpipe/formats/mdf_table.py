@@ -91,13 +91,13 @@ class MdfTable:
 
     def _opened(self) -> tuple[Any, str]:
         """The file, or why it cannot be opened."""
-        with _quiet():
+        with _quiet(), _kept_young():
             try:
                 return self._library.MDF(self.path), ""
             except Exception as error:
                 reason = str(error) or "damaged"
             # What the library has begun goes here, not later.
-            gc.collect()
+            gc.collect(0)
         return None, reason
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
@@ -133,6 +133,18 @@ def _quiet() -> Iterator[None]:
             yield
     finally:
         sys.unraisablehook = hook
+
+
+@contextmanager
+def _kept_young() -> Iterator[None]:
+    """What is made within stays in the youngest generation: a search for garbage there finds it without a look at all other objects."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def _is_numeric(signal: Any) -> bool:

@@ -69,8 +69,11 @@ def _read_within(path: Path, touch: Touch, seconds: int) -> int:
     """In the child: its limits, then the file. Nothing of the parent's is touched or flushed."""
     try:
         import faulthandler
+        import gc
         import resource
 
+        # The parent's objects are no garbage of the child's: looking at them would copy all their pages.
+        gc.freeze()
         faulthandler.disable()
         resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

@@ -57,8 +57,8 @@ Band = tuple[float, float]
 def identify(measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings: FitSettings, *, judging: bool = True) -> tuple[Fit, ...]:
     """Fit the settings' model to a response, free decays or spectra: one Fit, or one per band or chosen peak.
 
-    *judging*: what a residual that is not noise shows widens the intervals; without it they are those of the estimator alone, which a
-    study counts, at a fraction of the time.
+    *judging*: what a residual that is not noise shows widens the intervals, and the given mass is held against a free one; without it the
+    intervals are those of the estimator alone, which a study counts, at a fraction of the time.
     Raises ConfigError where settings and measurement do not fit together, FitError where the data cannot support the fit.
     """
     check_kind(settings, _kind_of(measured))
@@ -219,7 +219,7 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
             *judged_findings(judgement.judged),
             *goodness_findings(estimate.gof),
             *leakage,
-            *_mass_findings(measured, model, estimate, setup),
+            *(_mass_findings(measured, model, estimate, setup) if judging else ()),
             *_parameter_findings(parameters, band, setup),
             *budgeted.findings,
             *comparison_findings(compared_models),

@@ -64,10 +64,12 @@ class Leakage:
 
     def averaged(self, values: ComplexArray) -> ComplexArray:
         """Mean over the kernel of values (..., n_every, n_dof, n_input) at all points, (..., n_line, n_dof, n_input) [unit of values]."""
-        cases = np.ascontiguousarray(values, np.complex128).reshape(-1, values.shape[-3], values.shape[-2] * values.shape[-1])
-        # Real weights on pairs of real and imaginary part, one pass over each case.
-        means = [(self._weights @ case.view(np.float64)).view(np.complex128) for case in cases]
-        return np.asarray(means).reshape(*values.shape[:-3], self.numbers.size, *values.shape[-2:])
+        # Cases last, as the derivatives of a model lie in memory: one pass over all of them.
+        every = np.ascontiguousarray(np.moveaxis(values.reshape(-1, *values.shape[-3:]), 0, -1), np.complex128)
+        # Real weights on pairs of real and imaginary part.
+        means = (self._weights @ every.reshape(every.shape[0], -1).view(np.float64)).view(np.complex128)
+        cases_last = means.reshape(self.numbers.size, *every.shape[1:])
+        return np.moveaxis(cases_last, -1, 0).reshape(*values.shape[:-3], self.numbers.size, *values.shape[-2:])
 
     @cached_property
     def _weights(self) -> Any:
@@ -159,7 +161,14 @@ def _force_power(measured: Measured) -> FloatArray:
 
 def _apparent(leakage: Leakage, deviation: ComplexArray, power: FloatArray) -> ComplexArray:
     """Covariance (n_line, n, n) [m^2/N^2] of H from the leakage in a single block's residual, as if blocks were independent."""
-    return _by_force(np.einsum("m,lmoq,lmpq->lop", leakage.kernel.weights, deviation * power, deviation.conj()), power)
+    weighted = deviation * (leakage.kernel.weights[:, None, None] * power)
+    return _by_force(_rows(weighted) @ hermitian(_rows(deviation)), power)
+
+
+def _rows(deviation: ComplexArray) -> ComplexArray:
+    """Values (n_line, n_point, n_output, n_input) as rows of an output's numbers, (n_line, n_output, n_point n_input) [their unit]."""
+    n_line, n_point, n_output, n_input = deviation.shape
+    return deviation.transpose(0, 2, 1, 3).reshape(n_line, n_output, n_point * n_input)
 
 
 def _scatter(leakage: Leakage, deviation: ComplexArray, power: FloatArray, distance: int) -> tuple[ComplexArray, ComplexArray]:
@@ -174,12 +183,15 @@ def _scatter(leakage: Leakage, deviation: ComplexArray, power: FloatArray, dista
     both = kernel.amplitude[step:] * kernel.amplitude[: kernel.amplitude.size - step]
     left, right = deviation[first][:, step:], deviation[second][:, : deviation.shape[1] - step]
     n = deviation.shape[2] * power.size
+    left_rows, right_rows = _rows(left * power), hermitian(_rows(right))
+    left, right = (np.ascontiguousarray(side).reshape(*side.shape[:2], n) for side in (left, right))
     covariance, turned = np.zeros((2, first.size, n, n), np.complex128)
     for weight, phases in kernel.shifts():
         shifted = weight / kernel.blocks.number * both * phases[step:]
-        covariance += _by_force(np.einsum("m,kmoq,kmpq->kop", shifted, left * power, right.conj()), power) * np.vdot(phases[step:], both)
-        there = np.einsum("m,kmoj->koj", shifted, left)
-        back = np.einsum("m,kmpi->kpi", both * phases[step:].conj(), right)
+        products = (left_rows * np.repeat(shifted, power.size)) @ right_rows
+        covariance += _by_force(products, power) * np.vdot(phases[step:], both)
+        there = (shifted @ left).reshape(-1, *deviation.shape[2:])
+        back = (both * phases[step:].conj() @ right).reshape(-1, *deviation.shape[2:])
         turned += np.einsum("koj,kpi->koipj", there, back).reshape(-1, n, n)
     return covariance, turned
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import product
+from functools import lru_cache
+from itertools import combinations_with_replacement
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.identify.model import CACHED_ELEMENTS, DynamicModel
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.identify.model import CACHED_ELEMENTS, ActingTerms, DynamicModel
 
 # By what a matrix of each kind stands in Z(w): factor and power of w.
 FACTORS = {"stiffness": (1.0, 0), "damping": (1j, 1), "mass": (-1.0, 2)}
@@ -46,9 +47,10 @@ def normal_equations(
     """
     n_dof = model.constant.force.shape[0]
     kinds = [kind for kind in FACTORS if model.acting[kind] is not None]
-    powers = sorted({FACTORS[first][1] + FACTORS[second][1] for first, second in product(kinds, kinds)})
+    exponents = np.array([FACTORS[kind][1] for kind in kinds])
+    powers = sorted({int(first + second) for first, second in combinations_with_replacement(exponents, 2)})
     sums: dict[int, ComplexArray] = {power: np.zeros((n_dof * (n_dof + 1) // 2, n_dof**2), np.complex128) for power in powers}
-    sides: dict[str, ComplexArray] = {kind: np.zeros((n_dof, n_dof), np.complex128) for kind in kinds}
+    sides = np.zeros((len(kinds), n_dof**2), np.complex128)
     square = 0.0
     n_chunk = max(16, CACHED_ELEMENTS // n_dof**3)
     for start in range(0, omega.size, n_chunk):
@@ -58,11 +60,11 @@ def normal_equations(
         weighted = power * residual
         square += float(np.sum((weighted * residual.conj()).real))
         side = inverse.conj().swapaxes(1, 2) @ weighted @ response.conj().swapaxes(1, 2)
-        for kind in kinds:
-            sides[kind] += np.tensordot(omega[lines] ** FACTORS[kind][1], side, 1)
+        sides += omega[lines] ** exponents[:, None] @ side.reshape(-1, n_dof**2)
         if with_products:
             _add_products(inverse, response, power, omega[lines], sums)
-    return NormalEquations(_gathered(model, kinds, sums), _projected(model, sides), square)
+    products = _gathered(model, kinds, sums) if with_products else np.zeros((len(model.terms),) * 2)
+    return NormalEquations(products, _projected(model, dict(zip(kinds, sides, strict=True))), square)
 
 
 def _add_products(
@@ -70,7 +72,7 @@ def _add_products(
 ) -> None:
     """Add sum_li w^p conj(G_ia) G_ic sum_j power_ij conj(H_bj) H_dj, in the order (a <= c, bd), for the powers p of *sums*."""
     n_line, n_dof = inverse.shape[:2]
-    first, second = np.triu_indices(n_dof)
+    first, second = _upper(n_dof)
     columns = (inverse[:, :, first].conj() * inverse[:, :, second]).reshape(-1, first.size)
     by_input = np.ascontiguousarray(response.swapaxes(1, 2))
     outer = (by_input.conj()[:, :, :, None] * by_input[:, :, None, :]).reshape(n_line, -1, n_dof**2)
@@ -82,27 +84,44 @@ def _add_products(
 
 def _gathered(model: DynamicModel, kinds: list[str], sums: dict[int, ComplexArray]) -> FloatArray:
     """The products (n_parameter, n_parameter) of all terms from those of their elements."""
-    n_dof, numbers = model.constant.force.shape[0], np.arange(len(model.terms))
-    products = np.zeros((numbers.size, numbers.size))
-    whole = {power: _whole(total, n_dof) for power, total in sums.items()}
-    for first, other in product(kinds, kinds):
+    products = np.zeros((len(model.terms),) * 2)
+    whole = dict(zip(sums, _whole(np.array(list(sums.values())), model.constant.force.shape[0]), strict=True))
+    for first, other in combinations_with_replacement(kinds, 2):
         (factor, exponent), (other_factor, other_exponent) = FACTORS[first], FACTORS[other]
         elements = (np.conj(factor) * other_factor * whole[exponent + other_exponent]).real
         acting, other_acting = model.acting[first], model.acting[other]
         assert acting is not None and other_acting is not None
         combined = acting.combined(other_acting.combined(elements).T).T.real
-        products[np.ix_(numbers[acting.place], numbers[other_acting.place])] = combined
+        products[_block(acting, other_acting)] += combined
+        if first != other:
+            products[_block(other_acting, acting)] += combined.T
     return products
 
 
-def _whole(total: ComplexArray, n_dof: int) -> ComplexArray:
-    """Sums in the order (a <= c, bd) as a matrix (ab, cd), (n_dof^2, n_dof^2); those of (c, a) are the conjugates, b and d exchanged."""
-    first, second = np.triu_indices(n_dof)
-    part = total.reshape(-1, n_dof, n_dof)
-    whole = np.empty((n_dof,) * 4, np.complex128)
-    whole[second, first] = part.conj().swapaxes(1, 2)
-    whole[first, second] = part
-    return whole.transpose(0, 2, 1, 3).reshape(n_dof**2, n_dof**2)
+def _block(rows: ActingTerms, columns: ActingTerms) -> tuple[IntArray | slice, IntArray | slice]:
+    """Where the products of two kinds of terms stand among those of all."""
+    if isinstance(rows.place, slice) or isinstance(columns.place, slice):
+        return rows.place, columns.place
+    return rows.place[:, None], columns.place
+
+
+@lru_cache(maxsize=64)
+def _upper(n_dof: int) -> tuple[IntArray, IntArray]:
+    """The numbers (a, c), a <= c, of pairs of columns."""
+    return np.triu_indices(n_dof)
+
+
+def _whole(totals: ComplexArray, n_dof: int) -> ComplexArray:
+    """Sums (n_sum, n_pair, n_dof^2) in the order (a <= c, bd) as matrices (ab, cd), (n_sum, n_dof^2, n_dof^2).
+
+    Those of (c, a) are the conjugates, b and d exchanged.
+    """
+    first, second = _upper(n_dof)
+    part = totals.reshape(len(totals), -1, n_dof, n_dof)
+    whole = np.empty((len(totals), *(n_dof,) * 4), np.complex128)
+    whole[:, second, first] = part.conj().swapaxes(2, 3)
+    whole[:, first, second] = part
+    return whole.transpose(0, 1, 3, 2, 4).reshape(-1, n_dof**2, n_dof**2)
 
 
 def _projected(model: DynamicModel, sides: dict[str, ComplexArray]) -> FloatArray:
@@ -110,5 +129,5 @@ def _projected(model: DynamicModel, sides: dict[str, ComplexArray]) -> FloatArra
     for kind, side in sides.items():
         acting = model.acting[kind]
         assert acting is not None
-        projected[acting.place] += acting.combined((np.conj(FACTORS[kind][0]) * side).real.reshape(-1)).real
+        projected[acting.place] += acting.combined((np.conj(FACTORS[kind][0]) * side).real).real
     return projected

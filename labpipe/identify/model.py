@@ -206,7 +206,7 @@ class DynamicModel:
     def _add_slopes(self, whole: Matrices, omega: FloatArray, slopes: ComplexArray) -> None:
         """Add dH/dp of a few lines to *slopes* (n_line, n_dof, n_input, n_parameter)."""
         n_line, n_dof, n_input = slopes.shape[:3]
-        inverse = _solved(_dynamic_stiffness(whole, omega), np.eye(n_dof, dtype=np.complex128))
+        inverse = _inverse(_dynamic_stiffness(whole, omega))
         by_input = (inverse @ whole.force).swapaxes(1, 2)
         outer = (inverse[:, :, None, :, None] * by_input[:, None, :, None, :]).reshape(n_line, n_dof, n_input, n_dof**2)
         for kind, factor in _line_factors(omega).items():
@@ -225,7 +225,7 @@ class DynamicModel:
         """
         n_side, n_line, n_dof, n_input = sides.shape
         joined = sides.transpose(1, 2, 0, 3).reshape(n_line, n_dof, n_side * n_input)
-        solved = _solved(self.dynamic_stiffness(parameters, omega), np.eye(n_dof, dtype=np.complex128)) @ joined
+        solved = _inverse(self.dynamic_stiffness(parameters, omega)) @ joined
         return solved.reshape(n_line, n_dof, n_side, n_input).transpose(2, 0, 1, 3)
 
     def equation_terms(self, h: ComplexArray, omega: FloatArray) -> ComplexArray:
@@ -273,8 +273,7 @@ class DynamicModel:
 
 def compliance(model: DynamicModel, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
     """Z(w)^-1 [m/N], (n_line, n_dof, n_dof), at *parameters* (n_parameter,) and *omega* (n_line,) [rad/s]; FitError where Z is singular."""
-    z = model.dynamic_stiffness(parameters, omega)
-    return _solved(z, np.eye(z.shape[-1], dtype=np.complex128))
+    return _inverse(model.dynamic_stiffness(parameters, omega))
 
 
 def _line_factors(omega: FloatArray) -> dict[str, NDArray[np.inexact]]:
@@ -289,7 +288,19 @@ def _dynamic_stiffness(matrices: Matrices, omega: FloatArray) -> ComplexArray:
 
 def _solved(z: ComplexArray, sides: ComplexArray) -> ComplexArray:
     try:
-        solved: ComplexArray = np.linalg.solve(z, np.broadcast_to(sides, (z.shape[0], *sides.shape[-2:])))
+        solved: ComplexArray = np.linalg.solve(z, sides[None])
     except np.linalg.LinAlgError:
-        raise FitError("the dynamic stiffness of the model is singular at a line", hint="check the band and the mass") from None
+        raise _singular() from None
     return solved
+
+
+def _inverse(z: ComplexArray) -> ComplexArray:
+    try:
+        inverse: ComplexArray = np.linalg.inv(z)
+    except np.linalg.LinAlgError:
+        raise _singular() from None
+    return inverse
+
+
+def _singular() -> FitError:
+    return FitError("the dynamic stiffness of the model is singular at a line", hint="check the band and the mass")

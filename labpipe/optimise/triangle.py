@@ -35,4 +35,5 @@ def triangle_of_products(products: FloatArray) -> tuple[FloatArray, FloatArray] 
         triangle: FloatArray = np.linalg.cholesky(products / np.outer(scale, scale)).T
     except np.linalg.LinAlgError:
         return None
-    return (scale, triangle) if np.linalg.cond(triangle) < WELL_CONDITIONED else None
+    singular = np.linalg.svd(triangle, compute_uv=False)
+    return (scale, triangle) if singular[0] < WELL_CONDITIONED * singular[-1] else None

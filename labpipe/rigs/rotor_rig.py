@@ -137,7 +137,9 @@ class RotorRig:
 
     def equilibria(self, mesh: FilmMesh = DEFAULT_MESH) -> dict[str, JournalEquilibrium]:
         """Equilibrium of the journal of every oil film at the rig's speed, by bearing."""
-        loads = self.static_loads()
+        return self._equilibria(self.static_loads(), mesh)
+
+    def _equilibria(self, loads: dict[str, tuple[float, float]], mesh: FilmMesh) -> dict[str, JournalEquilibrium]:
         return {
             place.name: journal_equilibrium(place.film("an equilibrium"), loads[place.name], self.omega, mesh)
             for place in self.bearings
@@ -146,8 +148,8 @@ class RotorRig:
 
     def supports(self, mesh: FilmMesh = DEFAULT_MESH) -> list[Support]:
         """The bearings as springs and dampers, their motion at the frequency of the rig's speed; *mesh*: of oil films."""
-        films = self.equilibria(mesh)
         loads = self.static_loads()
+        films = self._equilibria(loads, mesh)
         coefficients = {
             place.name: films.get(place.name) or place.bearing.at(OperatingPoint(loads[place.name], self.omega, self.omega))
             for place in self.bearings

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -34,6 +35,7 @@ class RotorMatrices:
         return RotorMatrices(*(whole[rows, columns] for whole in (self.mass, self.damping, self.gyroscopic, self.stiffness)))
 
 
+@lru_cache(maxsize=8)
 def free_rotor(rotor: Rotor) -> RotorMatrices:
     """The rotor without supports; damping alpha M + beta K of the shaft alone, without discs and sleeves. Equation (rotor-motion)."""
     mass, stiffness, gyroscopic = (np.zeros((4 * rotor.n_node, 4 * rotor.n_node)) for _ in range(3))
@@ -49,6 +51,9 @@ def free_rotor(rotor: Rotor) -> RotorMatrices:
         mass[[y, z, about_y, about_z], [y, z, about_y, about_z]] += [disc.mass] * 2 + [disc.transverse_inertia] * 2
         gyroscopic[about_y, about_z] += disc.polar_inertia
         gyroscopic[about_z, about_y] -= disc.polar_inertia
+    # The rotor at the next speed has the same ones.
+    for matrix in (mass, damping, gyroscopic, stiffness):
+        matrix.flags.writeable = False
     return RotorMatrices(mass, damping, gyroscopic, stiffness)
 
 

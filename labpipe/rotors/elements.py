@@ -16,7 +16,7 @@ PLANE_Y = np.array([0, 3, 4, 7])
 PLANE_Z = np.array([1, 2, 5, 6])
 SIGNS_Z = np.array([1.0, -1.0, 1.0, -1.0])
 # Exact for the polynomials of sixth degree under the integrals.
-GAUSS_POINTS = 4
+GAUSS_POINTS, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 def shape_functions(element: ShaftElement, xi: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -50,9 +50,8 @@ def plane_inertia(element: ShaftElement, ring: ShaftElement | None = None) -> tu
     Equation (rotor-inertia).
     """
     tube = ring or element
-    points, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
-    deflection, rotation = shape_functions(element, (points + 1) / 2)
-    density = tube.material.density * element.length * weights / 2
+    deflection, rotation = shape_functions(element, (GAUSS_POINTS + 1) / 2)
+    density = tube.material.density * element.length * GAUSS_WEIGHTS / 2
     return (deflection * (density * tube.area)) @ deflection.T, (rotation * (density * tube.second_moment)) @ rotation.T
 
 
