@@ -2,7 +2,8 @@
 
 An element (a, b) of a matrix K, C or M changes the response by an outer product: column a of Z^-1 times row b of the response. The sum over
 the lines of products of two such derivatives is therefore one product of (columns by columns) and (rows by rows), for FRFs with independent
-noise. The derivatives of all parameters on all lines, n^2 times as many numbers, are never made.
+noise, and for those whose covariance is one matrix over the responses times one over the forces, as that of H1 is. The derivatives of all
+parameters on all lines, n^2 times as many numbers, are never made.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.identify.model import CACHED_ELEMENTS, ActingTerms, DynamicModel
+from labpipe.identify.product_weights import ProductWeights
+from labpipe.identify.weights import Weights, is_short
 
 # By what a matrix of each kind stands in Z(w): factor and power of w.
 FACTORS = {"stiffness": (1.0, 0), "damping": (1j, 1), "mass": (-1.0, 2)}
@@ -33,17 +36,17 @@ class NormalEquations:
     square: float
 
 
-def has_line_products(model: object, weights: ComplexArray) -> bool:
-    """Whether a model and *weights* (n_line, n) or (n_line, n, n) [N/m] have them: linear in K, C, M alone, FRFs of independent noise."""
-    return isinstance(model, DynamicModel) and weights.ndim == 2 and model.acting["force"] is None
+def has_line_products(model: object, weights: Weights) -> bool:
+    """Whether a model and *weights* have them: linear in K, C, M alone, noise by less than a whole matrix (n_line, n, n) [N/m]."""
+    return isinstance(model, DynamicModel) and is_short(weights) and model.acting["force"] is None
 
 
 def normal_equations(
-    model: DynamicModel, omega: FloatArray, weights: ComplexArray, lines_of: LinesOf, with_products: bool = True
+    model: DynamicModel, omega: FloatArray, weights: Weights, lines_of: LinesOf, with_products: bool = True
 ) -> NormalEquations:
-    """Of the columns Z^-1 Z_p H and the residual that *lines_of* gives, whitened by *weights* (n_line, n) [N/m]; *omega* (n_line,) [rad/s].
+    """Of the columns Z^-1 Z_p H and the residual that *lines_of* gives, whitened by *weights*, diagonals (n_line, n) [N/m] or factors.
 
-    *with_products*: else J^T J stays zero. Equation (est-line-products).
+    *omega* (n_line,) [rad/s]; *with_products*: else J^T J stays zero. Equation (est-line-products).
     """
     n_dof = model.constant.force.shape[0]
     kinds = [kind for kind in FACTORS if model.acting[kind] is not None]
@@ -56,12 +59,19 @@ def normal_equations(
     for start in range(0, omega.size, n_chunk):
         lines = slice(start, start + n_chunk)
         inverse, response, residual = lines_of(lines)
-        power = 2 * np.abs(weights[lines].reshape(residual.shape)) ** 2
+        if isinstance(weights, ProductWeights):
+            here = weights.at(lines)
+            inverse, response, residual = here.outputs @ inverse, response @ here.inputs.swapaxes(1, 2), here.whitened(residual)
+            power = np.full(residual.shape, 2.0)
+        else:
+            power = 2 * np.abs(weights[lines].reshape(residual.shape)) ** 2
         weighted = power * residual
         square += float(np.sum((weighted * residual.conj()).real))
         side = inverse.conj().swapaxes(1, 2) @ weighted @ response.conj().swapaxes(1, 2)
         sides += omega[lines] ** exponents[:, None] @ side.reshape(-1, n_dof**2)
-        if with_products:
+        if with_products and isinstance(weights, ProductWeights):
+            _add_separable_products(inverse, response, omega[lines], sums)
+        elif with_products:
             _add_products(inverse, response, power, omega[lines], sums)
     products = _gathered(model, kinds, sums) if with_products else np.zeros((len(model.terms),) * 2)
     return NormalEquations(products, _projected(model, dict(zip(kinds, sides, strict=True))), square)
@@ -80,6 +90,16 @@ def _add_products(
     for exponent, total in sums.items():
         scaled = rows * (omega**exponent)[:, None, None] if exponent else rows
         total += columns.T @ scaled.reshape(-1, n_dof**2)
+
+
+def _add_separable_products(inverse: ComplexArray, response: ComplexArray, omega: FloatArray, sums: dict[int, ComplexArray]) -> None:
+    """Add 2 sum_l w^p (sum_i conj(G_ia) G_ic) (sum_j conj(H_bj) H_dj), both whitened, in the order (a <= c, bd), for powers p as above."""
+    n_line, n_dof = inverse.shape[0], inverse.shape[2]
+    first, second = _upper(n_dof)
+    columns = 2 * (inverse.conj().swapaxes(1, 2) @ inverse)[:, first, second].T
+    rows = (response.conj() @ response.swapaxes(1, 2)).reshape(n_line, n_dof**2)
+    for exponent, total in sums.items():
+        total += (columns * omega**exponent) @ rows
 
 
 def _gathered(model: DynamicModel, kinds: list[str], sums: dict[int, ComplexArray]) -> FloatArray:

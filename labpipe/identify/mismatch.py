@@ -23,7 +23,7 @@ from labpipe.identify.output_error import OutputError
 from labpipe.identify.outside_modes import with_outside_modes
 from labpipe.identify.residual_structure import DRAWS, Null, Structure, residual_structure
 from labpipe.identify.statistics import Estimate, student_limit
-from labpipe.identify.weights import NOISE_FREE, fit_weights, has_noise
+from labpipe.identify.weights import NOISE_FREE, Weights, fit_weights, has_noise
 from labpipe.optimise.levenberg import minimise
 from labpipe.records.finding import Finding
 
@@ -125,7 +125,7 @@ class _Judge:
         return structure is not None and structure.p_value >= MISMATCH_P
 
     @property
-    def _whitener(self) -> np.ndarray:
+    def _whitener(self) -> Weights:
         return fit_weights(self.measured)
 
     def exact(self, model: ReceptanceModel, values: FloatArray) -> bool:

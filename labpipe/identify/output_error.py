@@ -12,8 +12,9 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.identify.line_products import NormalEquations, has_line_products, normal_equations
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import CACHED_ELEMENTS, DynamicModel, ReceptanceModel, compliance
+from labpipe.identify.product_weights import ProductWeights
 from labpipe.identify.proportional import ProportionalModel
-from labpipe.identify.weights import short_weights, whitened, whitened_columns
+from labpipe.identify.weights import Weights, is_short, short_weights, weights_at, whitened, whitened_columns
 from labpipe.optimise.levenberg import Linearisation, linearised, sum_of_squares
 from labpipe.optimise.triangle import triangle_of_products
 
@@ -22,11 +23,11 @@ Model = TypeVar("Model", bound=ReceptanceModel, covariant=True)
 
 @dataclass(frozen=True)
 class OutputError(Generic[Model]):
-    """Measured minus modelled FRF, whitened by *whitener* (n_line, n, n) [N/m], or by its diagonals (n_line, n)."""
+    """Measured minus modelled FRF, whitened by *whitener* (n_line, n, n) [N/m], its diagonals (n_line, n), or its factors."""
 
     measured: Measured
     model: Model
-    whitener: ComplexArray
+    whitener: Weights
 
     @property
     def size(self) -> float:
@@ -38,9 +39,9 @@ class OutputError(Generic[Model]):
         return whitened(self.weights, values)
 
     @cached_property
-    def weights(self) -> ComplexArray:
-        """The whitener, or its diagonals (n_line, n) [N/m] where all else is zero."""
-        return short_weights(self.whitener)
+    def weights(self) -> Weights:
+        """The whitener, or its diagonals (n_line, n) [N/m] where all else is zero, or its factors."""
+        return self.whitener if isinstance(self.whitener, ProductWeights) else short_weights(self.whitener)
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         """Whitened residual (n_equation,) [1], of variance 1 for a correct model."""
@@ -49,7 +50,7 @@ class OutputError(Generic[Model]):
     def chi2(self, parameters: FloatArray) -> float:
         """Sum of squares [1] of the residual at *parameters* (n_parameter,); infinite where the model has no finite response."""
         measured, n_chunk = self.measured, max(16, CACHED_ELEMENTS // self.measured.matrix[0].size)
-        if not (isinstance(self.model, DynamicModel) and self.weights.ndim == 2):
+        if not (isinstance(self.model, DynamicModel) and is_short(self.weights)):
             return sum_of_squares(self.residual, parameters)
         # A few lines at a time stay in the cache.
         chunks = [slice(start, start + n_chunk) for start in range(0, measured.omega.size, n_chunk)]
@@ -57,7 +58,7 @@ class OutputError(Generic[Model]):
 
     def _residual_of(self, lines: slice, parameters: FloatArray) -> FloatArray:
         measured = self.measured
-        return whitened(self.weights[lines], measured.matrix[lines] - self.model.receptance(parameters, measured.omega[lines]))
+        return whitened(weights_at(self.weights, lines), measured.matrix[lines] - self.model.receptance(parameters, measured.omega[lines]))
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """d residual / d p, (n_equation, n_parameter) [1 per parameter unit]."""

@@ -78,7 +78,7 @@ def _reweighted(problem: OutputError[ResponseModel], last: FloatArray) -> FloatA
 def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | None) -> FloatArray | None:
     """The same from products line by line, without weights and Z_last^-1 where there is no *last*; None where they are too inexact."""
     measured, linear = problem.measured, problem.model.linear
-    weights = np.ones_like(problem.weights) if last is None else problem.weights
+    weights = np.ones((measured.omega.size, measured.matrix[0].size), np.complex128) if last is None else problem.weights
 
     def equations_at(values: FloatArray, products: bool) -> NormalEquations:
         def lines_of(lines: slice) -> tuple[ComplexArray, ComplexArray, ComplexArray]:

@@ -8,6 +8,7 @@ E[S^-1] = nu / a C^-1 and E[S^-1 C S^-1] = nu^3 / (a (a^2 - 1)) C^-1 (Maiwald an
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail, f_tail
 from labpipe.errors import FitError
 from labpipe.identify.measured import Measured
+from labpipe.identify.product_weights import ProductWeights, correlation_factors, deviation_factors
 from labpipe.identify.shared_noise import LineBlocks, SharedNoise, shared_residual
 from labpipe.identify.statistics import stacked
 
@@ -24,6 +26,10 @@ NOISE_FREE = 1e-10
 SINGULAR_ROUNDINGS = 100
 # Complex numbers that are whitened together: few enough to stay in the cache.
 CACHED_TERMS = 1 << 16
+
+
+# A whitener (n_line, n, n) [N/m], its diagonals (n_line, n) where all else is zero, or its factors.
+Weights: TypeAlias = ComplexArray | ProductWeights
 
 
 @dataclass(frozen=True)
@@ -142,26 +148,42 @@ def _size(measured: Measured) -> float:
 def whitener(measured: Measured) -> ComplexArray:
     """L^-1 of C = L L^H per line, (n_line, n, n) [N/m]; FitError for a zero variance or a singular C."""
     std, scaled = _scaled(measured)
-    singular = _singular(scaled)
-    if np.any(singular):
-        hint = "average more periods or blocks, or name fewer responses with `output`"
-        raise FitError(f"the covariance of the {scaled.shape[1]} FRFs is singular at {_first(measured, singular[:, None])}", hint=hint)
+    _check_regular(measured, np.linalg.eigvalsh(scaled)[:, 0])
     weights: ComplexArray = np.linalg.inv(np.linalg.cholesky(scaled)) / std[:, None, :]
     return weights
 
 
-def fit_weights(measured: Measured) -> ComplexArray:
-    """The whitener, or equal weights where no noise is known; as their diagonals (n_line, n) [N/m] where all else is zero."""
+def fit_weights(measured: Measured) -> Weights:
+    """The whitener, or equal weights where no noise is known; in the shortest form that the covariance has. FitError as for whitener."""
     if not has_noise(measured):
         return np.broadcast_to(1 / _size(measured), (measured.omega.size, measured.matrix[0].size)).astype(np.complex128)
     assert measured.covariance is not None
     std = _deviations(measured)
-    return (1 / std).astype(np.complex128) if np.count_nonzero(measured.covariance) == std.size else short_weights(whitener(measured))
+    if np.count_nonzero(measured.covariance) == std.size:
+        return (1 / std).astype(np.complex128)
+    factors = correlation_factors(_scaled(measured)[1], measured.matrix.shape[1])
+    if factors is None:
+        return short_weights(whitener(measured))
+    smallest = [np.linalg.eigvalsh(factor)[:, 0] for factor in factors]
+    _check_regular(measured, smallest[0] * smallest[1])
+    deviations = deviation_factors(std.reshape(measured.matrix.shape))
+    roots = (np.linalg.inv(np.linalg.cholesky(factor)) / size[:, None] for factor, size in zip(factors, deviations, strict=True))
+    return ProductWeights(*roots)
+
+
+def _check_regular(measured: Measured, smallest: FloatArray) -> None:
+    """FitError where the *smallest* eigenvalues (n_line,) [1] of the correlations of the FRFs are rounding."""
+    n = measured.matrix[0].size
+    singular = _is_singular(smallest, n)
+    if np.any(singular):
+        hint = "average more periods or blocks, or name fewer responses with `output`"
+        raise FitError(f"the covariance of the {n} FRFs is singular at {_first(measured, singular[:, None])}", hint=hint)
 
 
 def singular_lines(measured: Measured) -> BoolArray:
     """Whether the covariance of a line (n, n) [m^2/N^2] has no inverse, for every line; FitError for a zero variance."""
-    return _singular(_scaled(measured)[1])
+    scaled = _scaled(measured)[1]
+    return _is_singular(np.linalg.eigvalsh(scaled)[:, 0], scaled.shape[1])
 
 
 def _scaled(measured: Measured) -> tuple[FloatArray, ComplexArray]:
@@ -180,15 +202,17 @@ def _deviations(measured: Measured) -> FloatArray:
     return std
 
 
-def _singular(scaled: ComplexArray) -> BoolArray:
-    return np.asarray(np.linalg.eigvalsh(scaled)[:, 0] < SINGULAR_ROUNDINGS * scaled.shape[1] * np.finfo(float).eps)
+def _is_singular(smallest: FloatArray, n: int) -> BoolArray:
+    return np.asarray(smallest < SINGULAR_ROUNDINGS * n * np.finfo(float).eps)
 
 
-def whitened(whitener: ComplexArray, values: ComplexArray) -> FloatArray:
+def whitened(whitener: Weights, values: ComplexArray) -> FloatArray:
     """FRFs (..., n_line, n_output, n_input) [m/N] as uncorrelated real equations (..., n_equation) [1] of variance 1.
 
     *whitener* (n_line, n, n) [N/m], or its diagonals (n_line, n). Equation (est-whitened).
     """
+    if isinstance(whitener, ProductWeights):
+        return np.sqrt(2.0) * stacked(whitener.whitened(values).reshape(*values.shape[:-3], -1))
     flat = values.reshape(*values.shape[:-2], -1)
     whitener = short_weights(whitener)
     if whitener.ndim == 2:
@@ -198,23 +222,41 @@ def whitened(whitener: ComplexArray, values: ComplexArray) -> FloatArray:
     return np.sqrt(2.0) * stacked(lines)
 
 
-def whitened_columns(whitener: ComplexArray, terms: ComplexArray) -> FloatArray:
+def whitened_columns(whitener: Weights, terms: ComplexArray) -> FloatArray:
     """Terms (n_term, n_line, n_output, n_input) [m/N per unit of the term] whitened as `whitened` does, as columns (n_equation, n_term).
 
     *whitener* (n_line, n, n) [N/m], or its diagonals (n_line, n).
     """
     n_term, n_line, n = terms.shape[0], terms.shape[1], terms.shape[2] * terms.shape[3]
     by_line = terms.transpose(1, 2, 3, 0)
-    whitener = short_weights(whitener)
+    whitener = whitener if isinstance(whitener, ProductWeights) else short_weights(whitener)
     stacked_columns = np.empty((2, n_line, n, n_term))
     n_chunk = max(16, CACHED_TERMS // (n * n_term))
     for start in range(0, n_line, n_chunk):
         lines = slice(start, start + n_chunk)
-        columns = by_line[lines].reshape(-1, n, n_term)
-        white = whitener[lines] @ columns if whitener.ndim == 3 else columns * whitener[lines, :, None]
+        white = _white_columns(whitener, lines, by_line[lines])
         np.multiply(white.real, np.sqrt(2.0), out=stacked_columns[0, lines])
         np.multiply(white.imag, np.sqrt(2.0), out=stacked_columns[1, lines])
     return stacked_columns.reshape(2 * n_line * n, n_term)
+
+
+def _white_columns(whitener: Weights, lines: slice, by_line: ComplexArray) -> ComplexArray:
+    """Terms (n_line, n_output, n_input, n_term) of some *lines* of which *whitener* has all, whitened, (n_line, n, n_term)."""
+    if isinstance(whitener, ProductWeights):
+        return whitener.at(lines).whitened_columns(by_line)
+    columns = by_line.reshape(by_line.shape[0], -1, by_line.shape[3])
+    white: ComplexArray = whitener[lines] @ columns if whitener.ndim == 3 else columns * whitener[lines, :, None]
+    return white
+
+
+def is_short(weights: Weights) -> bool:
+    """Whether *weights* tell the noise by less than a whole matrix (n_line, n, n) [N/m]."""
+    return isinstance(weights, ProductWeights) or weights.ndim == 2
+
+
+def weights_at(weights: Weights, lines: slice) -> Weights:
+    """The *weights* [N/m] of some *lines*."""
+    return weights.at(lines) if isinstance(weights, ProductWeights) else weights[lines]
 
 
 def short_weights(whitener: ComplexArray) -> ComplexArray:

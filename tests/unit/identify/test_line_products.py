@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from labpipe.errors import FitError
 from labpipe.identify.constraints import constrained
 from labpipe.identify.line_products import has_line_products
 from labpipe.identify.mdof import mdof
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import ResponseModel
 from labpipe.identify.output_error import OutputError
+from labpipe.identify.product_weights import ProductWeights, correlation_factors
 from labpipe.identify.regression import equation_solution, regression, solve_scaled
 from labpipe.identify.settings import FitSettings
 from labpipe.identify.setup import Setup
 from labpipe.identify.starts import starts
-from labpipe.identify.weights import fit_weights, whitener
+from labpipe.identify.weights import fit_weights, whitened, whitened_columns, whitener
 from labpipe.optimise.levenberg import linearised
 from labpipe.records.response import Port
 
@@ -25,8 +29,8 @@ STIFFNESS = np.array([[3.0, -1.0, 0.2], [-1.2, 2.5, -0.7], [0.1, -0.9, 2.0]])
 DAMPING = np.array([[0.05, -0.01, 0.0], [-0.02, 0.06, -0.01], [0.0, -0.01, 0.04]])
 
 
-def problem_of(settings: FitSettings, n_input: int, rng: np.random.Generator, correlated: bool = False) -> OutputError[ResponseModel]:
-    """Forty lines with 2 % noise of another size at every line and FRF; *correlated*: with a common part."""
+def problem_of(settings: FitSettings, n_input: int, rng: np.random.Generator, noise: str = "independent") -> OutputError[ResponseModel]:
+    """Forty lines with 2 % noise of another size at every line and FRF; *noise* with a part in "common", or a "product" as that of H1."""
     model = constrained(mdof(Setup(DOFS, FORCES[:n_input], settings)), settings)
     omega = np.linspace(0.2, 2.5, 40)
     w = omega[:, None, None]
@@ -34,10 +38,23 @@ def problem_of(settings: FitSettings, n_input: int, rng: np.random.Generator, co
     std = 0.02 * np.median(np.abs(h)) * rng.uniform(0.5, 2, h.shape)
     h = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
     covariance = np.eye(3 * n_input) * std.reshape(40, -1, 1) ** 2 + 0j
-    if correlated:
+    if noise == "product":
+        covariance = std[:, :1, 0, None] ** 2 * product_of(correlations(rng, 3), correlations(rng, n_input))
+    elif noise == "common":
         covariance = covariance + 0.5 * std.reshape(40, -1, 1) * std.reshape(40, 1, -1)
     data = Measured(omega=omega, matrix=h, covariance=covariance, noise_dof=np.inf, noise_lines=1.0, outputs=DOFS, inputs=FORCES[:n_input])
     return OutputError(data, model, fit_weights(data))
+
+
+def correlations(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Hermitian positive definite matrices (40, n, n), none of them diagonal."""
+    root = rng.standard_normal((40, n, 2 * n)) + 1j * rng.standard_normal((40, n, 2 * n))
+    return np.asarray(root @ root.conj().swapaxes(1, 2))
+
+
+def product_of(outputs: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+    """The Kronecker products line by line, (n_line, n, n)."""
+    return np.stack([np.kron(left, right) for left, right in zip(outputs, inputs, strict=True)])
 
 
 CASES = {
@@ -50,9 +67,10 @@ CASES = {
 }
 
 
+@pytest.mark.parametrize("noise", ["independent", "product"])
 @pytest.mark.parametrize("case", CASES)
-def test_products_are_those_of_the_derivatives(case: str, rng: np.random.Generator) -> None:
-    problem = problem_of(*CASES[case], rng)
+def test_products_are_those_of_the_derivatives(case: str, noise: str, rng: np.random.Generator) -> None:
+    problem = problem_of(*CASES[case], rng, noise)
     here = starts(problem)[0].values * 1.02
     ours, plain = problem.linearised(here), linearised(problem, here)
     assert has_line_products(problem.model.linear, problem.weights)
@@ -64,8 +82,9 @@ def test_products_are_those_of_the_derivatives(case: str, rng: np.random.Generat
     assert ours.chi2 == pytest.approx(problem.chi2(here), rel=1e-13) and ours.n_equation == problem.residual(here).size
 
 
-def test_starts_are_those_of_the_written_out_regressions(rng: np.random.Generator) -> None:
-    problem = problem_of(*CASES["two forces"], rng)
+@pytest.mark.parametrize("noise", ["independent", "product"])
+def test_starts_are_those_of_the_written_out_regressions(noise: str, rng: np.random.Generator) -> None:
+    problem = problem_of(*CASES["two forces"], rng, noise)
     measured, model = problem.measured, problem.model.linear
     found = {start.name: start.values for start in starts(problem)}
     first = equation_solution(regression(measured, model, "none"), model)[0]
@@ -77,7 +96,7 @@ def test_starts_are_those_of_the_written_out_regressions(rng: np.random.Generato
 
 
 def test_noise_that_frfs_share_has_no_such_products(rng: np.random.Generator) -> None:
-    problem = problem_of(*CASES["symmetric"], rng, correlated=True)
+    problem = problem_of(*CASES["symmetric"], rng, "common")
     assert not has_line_products(problem.model, problem.weights)
     here = starts(problem)[0].values
     np.testing.assert_array_equal(problem.linearised(here).triangle, linearised(problem, here).triangle)
@@ -88,3 +107,34 @@ def test_weights_in_short_are_the_diagonals_of_the_whitener(rng: np.random.Gener
     problem = problem_of(*CASES["symmetric"], rng)
     np.testing.assert_allclose(problem.weights, np.einsum("lnn->ln", whitener(problem.measured)), rtol=1e-15)
     assert np.count_nonzero(whitener(problem.measured)) == problem.weights.size
+
+
+def test_factors_of_the_weights_whiten_as_the_whole_whitener(rng: np.random.Generator) -> None:
+    # The whole whitener is the Cholesky factor of the 6 x 6 covariance of every line, by numpy.
+    problem = problem_of(*CASES["two forces"], rng, "product")
+    assert isinstance(problem.weights, ProductWeights)
+    whole, here = whitener(problem.measured), starts(problem)[0].values
+    values = rng.standard_normal((4, 40, 3, 2)) + 1j * rng.standard_normal((4, 40, 3, 2))
+    np.testing.assert_allclose(whitened(problem.weights, values), whitened(whole, values), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(whitened(problem.weights, values[0]), whitened(whole, values[0]), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(whitened_columns(problem.weights, values), whitened_columns(whole, values), rtol=1e-9, atol=1e-9)
+    plain = OutputError(problem.measured, problem.model, whole)
+    np.testing.assert_allclose(problem.jacobian(here), plain.jacobian(here), rtol=1e-8, atol=1e-8)
+    assert problem.chi2(here) == pytest.approx(plain.chi2(here), rel=1e-10)
+
+
+def test_a_covariance_that_is_no_product_to_ten_digits_is_taken_whole(rng: np.random.Generator) -> None:
+    product = product_of(correlations(rng, 3), correlations(rng, 2))
+    scale = np.sqrt(np.einsum("lii->li", product).real)
+    correlation = product / (scale[:, :, None] * scale[:, None, :])
+    assert correlation_factors(correlation, 3) is not None
+    correlation[7, 4, 1] += 1e-10
+    assert correlation_factors(correlation, 3) is None
+
+
+def test_a_singular_factor_is_refused_with_its_line(rng: np.random.Generator) -> None:
+    outputs, inputs = correlations(rng, 3), correlations(rng, 2)
+    outputs[5] = np.ones((3, 3))
+    measured = replace(problem_of(*CASES["two forces"], rng).measured, covariance=product_of(outputs, inputs))
+    with pytest.raises(FitError, match=f"the covariance of the 6 FRFs is singular at {measured.omega[5] / (2 * np.pi):g} Hz"):
+        fit_weights(measured)
