@@ -10,6 +10,8 @@ from labpipe.arrays import ComplexArray, FloatArray
 
 # Share of the standard deviations by which a covariance may differ from such a product: rounding of its making.
 ROUNDING = 1e-12
+# Numbers of a covariance that are looked at together: a part of the cache.
+CACHED_NUMBERS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -40,16 +42,24 @@ class ProductWeights:
         return white
 
 
-def correlation_factors(correlation: ComplexArray, n_output: int) -> tuple[ComplexArray, ComplexArray] | None:
-    """R_o (n_line, n_output, n_output) and R_i (n_line, n_input, n_input) [1] whose product is the *correlation* (n_line, n, n) of vec(H).
+def correlation_factors(covariance: ComplexArray, deviations: FloatArray) -> tuple[ComplexArray, ComplexArray] | None:
+    """R_o (n_line, n_output, n_output) and R_i (n_line, n_input, n_input) [1] whose product is the correlation of vec(H), row-major.
 
-    None where it is no such product. Its diagonal is 1.
+    Of a *covariance* (n_line, n, n) [m^2/N^2] and the *deviations* (n_line, n_output, n_input) [m/N] on its diagonal; None where it is no
+    such product. A few lines at a time: of many FRFs the covariance is large.
     """
-    n_line, n = correlation.shape[:2]
-    by_axes = correlation.reshape(n_line, n_output, n // n_output, n_output, n // n_output)
-    outputs, inputs = by_axes[:, :, 0, :, 0], by_axes[:, 0, :, 0, :]
-    difference = by_axes - outputs[:, :, None, :, None] * inputs[:, None, :, None, :]
-    return (outputs, inputs) if np.max(np.abs(difference), initial=0.0) < ROUNDING else None
+    n_line, n_output, n_input = deviations.shape
+    by_axes = covariance.reshape(n_line, n_output, n_input, n_output, n_input)
+    outputs = by_axes[:, :, 0, :, 0] / (deviations[:, :, None, 0] * deviations[:, None, :, 0])
+    inputs = by_axes[:, 0, :, 0, :] / (deviations[:, 0, :, None] * deviations[:, 0, None, :])
+    n_chunk = max(16, CACHED_NUMBERS // (n_output * n_input) ** 2)
+    for start in range(0, n_line, n_chunk):
+        lines = slice(start, start + n_chunk)
+        difference = outputs[lines, :, None, :, None] * inputs[lines, None, :, None, :]
+        difference -= by_axes[lines] / (deviations[lines, :, :, None, None] * deviations[lines, None, None])
+        if np.max(np.abs(difference), initial=0.0) > ROUNDING:
+            return None
+    return outputs, inputs
 
 
 def deviation_factors(deviations: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -161,12 +161,13 @@ def fit_weights(measured: Measured) -> Weights:
     std = _deviations(measured)
     if np.count_nonzero(measured.covariance) == std.size:
         return (1 / std).astype(np.complex128)
-    factors = correlation_factors(_scaled(measured)[1], measured.matrix.shape[1])
+    by_port = std.reshape(measured.matrix.shape)
+    factors = correlation_factors(measured.covariance, by_port)
     if factors is None:
         return short_weights(whitener(measured))
     smallest = [np.linalg.eigvalsh(factor)[:, 0] for factor in factors]
     _check_regular(measured, smallest[0] * smallest[1])
-    deviations = deviation_factors(std.reshape(measured.matrix.shape))
+    deviations = deviation_factors(by_port)
     roots = (np.linalg.inv(np.linalg.cholesky(factor)) / size[:, None] for factor, size in zip(factors, deviations, strict=True))
     return ProductWeights(*roots)
 

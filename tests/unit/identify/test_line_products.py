@@ -125,11 +125,10 @@ def test_factors_of_the_weights_whiten_as_the_whole_whitener(rng: np.random.Gene
 
 def test_a_covariance_that_is_no_product_to_ten_digits_is_taken_whole(rng: np.random.Generator) -> None:
     product = product_of(correlations(rng, 3), correlations(rng, 2))
-    scale = np.sqrt(np.einsum("lii->li", product).real)
-    correlation = product / (scale[:, :, None] * scale[:, None, :])
-    assert correlation_factors(correlation, 3) is not None
-    correlation[7, 4, 1] += 1e-10
-    assert correlation_factors(correlation, 3) is None
+    deviations = np.sqrt(np.einsum("lii->li", product).real).reshape(40, 3, 2)
+    assert correlation_factors(product, deviations) is not None
+    product[7, 4, 1] += 1e-10 * deviations[7, 2, 0] * deviations[7, 0, 1]
+    assert correlation_factors(product, deviations) is None
 
 
 def test_a_singular_factor_is_refused_with_its_line(rng: np.random.Generator) -> None:
