@@ -16,7 +16,8 @@ from labpipe.errors import DataError
 DIGEST_KEY = b"labpipe.digest"
 # Of the length of a digest: written first, replaced when the rest of the file is there.
 BLANK = b"0" * 64
-CHUNK = 1 << 20
+# Bytes digested at once: they stay in the cache.
+CHUNK = 1 << 18
 # A Parquet file ends with the length of its foot and a mark.
 _FOOT_END, _MARK = 8, b"PAR1"
 # As the foot's encoding (Thrift, compact) writes it: the key, a text of 64 bytes.
@@ -26,6 +27,44 @@ AGAIN = "restore it from a copy, or have labpipe make it again"
 
 class DamagedError(DataError):
     """An artefact whose content is not what labpipe wrote."""
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+class DigestAlong:
+    """SHA-256 of a file, made piece by piece while something else reads it."""
+
+    def __init__(self, path: Path) -> None:
+        self._stream, self._digest = path.open("rb", buffering=0), hashlib.sha256()
+        self._size, self._done = path.stat().st_size, 0
+        self._buffer = bytearray(CHUNK)
+
+    def __enter__(self) -> DigestAlong:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stream.close()
+
+    def advance(self, share: float) -> None:
+        """Go on to this *share* [1] of the file."""
+        while self._done < share * self._size and self._more():
+            pass
+
+    def hexdigest(self) -> str:
+        """The digest, when the rest is read too."""
+        while self._more():
+            pass
+        return self._digest.hexdigest()
+
+    def _more(self) -> int:
+        count = self._stream.readinto(self._buffer)
+        self._digest.update(memoryview(self._buffer)[:count])
+        self._done += count
+        return count
 
 
 def mismatch(path: Path) -> DamagedError:
@@ -84,12 +123,12 @@ def _digest_without(path: Path, place: int) -> str:
 
 def _digest_before(path: Path, place: int) -> hashlib._Hash:
     """SHA-256 of the file up to the place of its digest, to be continued."""
-    digest = hashlib.sha256()
-    with path.open("rb") as stream:
+    digest, buffer = hashlib.sha256(), memoryview(bytearray(CHUNK))
+    with path.open("rb", buffering=0) as stream:
         remaining = place
-        while remaining and (chunk := stream.read(min(CHUNK, remaining))):
-            digest.update(chunk)
-            remaining -= len(chunk)
+        while remaining and (count := stream.readinto(buffer[: min(CHUNK, remaining)])):
+            digest.update(buffer[:count])
+            remaining -= count
     return digest
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 import os
 from collections.abc import Iterable
@@ -13,7 +12,7 @@ from typing import Any
 
 from labpipe import __version__
 from labpipe.artefacts.code import code_digest
-from labpipe.artefacts.digest import AGAIN, DamagedError
+from labpipe.artefacts.digest import AGAIN, DamagedError, file_sha256
 from labpipe.errors import DataError
 from labpipe.places.address import shown
 from labpipe.places.fetched import origin
@@ -81,14 +80,12 @@ def header_from_json(text: str | bytes, path: Path, kind: str, digest: str = "")
         raise DamagedError(f"has a header that cannot be read ({error})", where=str(path), hint=AGAIN) from None
 
 
-def source_ref(path: Path, folder: Path) -> SourceRef:
-    """Checksum of a file; its path is kept relative to *folder* so that the same work gives the same bytes anywhere.
+def source_ref(path: Path, folder: Path, sha256: str = "") -> SourceRef:
+    """Checksum of a file, *sha256* where it is known; its path is kept relative to *folder* so that the same work gives the same bytes
+    anywhere.
 
     Of a fetched recording it is the URL.
     """
-    digest = hashlib.sha256()
-    with path.open("rb") as stream:
-        while chunk := stream.read(1 << 20):
-            digest.update(chunk)
     url = origin(path)
-    return SourceRef(Path(os.path.relpath(path, folder)).as_posix() if url is None else shown(url), digest.hexdigest())
+    named = Path(os.path.relpath(path, folder)).as_posix() if url is None else shown(url)
+    return SourceRef(named, sha256 or file_sha256(path))

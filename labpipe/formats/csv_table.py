@@ -35,14 +35,17 @@ class CsvTable:
         self.sample_rate: float | None = None
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file]; DataError names line and column of the first row that is not numbers."""
+        """Consecutive chunks (n, n_column) [unit of the file], a column beside the other.
+
+        DataError names line and column of the first row that is not numbers.
+        """
         fields = [str(self.layout.names.index(name)) for name in columns]
         clocks = {str(n): StampClock(self.layout.names[n]) for n in self.layout.stamps}
         try:
             with self._bytes() as source:
                 for batch in self._open(source, fields):
                     if batch.num_rows:
-                        yield np.column_stack([self._numbers(batch.column(field), clocks.get(field)) for field in fields])
+                        yield np.array([self._numbers(batch.column(field), clocks.get(field)) for field in fields]).T
         except pa.ArrowInvalid as error:
             raise self._located(columns, str(error)) from None
         except UnicodeError as error:

@@ -57,7 +57,13 @@ class GuardedTable:
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """The chunks (n, n_column) [unit of the file] of the table."""
-        chunks = self._table.chunks(columns)
+        return self._guarded(self._table.chunks(columns))
+
+    def column_chunks(self, columns: Sequence[str]) -> Iterator[list[FloatArray]]:
+        """Column by column (n,) [unit of the file], of a table that has them so."""
+        return self._guarded(self._table.column_chunks(columns))
+
+    def _guarded(self, chunks: Iterator[Read]) -> Iterator[Read]:
         while True:
             with readable(self._table.path):
                 chunk = next(chunks, None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
@@ -58,6 +58,21 @@ def open_table(path: Path) -> Table:
         raise DataError("is no regular file", where=str(path))
     table: Table = GuardedTable(guarded(READERS.load(suffix), path))
     return table
+
+
+class QuickTable(Table, Protocol):
+    """A table whose file states its *n_row* rows and is read as fast as labpipe's own recordings, column by column."""
+
+    n_row: int
+
+    def column_chunks(self, columns: Sequence[str]) -> Iterator[list[FloatArray]]:
+        """Consecutive chunks of the named columns, each (n,) [unit of the file], in single precision or integers where the file is."""
+        ...
+
+
+def as_quick(table: Table) -> QuickTable | None:
+    """The table where it is a quick one; None for any other."""
+    return cast(QuickTable, table) if getattr(table, "n_row", None) is not None else None
 
 
 def load_extra(module: str, extra: str, path: Path) -> Any:

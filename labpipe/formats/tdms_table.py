@@ -15,6 +15,7 @@ from nptdms.log import log_manager
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.names import unique
+from labpipe.formats.tdms_layout import channel_layouts
 
 CHUNK_ROWS = 1 << 17
 _UNITS = ("unit_string", "NI_UnitDescription", "unit")
@@ -49,18 +50,34 @@ class TdmsTable:
         names = [channel.name for channel in channels]
         self.columns = unique([c.name if names.count(c.name) == 1 else f"{c.group_name}/{c.name}" for c in channels])
         self._places = {name: (c.group_name, c.name) for name, c in zip(self.columns, channels, strict=True)}
-        self._length = length
+        self.n_row = length
         self.units = {name: unit for name, channel in zip(self.columns, channels, strict=True) if (unit := _unit(channel))}
         self.sensitivities = {name: text for name, channel in zip(self.columns, channels, strict=True) if (text := _sensitivity(channel))}
         self.sample_rate = _rate(channels, self.path)
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, n_column) [unit of the file], scaled, a column beside the other; DataError when the file is damaged."""
+        for rows in self._rows(columns):
+            yield rows.T
+
+    def column_chunks(self, columns: Sequence[str]) -> Iterator[list[FloatArray]]:
+        """The same, column by column (n,) [unit of the file]."""
+        return map(list, self._rows(columns))
+
+    def _rows(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """The same, columns as rows (n_column, n)."""
         try:
             with self.path.open("rb") as stream, TdmsFile.open(stream) as file:
                 channels = [file[group][name] for group, name in (self._places[column] for column in columns)]
-                for start in range(0, self._length, CHUNK_ROWS):
-                    yield np.array([c.read_data(start, CHUNK_ROWS) for c in channels], np.float64).T
+                layouts = channel_layouts(file, channels)
+                for start in range(0, self.n_row, CHUNK_ROWS):
+                    rows = np.empty((len(channels), min(CHUNK_ROWS, self.n_row - start)))
+                    for number, row in enumerate(rows):
+                        if layouts is None:
+                            row[:] = channels[number].read_data(start, row.size)
+                        else:
+                            layouts[number].read_into(row, stream.fileno(), start)
+                    yield rows
         except _BROKEN as error:
             raise self._damaged(error) from None
 

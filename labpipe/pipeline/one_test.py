@@ -27,9 +27,10 @@ from labpipe.records.dataset_row import TestResult
 from labpipe.records.identification import Failed, Fit
 from labpipe.spectra.settings import FrfSettings
 from labpipe.stages.fits import fits_of
-from labpipe.stages.frf import ready_refs
+from labpipe.stages.frf import RIGS, ready_refs
 from labpipe.stages.ingest import ingest, recording_refs
 from labpipe.stages.measured import MeasuredTest, fits_file_name, load_measured, load_ready_measured, measure_test, measured_file_name
+from labpipe.stages.raw_recording import raw_recording
 from labpipe.stages.recorded_conditions import recorded_conditions
 from labpipe.stages.result_of_test import result_of_test
 
@@ -145,6 +146,42 @@ def _result(job: Job, rules: Sequence[Rule], sources: Sequence[SourceRef]) -> Te
 
 def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[SourceRef, ...]:
     """ingest and frf of the test; the references of the raw files or ready responses behind it."""
+    recorded = _measured_as_read(job, output, tell)
+    if recorded is None:
+        recorded = _measured_from_calibrated(job, output, tell)
+    return (*recorded, *(source_ref(path, job.folder) for ready in job.test.frfs for path in ready.paths))
+
+
+def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...] | None:
+    """The test measured from its raw files as they are read; their references. None where they need a calibrated recording, or where a
+    fault was met.
+
+    A fault is told by the longer way, which looks at whole files before anything is measured from them.
+    """
+    if job.frf is None or job.test.recorded or not job.test.recordings or any(source.joined for source in job.test.recordings):
+        return None
+    n_remark = len(output.remarks)
+    try:
+        raw = [raw_recording(source.path, source.rig, job.folder) for source in job.test.recordings]
+        recordings = [recording for recording in raw if recording is not None]
+        if len(recordings) < len(raw):
+            return None
+        tell(f"frf       {job.test.name or job.pipeline_path.stem}")
+        measure_test(recordings, job.frf, output, job.test.name, job.test.conditions)
+        for recording in recordings:
+            recording.check_unchanged()
+    except DataError:
+        del output.remarks[n_remark:]
+        output.write_path(job.measured_name).unlink(missing_ok=True)
+        return None
+    for name in job.names:
+        # Of an earlier run, which made one.
+        output.outdate(f"recordings/{name}{RECORDING}")
+    return tuple(recording.source_ref() for recording in recordings)
+
+
+def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...]:
+    """The test measured from calibrated recordings, made where they are not there; the references of the raw files."""
     stored = []
     for source, name in zip(job.test.recordings, job.names, strict=True):
         tell(f"ingest    {source.path.name}")
@@ -155,8 +192,7 @@ def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[Source
         tell(f"frf       {job.test.name or job.pipeline_path.stem}")
         conditions = {**job.test.conditions, **recorded_conditions(stored, job.test.recorded)}
         measure_test(stored, job.frf, output, job.test.name, conditions)
-    recorded = [reference for recording in stored for reference in recording_refs(recording, job.folder)]
-    return (*recorded, *(source_ref(path, job.folder) for ready in job.test.frfs for path in ready.paths))
+    return tuple(reference for recording in stored for reference in recording_refs(recording, job.folder))
 
 
 def sources_before(job: Job) -> tuple[SourceRef, ...]:
@@ -165,7 +201,9 @@ def sources_before(job: Job) -> tuple[SourceRef, ...]:
     if job.test.recordings and not path.exists():
         raise DataError("no such file", where=str(path), hint="run `labpipe frf` first, or `labpipe run` for all stages")
     recordings = [job.target / f"recordings/{name}{RECORDING}" for name in job.names]
-    if all(recording.exists() for recording in recordings):
+    if job.test.recordings and RIGS in (header := header_of(path)).parameters:
+        recorded = list(header.inputs)
+    elif all(recording.exists() for recording in recordings):
         recorded = [reference for recording in recordings for reference in header_of(recording).inputs]
     else:
         recorded = [source_ref(path, job.target)]

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, FloatArray, IntArray
+from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.quantities import LARGEST, SMALLEST
 from labpipe.records.finding import Finding
+from labpipe.signals.clipping import both_ends
 
-# Equal consecutive samples that count as clipping; fewer occur by chance at a coarse resolution.
-CLIPPED_RUN = 3
-# Or this many times as many samples at the extreme as at each of the NEXT_VALUES next ones: where the signal leaves its extreme at
-# once, as white noise does, no run is long. The slow turn of a sine holds 5 times as many.
-CLIPPED_CROWD, NEXT_VALUES = 10, 15
 # A time step may differ from the mean by this share, beside the rounding of printed times.
 JITTER = 1e-3
-# Distance to the end of the range (share of the range) that counts as the end itself: unit conversion rounds.
-AT_LIMIT = 1e-9
 # Time steps longer than this many last printed digits cannot hide a lost sample in the rounding of the times.
 FINE = 3.0
 # Share of the last printed digit by which mean and median step differ when the times have too few digits.
@@ -29,6 +23,8 @@ COARSE = 0.1
 LEAST = 0.75
 # No recorder samples faster [Hz], none waits longer between two samples than as many seconds.
 FASTEST = 1e12
+# Samples of which the sums are made at once.
+IN_CACHE = 1 << 13
 # Times with more significant digits are exact enough.
 MOST_DIGITS = 9
 
@@ -49,6 +45,7 @@ class ChannelScreen:
     """Running levels and faults of the channels of a recording, fed with blocks (n, n_channel) that may hold NaN."""
 
     def __init__(self, names: Sequence[str], limits: Sequence[tuple[float, float] | None] | None = None) -> None:
+        """*limits* of the range of every channel, where known."""
         n = len(names)
         self._names = list(names)
         self.minimum, self.maximum = np.full(n, np.inf), np.full(n, -np.inf)
@@ -56,7 +53,7 @@ class ChannelScreen:
         self.n_sample = 0
         self._n_missing = np.zeros(n, int)
         self._first_missing = np.full(n, -1)
-        self._ends = [_both_ends(limit) for limit in limits or [None] * n]
+        self._ends = [both_ends(limit) for limit in limits or [None] * n]
 
     def add(self, block: FloatArray) -> None:
         """Add the next block (n, n_channel) [unit of the channel]."""
@@ -70,11 +67,26 @@ class ChannelScreen:
             self._add_levels(columns)
         else:
             low, high = self._add_with_gaps(block, columns)
+        self._add_ends(low, high, block.shape[0], columns.__getitem__)
+
+    def add_between(self, low: FloatArray, high: FloatArray, n_sample: int, column_of: Callable[[int], FloatArray]) -> bool:
+        """Add the next *n_sample* samples by the least and largest number of each channel (n_channel,) [unit of the channel] alone.
+
+        *column_of* gives the samples (n_sample,) of a channel that must be looked at. No levels are known then. False, and nothing
+        added, for samples that are missing or beyond measure, which `add` takes.
+        """
+        if not (np.isfinite(low).all() and np.isfinite(high).all() and max(-low.min(), high.max()) <= LARGEST):
+            return False
+        self._add_ends(low, high, n_sample, column_of)
+        return True
+
+    def _add_ends(self, low: FloatArray, high: FloatArray, n_sample: int, column_of: Callable[[int], FloatArray]) -> None:
         self.minimum, self.maximum = np.minimum(self.minimum, low), np.maximum(self.maximum, high)
-        for ends, column in zip(self._ends, columns, strict=True):
-            for end in ends:
-                end.add(column, self.n_sample)
-        self.n_sample += block.shape[0]
+        for number, (lower, upper) in enumerate(self._ends):
+            # Most blocks of a long record stay within what was there before, and are not searched.
+            for end in [end for end, extreme in ((lower, -low[number]), (upper, high[number])) if end.reaches(float(extreme))]:
+                end.add(column_of(number), self.n_sample)
+        self.n_sample += n_sample
 
     def _add_with_gaps(self, block: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Add a block that may hold NaN, *columns* its transpose; the least and the largest number of each channel (n_channel,)."""
@@ -89,13 +101,16 @@ class ChannelScreen:
         fresh = np.isnan(self._origin)
         if missing is None:
             self._origin[fresh] = columns[fresh, 0]
-            beside = columns - self._origin[:, None]
         else:
             fresh &= ~missing.all(axis=1)
             self._origin[fresh] = columns[fresh, np.argmin(missing, axis=1)[fresh]]
-            beside = np.where(missing, 0.0, columns - self._origin[:, None])
-        self._sum += beside.sum(axis=1)
-        self._squares += np.einsum("cn,cn->c", beside, beside)
+        for start in range(0, columns.shape[1], IN_CACHE):
+            piece = slice(start, start + IN_CACHE)
+            beside = columns[:, piece] - self._origin[:, None]
+            if missing is not None:
+                beside[missing[:, piece]] = 0.0
+            self._sum += beside.sum(axis=1)
+            self._squares += np.einsum("cn,cn->c", beside, beside)
 
     def _note_missing(self, missing: BoolArray) -> None:
         self._n_missing += missing.sum(axis=1)
@@ -156,107 +171,6 @@ class ChannelScreen:
             "the peaks are cut off and amplitudes come out too small"
         )
         return [Finding("clipped", message)]
-
-
-class _EndValues:
-    """Samples at the extreme of a channel, over block borders: those in runs of at least CLIPPED_RUN, or all where they crowd there.
-
-    *sign* +1 follows the maximum, -1 the minimum. Only runs at the extreme so far are kept: a higher value starts afresh.
-    """
-
-    def __init__(self, sign: float) -> None:
-        self._sign = sign
-        self._extreme = -np.inf
-        self._in_runs = 0
-        self._first = self._first_in_runs = -1
-        self._open = 0
-        # The NEXT_VALUES + 1 outermost different values, ascending, and how many samples have each.
-        self._values, self._counts = np.empty(0), np.empty(0, np.int64)
-
-    def add(self, column: FloatArray, start: int) -> None:
-        places, values = self._outermost(column)
-        if not values.size:
-            self._open = 0
-            return
-        self._count(values)
-        peak = float(values.max())
-        if peak > self._extreme:
-            self._extreme, self._in_runs, self._first, self._first_in_runs, self._open = peak, 0, -1, -1, 0
-        at_end = places[values == self._extreme]
-        if not at_end.size:
-            self._open = 0
-            return
-        if self._first < 0:
-            self._first = start + int(at_end[0])
-        breaks = np.flatnonzero(np.diff(at_end) > 1)
-        begins, ends = at_end[np.concatenate([[0], breaks + 1])], at_end[np.concatenate([breaks, [at_end.size - 1]])] + 1
-        for begin, end in zip(begins, ends, strict=True):
-            self._count_run(int(begin), int(end), self._open if begin == 0 else 0, start)
-        last = int(ends[-1] - begins[-1]) + (self._open if begins[-1] == 0 else 0)
-        self._open = last if ends[-1] == column.size else 0
-
-    def _outermost(self, column: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Where the column (n,) reaches the outermost values so far, and its values there times the sign: few, after the first block."""
-        if self._values.size <= NEXT_VALUES:
-            places = np.flatnonzero(np.isfinite(column))
-            return places, self._sign * column[places]
-        lowest = self._values[0]
-        reached = lowest - AT_LIMIT * abs(lowest)
-        places = np.flatnonzero(column >= reached if self._sign > 0 else column <= -reached)
-        values = self._sign * column[places]
-        finite = np.isfinite(values)
-        return (places, values) if finite.all() else (places[finite], values[finite])
-
-    def _count(self, outer: FloatArray) -> None:
-        """Counts values that agree in single precision as one: computed numbers differ by rounding, no logger is finer."""
-        fresh, counts = np.unique(outer.astype(np.float32).astype(float), return_counts=True)
-        joined, place = np.unique(np.concatenate([self._values, fresh]), return_inverse=True)
-        total = np.bincount(place, np.concatenate([self._counts, counts]), joined.size).astype(np.int64)
-        self._values, self._counts = joined[-NEXT_VALUES - 1 :], total[-NEXT_VALUES - 1 :]
-
-    def _count_run(self, begin: int, end: int, carried: int, start: int) -> None:
-        length = end - begin + carried
-        if length < CLIPPED_RUN:
-            return
-        self._in_runs += length if carried < CLIPPED_RUN else end - begin
-        if self._first_in_runs < 0:
-            self._first_in_runs = start + begin - carried
-
-    def clipped(self) -> tuple[int, int]:
-        """(clipped samples, first of them); none where the extreme is zero: there a window has set the force to zero, or nothing acted."""
-        if self._extreme == 0:
-            return 0, -1
-        if self._counts.size > NEXT_VALUES and self._counts[-1] >= CLIPPED_CROWD * np.mean(self._counts[:-1]):
-            return int(self._counts[-1]), self._first
-        return self._in_runs, self._first_in_runs
-
-
-class _AtLimit:
-    """Samples at or beyond a known end of the range: *sign* +1 the upper, -1 the lower one. A single one is clipped."""
-
-    def __init__(self, sign: float, limits: tuple[float, float]) -> None:
-        low, high = limits
-        self._sign = sign
-        self._limit = (high if sign > 0 else -low) - AT_LIMIT * (high - low)
-        self._count = 0
-        self._first = -1
-
-    def add(self, column: FloatArray, start: int) -> None:
-        beyond = np.isfinite(column) & (self._sign * column >= self._limit)
-        if self._first < 0 and beyond.any():
-            self._first = start + int(np.argmax(beyond))
-        self._count += int(beyond.sum())
-
-    def clipped(self) -> tuple[int, int]:
-        """(clipped samples, first of them)."""
-        return self._count, self._first
-
-
-def _both_ends(limits: tuple[float, float] | None) -> tuple[_EndValues, _EndValues] | tuple[_AtLimit, _AtLimit]:
-    """Detectors of clipping at the lower and the upper end: by the known range, otherwise by repeated extreme values."""
-    if limits is None:
-        return _EndValues(-1.0), _EndValues(1.0)
-    return _AtLimit(-1.0, limits), _AtLimit(1.0, limits)
 
 
 class TimeAxisScreen:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Protocol
 
 from labpipe.artefacts.freshness import fresh_path
 from labpipe.artefacts.header import Header, SourceRef, source_ref
@@ -14,11 +17,15 @@ from labpipe.artefacts.response_file import SUFFIX, read_response, write_respons
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.config.ready_frf import ReadyFrf
 from labpipe.errors import LabpipeError
+from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.settings import FrfSettings
+from labpipe.stages.raw_recording import RawRecording
 
 # The path of the reference to how files are described, which is no file.
 DESCRIPTION = "(entry under frfs)"
+# The parameter of what was measured from raw files: their rigs. Its inputs then are the raw files, with paths from the pipeline.
+RIGS = "rigs"
 
 
 def frf_file_name(test: str) -> str:
@@ -26,19 +33,41 @@ def frf_file_name(test: str) -> str:
     return (re.sub(r"[^\w.+-]+", "-", test).strip("-") or "frf") + SUFFIX
 
 
+class MeasuredSource(SampleSource, Protocol):
+    """A recording that results can name: calibrated, on disk, or a raw file as it is read."""
+
+    @property
+    def path(self) -> Path: ...
+    def source_ref(self) -> SourceRef:
+        """The reference by which a result names it."""
+        ...
+
+
+def measured_header(
+    kind: str, recordings: Sequence[MeasuredSource], settings: FrfSettings, test: str, conditions: dict[str, str] | None
+) -> Header:
+    """The header of what is measured from recordings; of raw ones with their rigs, which make them what they are."""
+    parameters = {"frf": dataclasses.asdict(settings), "test": test, "conditions": conditions or {}}
+    rigs = [dataclasses.asdict(recording.rig) for recording in recordings if isinstance(recording, RawRecording)]
+    return Header(kind, {**parameters, **({RIGS: rigs} if rigs else {})}, inputs=tuple(one.source_ref() for one in recordings))
+
+
+def fresh_measured(output: OutputFolder, name: str, header: Callable[[], Header]) -> Path | None:
+    """The path of what is measured already with the same *header*, which digests raw files and is asked for only where there is one."""
+    return fresh_path(output, name, header()) if output.read_path(name).exists() else None
+
+
 def frf(
-    recordings: Sequence[StoredRecording],
+    recordings: Sequence[MeasuredSource],
     settings: FrfSettings,
     output: OutputFolder,
     test: str = "",
     conditions: dict[str, str] | None = None,
 ) -> FrequencyResponse:
     """The response of one test, made unless the one on disk is fresh; LabpipeError names the recording."""
-    inputs = tuple(recording.source_ref() for recording in recordings)
-    parameters = {"frf": dataclasses.asdict(settings), "test": test, "conditions": conditions or {}}
-    header = Header("frf", parameters, inputs=inputs)
+    header = partial(measured_header, "frf", recordings, settings, test, conditions)
     name = frf_file_name(test)
-    if (existing := fresh_path(output, name, header)) is not None:
+    if (existing := fresh_measured(output, name, header)) is not None:
         return read_response(existing)
     # What measures is not imported by a run that finds all its responses fresh.
     from labpipe.spectra.measurement import measure
@@ -48,13 +77,15 @@ def frf(
     except LabpipeError as error:
         error.where = error.where or where_recorded(recordings)
         raise
-    write_response(output.write_path(name), response, header)
+    write_response(output.write_path(name), response, header())
     return response
 
 
-def where_recorded(recordings: Sequence[StoredRecording]) -> str:
+def where_recorded(recordings: Sequence[MeasuredSource]) -> str:
     """The raw files behind recordings, for messages."""
-    return ", ".join(recording.header.inputs[0].path if recording.header.inputs else recording.path.name for recording in recordings)
+    return ", ".join(
+        one.header.inputs[0].path if isinstance(one, StoredRecording) and one.header.inputs else one.path.name for one in recordings
+    )
 
 
 def ready_refs(frf: ReadyFrf) -> list[SourceRef]:

@@ -26,6 +26,8 @@ from labpipe.signals.screening import ChannelScreen, TimeAxisScreen
 FAR = (-1e300, 1e300)
 # Rates are written down with this many digits at least.
 SAME_RATE = 1e-4
+# Samples that are calibrated at once.
+IN_CACHE = 1 << 12
 
 
 def is_recording(path: Path) -> bool:
@@ -53,8 +55,13 @@ def ingest(
     recording = _write(table, rig, target, header, source.stem)
     for path, reference in zip((source, *joined), header.inputs, strict=True):
         if source_ref(path, base) != reference:
-            raise DataError("changed while it was read", where=str(path), hint="run again when it is complete")
+            raise changed_while_read(path)
     return recording
+
+
+def changed_while_read(path: Path) -> DataError:
+    """The fault of a file that was written to meanwhile."""
+    return DataError("changed while it was read", where=str(path), hint="run again when it is complete")
 
 
 def _joined(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
@@ -67,31 +74,75 @@ def _joined(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
     return JoinedTable(tables, rig.time if not untimed and by != "sample" else None)
 
 
-def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> StoredRecording:
-    columns = [channel.column for channel in rig.channels]
-    timed = [*([rig.time] if rig.time else []), *columns]
+def check_table(table: Table, rig: Rig) -> list[str]:
+    """The columns of the rig's channels, the time before them; DataError for one that is missing, or whose unit is another."""
+    timed = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
     check_columns(table, timed)
     if rig.time and table.units.get(rig.time) == "Hz":
         hint = "the file holds a spectrum; a recording is needed, or an FRF under `frfs:`"
         raise DataError(f"'{rig.time}' is a frequency, no time", where=str(table.path), hint=hint)
     for channel in rig.channels:
         _check_unit(table, channel)
+    return timed
+
+
+def channel_screen(rig: Rig) -> ChannelScreen:
+    """The search for faults of a rig's measured channels."""
+    return ChannelScreen([channel.channel.name for channel in rig.channels], [_si_limits(channel) for channel in rig.channels])
+
+
+class Calibration:
+    """What makes the recorded columns of a rig's channels SI units, and adds its sums."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._scale = np.array([channel.scale for channel in rig.channels])
+        self._offset = np.array([channel.offset for channel in rig.channels])
+        self._sums = rig.sums.T if rig.derived else None
+        self._changes = (self._scale != 1) | (self._offset != 0)
+
+    def measured(self, chunk: FloatArray) -> FloatArray:
+        """Recorded columns (n, n_measured) [unit of the file] in SI units; those of a file that holds these already are not copied."""
+        if not self._changes.any():
+            return chunk
+        block: FloatArray = chunk * self._scale
+        block += self._offset
+        return block
+
+    def of_channel(self, number: int, recorded: FloatArray) -> FloatArray:
+        """The numbers (n,) [unit of the file] of one measured channel in SI units."""
+        values: FloatArray = np.asarray(recorded, np.float64)
+        return values * self._scale[number] + self._offset[number] if self._changes[number] else values
+
+    def in_rows(self, columns: Sequence[FloatArray]) -> FloatArray:
+        """Recorded columns (n,) [unit of the file] as (n, n_measured) [SI], the channels of a sample side by side."""
+        block = np.empty((columns[0].size, len(columns)))
+        for start in range(0, block.shape[0], IN_CACHE):
+            piece = slice(start, start + IN_CACHE)
+            for number, column in enumerate(columns):
+                # Single precision becomes double where it is put.
+                block[piece, number] = self.of_channel(number, column[piece]) if self._changes[number] else column[piece]
+        return block
+
+    def with_sums(self, block: FloatArray) -> FloatArray:
+        """The measured channels (n, n_measured) [SI] and beside them the sums, (n, n_channel) [SI]."""
+        return block if self._sums is None else np.concatenate([block, block @ self._sums], axis=1)
+
+
+def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> StoredRecording:
+    timed = check_table(table, rig)
     channels = rig.all_channels
     time = TimeAxisScreen(rig.time) if rig.time else None
     if time is None:
         stated_rate(table, rig)
-    screen = ChannelScreen([channel.channel.name for channel in rig.channels], [_si_limits(channel) for channel in rig.channels])
-    scale = np.array([channel.scale for channel in rig.channels])
-    offset = np.array([channel.offset for channel in rig.channels])
-    sums = rig.sums.T
+    screen, calibration = channel_screen(rig), Calibration(rig)
     try:
         with RecordingWriter(target, channels) as writer:
             for chunk in table.chunks(timed):
                 if time is not None:
                     time.add(chunk[:, 0] * rig.time_scale)
-                block = _calibrated(chunk[:, len(timed) - len(columns) :], scale, offset)
+                block = calibration.measured(chunk[:, len(timed) - len(rig.channels) :])
                 screen.add(block)
-                writer.write(np.concatenate([block, block @ sums], axis=1) if rig.derived else block)
+                writer.write(calibration.with_sums(block))
             sample_rate = time.sample_rate() if time is not None else stated_rate(table, rig)
             contents = recording_contents(channels, sample_rate, name, screen.levels())
             findings = (*(table.findings() if isinstance(table, JoinedTable) else ()), *screen.findings())
@@ -100,15 +151,6 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> S
         error.where = error.where or str(table.path)
         raise
     return writer.recording()
-
-
-def _calibrated(chunk: FloatArray, scale: FloatArray, offset: FloatArray) -> FloatArray:
-    """The columns (n, n_channel) [unit of the file] in SI units; those of a file that holds these already are not copied."""
-    if np.all(scale == 1) and np.all(offset == 0):
-        return chunk
-    block: FloatArray = chunk * scale
-    block += offset
-    return block
 
 
 def contradictions(table: Table, rig: Rig) -> list[DataError]:

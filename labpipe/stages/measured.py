@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from labpipe.artefacts.decay_file import SUFFIX, read_decays, write_decays
 from labpipe.artefacts.fits_file import FOLDER as FITS
-from labpipe.artefacts.freshness import fresh_path
-from labpipe.artefacts.header import Header, source_ref
-from labpipe.artefacts.recording_file import StoredRecording
+from labpipe.artefacts.header import Header
 from labpipe.artefacts.response_file import SUFFIX as RESPONSE_SUFFIX
 from labpipe.artefacts.response_file import read_response
 from labpipe.artefacts.spectra_file import SUFFIX as SPECTRA_SUFFIX
@@ -21,9 +20,10 @@ from labpipe.config.ready_frf import ReadyFrf
 from labpipe.errors import LabpipeError
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.free_decay import FreeDecays
+from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.settings import FrfSettings
-from labpipe.stages.frf import frf, frf_file_name, where_recorded
+from labpipe.stages.frf import MeasuredSource, fresh_measured, frf, frf_file_name, measured_header, where_recorded
 
 MeasuredTest = FrequencyResponse | FreeDecays | ChannelSpectra
 
@@ -39,13 +39,13 @@ class _Kind:
     read: Callable[[Path], Any]
 
 
-def _free_decays(recordings: Sequence[StoredRecording], settings: FrfSettings, **of_test: Any) -> FreeDecays:
+def _free_decays(recordings: Sequence[SampleSource], settings: FrfSettings, **of_test: Any) -> FreeDecays:
     from labpipe.spectra.free_decays import free_decays
 
     return free_decays(recordings, settings, **of_test)
 
 
-def _channel_spectra(recordings: Sequence[StoredRecording], settings: FrfSettings, **of_test: Any) -> ChannelSpectra:
+def _channel_spectra(recordings: Sequence[SampleSource], settings: FrfSettings, **of_test: Any) -> ChannelSpectra:
     from labpipe.spectra.all_channels import channel_spectra
 
     return channel_spectra(recordings, settings, **of_test)
@@ -90,23 +90,22 @@ def measured_files(folder: Path, test: str) -> list[Path]:
 
 
 def measure_test(
-    recordings: Sequence[StoredRecording], settings: FrfSettings, output: OutputFolder, test: str, conditions: dict[str, str]
+    recordings: Sequence[MeasuredSource], settings: FrfSettings, output: OutputFolder, test: str, conditions: dict[str, str]
 ) -> MeasuredTest:
     """What the recordings of a test give, made unless what is on disk is fresh; LabpipeError names the recording."""
     kind = _kind(settings)
     if kind is None:
         return frf(recordings, settings, output, test, conditions)
-    inputs = tuple(source_ref(recording.path, recording.path.parent) for recording in recordings)
-    header = Header(kind.name, {"frf": dataclasses.asdict(settings), "test": test, "conditions": conditions}, inputs=inputs)
+    header = partial(measured_header, kind.name, recordings, settings, test, conditions)
     name = measured_file_name(test, settings)
-    if (existing := fresh_path(output, name, header)) is not None:
+    if (existing := fresh_measured(output, name, header)) is not None:
         return kind.read(existing)
     try:
         measured = kind.make(recordings, settings, name=test, conditions=conditions)
     except LabpipeError as error:
         error.where = error.where or where_recorded(recordings)
         raise
-    kind.write(output.write_path(name), measured, header)
+    kind.write(output.write_path(name), measured, header())
     return measured
 
 

@@ -30,6 +30,7 @@ from labpipe.errors import DataError
 from labpipe.places.address import is_remote
 from labpipe.places.fetched import fetched
 from labpipe.places.storage import status
+from labpipe.stages.frf import RIGS
 
 Reference = tuple[str, str]
 # So many folders above a result may hold the pipeline that made it.
@@ -64,6 +65,16 @@ def _header_inputs(path: Path) -> Sequence[Reference]:
     return [(reference.path, reference.sha256) for reference in header_of(path).inputs]
 
 
+def _raw_files(path: Path) -> Sequence[Reference]:
+    """What was measured from raw files names those."""
+    return _header_inputs(path) if RIGS in header_of(path).parameters else ()
+
+
+def _recordings(path: Path) -> Sequence[Reference]:
+    """What was measured from calibrated recordings names those."""
+    return () if RIGS in header_of(path).parameters else _header_inputs(path)
+
+
 def _json_digest(path: Path) -> str:
     return str(read_digested(path, path.name).get(DIGEST, ""))
 
@@ -74,7 +85,7 @@ def _entries(key: str, path: Path) -> Sequence[Reference]:
 
 
 def _measured(read: Callable[[Path], Any]) -> _Kind:
-    return _Kind(read, lambda path: header_of(path).digest, _nothing, _header_inputs)
+    return _Kind(read, lambda path: header_of(path).digest, _raw_files, _recordings)
 
 
 def _read_part(path: Path) -> Any:

@@ -1,10 +1,12 @@
 """A logger's file to its FRF by the command, against bare reading and bare FFTs of the same file: CPU, clock and memory as ratios.
 
-python -m tests.benchmarks.raw_files [--rows N] [--block N] [--repeats N] [KIND ...]
+python -m tests.benchmarks.raw_files [--rows N | --size MB] [--block N] [--repeats N] [KIND ...]
 
-Files of two forces and two displacements (white noise) are made on the spot: Parquet of single precision, TDMS of double precision in
-segments of 100,000 rows, CSV with five decimals. Both sides are processes of their own; the import of the libraries, which both need, is
-measured too and subtracted from both. Least of all repeats, in turns. Prints a table in Markdown.
+Files of two forces and two displacements (white noise) are made on the spot, in the folder for temporary files (TMPDIR): Parquet of
+single precision, TDMS of double precision in segments of 100,000 rows, CSV with five decimals. Both sides are processes of their own; the
+import of the libraries, which both need, is measured too and subtracted from both. The bare side reads piece by piece, or the whole file
+where it is small, whichever is faster: a gigabyte read at once costs more than twice as much by the memory that it takes. Least of all
+repeats, in turns. Prints a table in Markdown.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,7 +32,15 @@ ROOT = Path(__file__).parents[2]
 RATE = 10240.0
 NAMES = ("f_y", "f_z", "y", "z")
 SEGMENT = 100_000
+PIECE = 1 << 20
 KINDS = ("parquet", "tdms", "csv")
+# As they are written here.
+BYTES_PER_ROW = {"parquet": 14.73, "tdms": 32.0, "csv": 33.56}
+WHOLE, PIECES = "whole", "pieces"
+# Files [byte] that the bare side may read at once.
+SMALL = 300e6
+TABLE = """| file | size | bare, CPU | command / bare | bare, by the clock | command / bare | memory of the command |
+|---|---|---|---|---|---|---|"""
 # A small process starts the command: of a child of this one the memory of this one would count.
 COUNTED = """
 import json, os, subprocess, sys, time
@@ -57,20 +68,9 @@ class Cost:
 
 
 def write_raw(folder: Path, kind: str, n_row: int, n_block: int) -> None:
-    """A raw file of *n_row* rows in *folder*, with a rig and a pipeline for it."""
-    rng = np.random.default_rng(1)
-    samples = rng.normal(size=(n_row, len(NAMES))).astype(np.float32)
-    if kind == "parquet":
-        table = pa.table({name: samples[:, n] for n, name in enumerate(NAMES)})
-        pq.write_table(table, folder / "raw.parquet", compression="zstd", use_dictionary=False, use_byte_stream_split=True)
-    elif kind == "csv":
-        pc.write_csv(pa.table({name: np.round(samples[:, n].astype(float), 5) for n, name in enumerate(NAMES)}), folder / "raw.csv")
-    else:
-        with TdmsWriter(folder / "raw.tdms") as writer:
-            for start in range(0, n_row, SEGMENT):
-                part = samples[start : start + SEGMENT].astype(float)
-                facts = {"wf_increment": 1 / RATE, "wf_samples": part.shape[0]}
-                writer.write_segment([ChannelObject("g", name, part[:, n], properties=facts) for n, name in enumerate(NAMES)])
+    """A raw file of *n_row* rows in *folder*, with a rig and a pipeline for it; in pieces, so that it may be larger than the memory."""
+    write = {"parquet": _write_parquet, "csv": _write_csv, "tdms": _write_tdms}[kind]
+    write(folder / f"raw.{kind}", _pieces(n_row))
     entries = (f"  {n}: {{quantity: {'force' if n[0] == 'f' else 'displacement'}, dof: {'xy'[n[-1] == 'z']}}}\n" for n in NAMES)
     (folder / "rig.yaml").write_text(f"name: R\nsample_rate: {RATE:g} Hz\nchannels:\n{''.join(entries)}")
     (folder / f"{kind}.yaml").write_text(
@@ -78,20 +78,75 @@ def write_raw(folder: Path, kind: str, n_row: int, n_block: int) -> None:
     )
 
 
-def raw_columns(folder: Path, kind: str) -> np.ndarray:
-    """The columns of a raw file (n_channel, n_row), read the shortest way."""
-    if kind == "tdms":
-        group = TdmsFile.read(folder / "raw.tdms")["g"]
-        return np.stack([group[name][:] for name in NAMES])
-    table = pq.read_table(folder / "raw.parquet", use_threads=False) if kind == "parquet" else pc.read_csv(folder / "raw.csv")
-    return np.stack([column.combine_chunks().to_numpy() for column in table.columns]).astype(float)
+def _pieces(n_row: int) -> Iterator[np.ndarray]:
+    """White noise (n, 4) in single precision, 1 << 20 rows at a time."""
+    rng = np.random.default_rng(1)
+    for start in range(0, n_row, PIECE):
+        yield rng.normal(size=(min(PIECE, n_row - start), len(NAMES))).astype(np.float32)
 
 
-def bare(folder: str, kind: str, n_block: int) -> None:
-    """A raw file read, and the FFT of every block of every channel; nothing else."""
-    columns = raw_columns(Path(folder), kind)
-    for start in range(0, columns.shape[1] - n_block + 1, n_block // 2):
-        fft.rfft(columns[:, start : start + n_block], axis=1)
+def _write_parquet(path: Path, pieces: Iterator[np.ndarray]) -> None:
+    schema = pa.schema([(name, pa.float32()) for name in NAMES])
+    with pq.ParquetWriter(path, schema, compression="zstd", use_dictionary=False, use_byte_stream_split=True) as writer:
+        for piece in pieces:
+            writer.write_table(pa.table({name: piece[:, n] for n, name in enumerate(NAMES)}))
+
+
+def _write_csv(path: Path, pieces: Iterator[np.ndarray]) -> None:
+    with pc.CSVWriter(path, pa.schema([(name, pa.float64()) for name in NAMES])) as writer:
+        for piece in pieces:
+            writer.write_table(pa.table({name: np.round(piece[:, n].astype(float), 5) for n, name in enumerate(NAMES)}))
+
+
+def _write_tdms(path: Path, pieces: Iterator[np.ndarray]) -> None:
+    with TdmsWriter(path) as writer:
+        for piece in pieces:
+            for start in range(0, piece.shape[0], SEGMENT):
+                part = piece[start : start + SEGMENT].astype(float)
+                facts = {"wf_increment": 1 / RATE, "wf_samples": part.shape[0]}
+                writer.write_segment([ChannelObject("g", name, part[:, n], properties=facts) for n, name in enumerate(NAMES)])
+
+
+def rows_of(kind: str, megabytes: float) -> int:
+    """Rows of a file of that size."""
+    return round(megabytes * 1e6 / BYTES_PER_ROW[kind])
+
+
+def read_whole(path: Path) -> Iterator[list[np.ndarray]]:
+    """The columns of a raw file, read at once the shortest way."""
+    if path.suffix == ".tdms":
+        group = TdmsFile.read(path)["g"]
+        yield [group[name][:] for name in NAMES]
+        return
+    table = pq.read_table(path, use_threads=False) if path.suffix == ".parquet" else pc.read_csv(path)
+    yield [column.combine_chunks().to_numpy() for column in table.columns]
+
+
+def read_in_pieces(path: Path) -> Iterator[list[np.ndarray]]:
+    """The columns of a raw file piece by piece, by the library's own iterator."""
+    if path.suffix == ".tdms":
+        with TdmsFile.open(path) as file:
+            for chunk in file.data_chunks():
+                yield [chunk["g"][name][:] for name in NAMES]
+        return
+    if path.suffix == ".parquet":
+        batches = pq.ParquetFile(path, pre_buffer=False).iter_batches(batch_size=1 << 17, use_threads=False)
+    else:
+        batches = pc.open_csv(path, pc.ReadOptions(block_size=1 << 22))
+    for batch in batches:
+        yield [column.to_numpy() for column in batch.columns]
+
+
+def bare(path: str, n_block: int, way: str) -> None:
+    """A raw file read, and the FFT of every block of every channel; nothing else. *way*: WHOLE or PIECES."""
+    rest = np.empty((len(NAMES), 0))
+    for piece in (read_whole if way == WHOLE else read_in_pieces)(Path(path)):
+        columns = np.concatenate([rest, np.stack(piece).astype(float)], axis=1) if rest.size else np.stack(piece).astype(float)
+        start = 0
+        while start + n_block <= columns.shape[1]:
+            fft.rfft(columns[:, start : start + n_block], axis=1)
+            start += n_block // 2
+        rest = columns[:, start:]
 
 
 def least_costs(folder: Path, commands: list[list[str]], repeats: int) -> list[Cost]:
@@ -110,11 +165,23 @@ def measured(kind: str, n_row: int, n_block: int, repeats: int) -> tuple[int, Co
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_raw(folder, kind, n_row, n_block)
-        bare = f"from tests.benchmarks.raw_files import bare; bare({str(folder)!r}, {kind!r}, {n_block})"
+        path = folder / f"raw.{kind}"
+        size = path.stat().st_size
+        ways = [PIECES, WHOLE] if size <= SMALL else [PIECES]
+        bares = [f"from tests.benchmarks.raw_files import bare; bare({str(path)!r}, {n_block}, {way!r})" for way in ways]
         command = f"from labpipe.cli.main import run_command; import sys, tempfile; sys.exit(run_command({_arguments(kind)}))"
-        run = [[sys.executable, "-c", text] for text in (LIBRARIES, bare, command)]
-        imports, floor, own = least_costs(folder, run, repeats)
-        return (folder / f"raw.{kind}").stat().st_size, floor.less(imports), own.less(imports)
+        imports, *floors, own = least_costs(folder, [[sys.executable, "-c", text] for text in (LIBRARIES, *bares, command)], repeats)
+        floor = Cost(*(min(getattr(floor, name) for floor in floors) for name in ("cpu", "clock", "memory")))
+        return size, floor.less(imports), own.less(imports)
+
+
+def row_of(kind: str, n_row: int, n_block: int, repeats: int) -> str:
+    """The row of the table of a kind of file."""
+    size, floor, own = measured(kind, n_row, n_block, repeats)
+    return (
+        f"| {kind} | {size / 1e6:.0f} MB | {floor.cpu:.2f} s | {own.cpu / floor.cpu:.2f} | {floor.clock:.2f} s | "
+        f"{own.clock / floor.clock:.2f} | {own.memory:.0f} MB |"
+    )
 
 
 def _arguments(kind: str) -> str:
@@ -125,14 +192,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kinds", nargs="*", choices=[*KINDS, []], default=[])
     parser.add_argument("--rows", type=int, default=16_000_000)
+    parser.add_argument("--size", type=float, help="of the files [MB], in place of rows")
     parser.add_argument("--block", type=int, default=25_600)
     parser.add_argument("--repeats", type=int, default=3)
     options = parser.parse_args()
-    print("| file | size | bare CPU | command / bare, CPU | by the clock | memory of the command |\n|---|---|---|---|---|---|")
+    print(TABLE)
     for kind in options.kinds or KINDS:
-        size, floor, own = measured(kind, options.rows, options.block, options.repeats)
-        ratios = f"{own.cpu / floor.cpu:.2f} | {own.clock / floor.clock:.2f}"
-        print(f"| {kind} | {size / 1e6:.0f} MB | {floor.cpu:.2f} s | {ratios} | {own.memory:.0f} MB |", flush=True)
+        print(row_of(kind, rows_of(kind, options.size) if options.size else options.rows, options.block, options.repeats), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
 """Writes docs/pages/speed.md: what labpipe costs beside the least that the same work could cost, measured on this machine.
 
-python -m tests.benchmarks.speed_page [--rows N]
+python -m tests.benchmarks.speed_page [--rows N] [--repeats N]
+
+Raw files of a gigabyte are made one after the other in the folder for temporary files (TMPDIR), which needs 3 GB.
 
 Ratios of CPU times, the least of repetitions in turns, so that they hold on other machines about as well. To be run on a machine that does
 nothing else, with OMP_NUM_THREADS=1: threads of BLAS that wait for work take time of the processor as well. OPENBLAS_CORETYPE and
@@ -29,7 +31,7 @@ from labpipe.spectra.ports import Layout, find_layout
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import WelchAverage
 from labpipe.spectra.windows import window_values
-from tests.benchmarks.raw_files import KINDS, ROOT, least_costs, measured
+from tests.benchmarks.raw_files import KINDS, ROOT, TABLE, least_costs, row_of, rows_of
 from tests.benchmarks.test_identify_ratios import chain, cpu_time
 
 PAGE = ROOT / "docs/pages/speed.md"
@@ -43,6 +45,8 @@ RECORDS = (
     (25_000, 8, 2, 1_200_000),
     (25_000, 16, 3, 1_200_000),
 )
+# Size of the larger raw files [MB].
+LARGE = 1000.0
 # Degrees of freedom, lines.
 CHAINS = ((3, 1000), (4, 1000), (6, 1000), (3, 10_000), (3, 100_000))
 FIVE = "import numpy, scipy.optimize, pandas, pyarrow.parquet, matplotlib.figure"
@@ -119,15 +123,15 @@ def _run(pipeline: str, folder: str) -> str:
     return f"['run', 'pipelines/{pipeline}.yaml', '-o', {folder}, '-q']"
 
 
-def file_rows(n_row: int) -> Iterator[str]:
+def file_rows(n_row: int, repeats: int) -> Iterator[str]:
     """One row per kind of raw file."""
     for kind in KINDS:
-        size, floor, own = measured(kind, n_row, 25_600, 2)
-        ratios = f"{own.cpu / floor.cpu:.2f} | {own.clock / floor.clock:.2f}"
-        yield f"| {kind} | {size / 1e6:.0f} MB | {floor.cpu:.1f} s | {ratios} | {own.memory:.0f} MB |"
+        yield row_of(kind, n_row, 25_600, repeats)
+    for kind in KINDS:
+        yield row_of(kind, rows_of(kind, LARGE), 25_600, repeats)
 
 
-def page(n_row: int) -> str:
+def page(n_row: int, repeats: int) -> str:
     """The whole page."""
     parts = [
         HEAD,
@@ -137,10 +141,10 @@ def page(n_row: int) -> str:
         "also checks the record and looks for a loop, drift and aliasing.\n",
         "| responses x forces | block | samples | bare FFTs | FRF / bare | measure / bare |\n|---|---|---|---|---|---|",
         *frf_rows(),
-        f"\n## A raw file to its FRF by the command\n\nTwo forces, two responses, {n_row} rows; beside it bare reading and bare FFTs. The "
-        "import of the libraries is subtracted on both sides. The bare side holds the whole file in memory.\n",
-        "| file | size | bare CPU | command / bare, CPU | by the clock | memory of the command |\n|---|---|---|---|---|---|",
-        *file_rows(n_row),
+        f"\n## A raw file to its FRF by the command\n\nTwo forces, two responses, {n_row} rows, then files of {LARGE:g} MB; beside it bare "
+        "reading and bare FFTs, piece by piece or at once, whichever is faster. The import of the libraries is subtracted on both sides.\n",
+        TABLE,
+        *file_rows(n_row, repeats),
         "\n## Maximum likelihood over many dofs and lines\n\nAll stiffness and damping coefficients of masses in a chain, with the test of "
         "the given masses; last, FRFs that share noise as those of H1 do, over independent ones.\n",
         "| dofs | lines | parameters | CPU | over the first | shared noise |\n|---|---|---|---|---|---|",
@@ -153,10 +157,12 @@ def page(n_row: int) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rows", type=int, default=16_000_000)
+    parser.add_argument("--rows", type=int, default=4_000_000, help="of the smaller raw files")
+    parser.add_argument("--repeats", type=int, default=2, help="of the commands on raw files")
     if os.environ.get("OMP_NUM_THREADS") != "1":
         parser.error("set OMP_NUM_THREADS=1")
-    PAGE.write_text(page(parser.parse_args().rows), encoding="utf-8")
+    options = parser.parse_args()
+    PAGE.write_text(page(options.rows, options.repeats), encoding="utf-8")
     print(f"written: {PAGE.relative_to(Path.cwd()) if PAGE.is_relative_to(Path.cwd()) else PAGE}")
 
 

@@ -60,7 +60,7 @@ def same(one: ChannelSpectra, other: ChannelSpectra) -> bool:
 def test_spectra_are_those_of_the_recordings(lab: Path) -> None:
     """The file holds what the functions give for the calibrated recordings, and the factor with its doubt."""
     stored = labpipe.read(lab / "out/seal.spectra.parquet")
-    recordings = [labpipe.read(lab / f"out/recordings/seal-{end}.recording.parquet") for end in ("plus", "minus")]
+    recordings = [labpipe.read(lab / f"seal-{end}.parquet", rig=lab / "rig.yaml") for end in ("plus", "minus")]
     settings = labpipe.FrfSettings("periodic", period="1 s", skip=0, band="10-100 Hz", result="spectra")
     made = labpipe.channel_spectra(recordings, settings, name="seal", conditions={"speed": "2000 rpm"})
     assert same(stored, made) and [factor.name for factor in made.factors] == ["m_s"]
