@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
 
@@ -78,8 +79,8 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_sessionfinish() -> None:
-    """Libraries look at their objects once more when the interpreter ends."""
-    gc.unfreeze()
+    """Libraries look at their objects once more when the interpreter ends: not sooner, since pytest collects garbage five times before."""
+    atexit.register(gc.unfreeze)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

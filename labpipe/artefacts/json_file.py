@@ -29,9 +29,9 @@ def write_json(path: Path, entries: dict[str, Any]) -> None:
 
 def write_digested(path: Path, entries: dict[str, Any]) -> None:
     """Write the entries with the digest of the file without it as the second one."""
-    digest = hashlib.sha256(_content(entries)).hexdigest()
-    (first, second), *others = entries.items()
-    path.write_bytes(_content({first: second, DIGEST: digest, **dict(others)}))
+    texts = _texts(entries)
+    digest = hashlib.sha256(_joined(texts)).hexdigest()
+    path.write_bytes(_joined([texts[0], *_texts({DIGEST: digest}), *texts[1:]]))
 
 
 def read_digested(path: Path, what: str) -> dict[str, Any]:
@@ -78,8 +78,15 @@ def parsed(content: bytes, path: Path, what: str) -> dict[str, Any]:
 
 
 def _content(entries: dict[str, Any]) -> bytes:
-    lines = ",\n".join(f"{json.dumps(key, ensure_ascii=False)}: {_lines(entry)}" for key, entry in entries.items())
-    return f"{{\n{lines}\n}}\n".encode()
+    return _joined(_texts(entries))
+
+
+def _texts(entries: dict[str, Any]) -> list[str]:
+    return [f"{json.dumps(key, ensure_ascii=False)}: {_lines(entry)}" for key, entry in entries.items()]
+
+
+def _joined(texts: list[str]) -> bytes:
+    return ("{\n" + ",\n".join(texts) + "\n}\n").encode()
 
 
 def _lines(entry: Any) -> str:

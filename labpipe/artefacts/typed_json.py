@@ -23,10 +23,13 @@ from labpipe.records.settings import Settings, settings_of
 RECORD_FAULTS = (KeyError, TypeError, IndexError, ValueError, AttributeError, OverflowError, RecursionError, MemoryError)
 
 LARGEST_COUNT = 1 << 63
+PLAIN = frozenset((str, bool, int, float))
 
 
 def entry_of(record: Any) -> Any:
     """JSON entries of a record; TypeError for a type without a JSON form."""
+    if record is None or type(record) in PLAIN:
+        return record
     if dataclasses.is_dataclass(record) and not isinstance(record, type):
         skipped = _contents_elsewhere(record)
         return {name: entry_of(getattr(record, name)) for name in _stored_fields(type(record)) if name not in skipped}
@@ -40,7 +43,7 @@ def entry_of(record: Any) -> Any:
         return {"re": record.real, "im": record.imag}
     if isinstance(record, np.generic):
         return record.item()
-    if record is None or isinstance(record, (str, bool, int, float)):
+    if isinstance(record, (str, int, float)):
         return record
     raise TypeError(f"a {type(record).__name__} has no place in JSON")
 

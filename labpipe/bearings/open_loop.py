@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.bearings.magnetic_loop import chain_factors, controller_terms
+from labpipe.bearings.magnetic_loop import ControlLoop, chain_factors, controller_terms
 from labpipe.bearings.magnetic_stability import Levitated
 from labpipe.bearings.sampled_loop import SampledLaw, Suspended, sampled_law, sampled_plant
 
@@ -70,7 +71,7 @@ def open_loop(plant: Levitated, omega: FloatArray, rate: float | None = None, fi
         law = np.asarray(np.sum(list(controller_terms(loop, omega).values()), axis=0))
         return OpenLoop(loop.sensor, law.astype(np.complex128), motion * chain.get("sensor", 1.0), current)
     motion, current = _sampled_motion(Suspended(loop, plant.negative_stiffness, plant.mass), omega, rate)
-    law_at = law_response(sampled_law(loop, rate, loop.blocks()), omega, rate)
+    law_at = law_response(_own_law(loop, rate), omega, rate)
     if not filtered:
         return OpenLoop(loop.sensor, law_at, motion, current)
     # The delay holds half an interval for the hold already.
@@ -79,6 +80,11 @@ def open_loop(plant: Levitated, omega: FloatArray, rate: float | None = None, fi
     )
     moved = -loop.force_per_current * delayed / (-plant.mass * omega**2 - plant.negative_stiffness)
     return OpenLoop(loop.sensor, law_at, motion, delayed, moved * chain_factors(loop, omega).get("sensor", 1.0))
+
+
+@lru_cache(maxsize=16)
+def _own_law(loop: ControlLoop, rate: float) -> SampledLaw:
+    return sampled_law(loop, rate, loop.blocks())
 
 
 def law_response(law: SampledLaw, omega: FloatArray, rate: float) -> ComplexArray:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy import linalg
@@ -190,6 +191,7 @@ def _sampled_pid(loop: ControlLoop, rate: float) -> SampledLaw:
     return SampledLaw(np.diag(-a1), b1 - a1 * b0, np.ones(2), loop.proportional + float(np.sum(b0)))
 
 
+@lru_cache(maxsize=16)
 def sampled_plant(plant: Suspended, rate: float) -> tuple[SampledPlant, int]:
     """Motion between samples, and the whole sampling intervals of the delay, at *rate* [Hz]; ConfigError for one shorter than the hold."""
     loop = plant.loop
@@ -198,7 +200,11 @@ def sampled_plant(plant: Suspended, rate: float) -> tuple[SampledPlant, int]:
         message = f"delay: {1e6 * loop.delay:g} us is shorter than half a sampling interval of the controller, which it holds"
         raise ConfigError(message, hint=f"at least {5e5 / rate:g} us at {rate / 1e3:g} kHz")
     whole = int(np.floor(intervals + 1e-9))
-    return _plant(plant, max(intervals - whole, 0.0), 1 / rate), whole
+    motion = _plant(plant, max(intervals - whole, 0.0), 1 / rate)
+    # A search for margins asks for the same plant at one frequency after the other.
+    for matrix in (motion.step, motion.hold, motion.ramp):
+        matrix.flags.writeable = False
+    return motion, whole
 
 
 def _step(loop: ControlLoop, plant: SampledPlant, law: SampledLaw, state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:

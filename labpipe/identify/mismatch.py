@@ -8,6 +8,7 @@ residual is what the intervals then allow for; where nothing does, there are non
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -95,7 +96,7 @@ class _Judge:
         """
         problem: OutputError[ReceptanceModel] = OutputError(self.measured, model, self._whitener)
         try:
-            minimum = minimise(problem, start, most_steps=MOST_STEPS)
+            minimum = minimise(problem, start, most_steps=MOST_STEPS, linearise=problem.linearised)
             if not minimum.converged:
                 return None
             assessed = assess(self.measured, self.model, problem, minimum.values)
@@ -124,7 +125,7 @@ class _Judge:
         structure = self.structure(own.problem, own.values, Null(self.measured.line_noise, uneven=True, n_draw=FEW_DRAWS))
         return structure is not None and structure.p_value >= MISMATCH_P
 
-    @property
+    @cached_property
     def _whitener(self) -> Weights:
         return fit_weights(self.measured)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -34,9 +35,19 @@ class OutsideModes:
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
         jacobian = self.model.jacobian(parameters[: self.n_own], omega)
-        n_line, n_element = jacobian.shape[1], self.size.size
-        terms = np.einsum("ln,e,ef->nelf", self.curves, self.size, np.eye(n_element)).reshape(-1, n_line, n_element)
-        return np.concatenate([jacobian, np.concatenate([terms, 1j * terms]).reshape(-1, *jacobian.shape[1:])])
+        # Parameters last in memory, as the fit wants them.
+        slopes = np.empty((*jacobian.shape[1:], parameters.size), np.complex128)
+        slopes[..., : self.n_own] = jacobian.transpose(1, 2, 3, 0)
+        slopes[..., self.n_own :] = self._of_terms.reshape(*jacobian.shape[1:], -1)
+        return slopes.transpose(3, 0, 1, 2)
+
+    @cached_property
+    def _of_terms(self) -> ComplexArray:
+        """dH/dC of all terms, which no parameter changes, (n_line, n_element, 2 n_term n_element) [m/N]."""
+        n_line, n_term = self.curves.shape
+        terms = self.curves[:, None, :, None] * np.diag(self.size)[:, None, :]
+        real = terms.reshape(n_line, self.size.size, n_term * self.size.size)
+        return np.concatenate([real, 1j * real], axis=2)
 
     def start(self, values: FloatArray) -> FloatArray:
         """Start values (n_parameter,) [parameter units]: those of the model (n_own,) without residual terms."""

@@ -141,6 +141,9 @@ class Rotor:
     beta: float = 0.0
 
     def __post_init__(self) -> None:
+        # Scripts give lists; the matrices of a rotor are found again by what it holds.
+        for name in ("elements", "discs", "sleeves"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         if not self.elements:
             raise ConfigError("a rotor needs at least one shaft element")
         if min(self.alpha, self.beta) < 0:

@@ -6,7 +6,6 @@ import contextlib
 import io
 
 import numpy as np
-import sdypy.EMA as peer
 
 from labpipe.modal.growth import refine_with_terms
 from labpipe.modal.likelihood import Refined
@@ -23,7 +22,9 @@ def own(omega: np.ndarray, matrix: np.ndarray) -> Refined:
 
 
 def peer_poles(frequency: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Poles of all orders up to 60; the package takes one row of FRFs."""
+    """Poles of all orders up to 60; the package takes one row of FRFs. It is loaded here: every run of the tests collects this file."""
+    import sdypy.EMA as peer
+
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         model = peer.Model(
             matrix.reshape(frequency.size, -1).T,

@@ -34,7 +34,7 @@ from labpipe.report.shape_figure import shape_figures
 X = np.array([1.0, 2.0, 4.0])
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def every_kind() -> Chart:
     """Two panels over one speed: curves with bands and bars, lines and spans across, an outline, an arrow, a gap, hollow dots,
     words."""
@@ -62,7 +62,7 @@ def every_kind() -> Chart:
     return stacked(panels, 4.0)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def heat_map() -> Chart:
     """A correlation of two parameters."""
     axis = Axis(ticks=named_ticks(["k", "c"]))

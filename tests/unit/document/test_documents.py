@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +27,7 @@ RESULT = Identification(
 )
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def document(every_kind: Chart, heat_map: Chart, drawings: dict[str, Drawing]) -> Document:
     figures = tuple(Figure(graphic, f"Caption {n}", f"Shows {n}") for n, graphic in enumerate((every_kind, heat_map, *drawings.values())))
     table = Table(("name", "value"), (("a|b", "1"), ("c", "2")), "Values", (1,))
@@ -34,10 +36,16 @@ def document(every_kind: Chart, heat_map: Chart, drawings: dict[str, Drawing]) -
     return Document("Title", "Subtitle", sections, (("rig", "bench"),))
 
 
+@pytest.fixture(scope="module")
+def written(document: Document) -> Callable[[str], bytes]:
+    """The document in a format, drawn once for all tests that look at it."""
+    return functools.cache(lambda name: DOCUMENTS.load(name)(document))
+
+
 @pytest.mark.parametrize("name", DOCUMENTS.names())
-def test_every_format_holds_all_parts_and_is_the_same_each_time(name: str, document: Document) -> None:
+def test_every_format_holds_all_parts_and_is_the_same_each_time(name: str, document: Document, written: Callable[[str], bytes]) -> None:
     content = DOCUMENTS.load(name)(document)
-    assert content == DOCUMENTS.load(name)(document)
+    assert content == written(name)
     if name == "pdf":
         assert content.startswith(b"%PDF-")
         return
@@ -51,8 +59,8 @@ def test_every_format_renders_an_identification(name: str) -> None:
     assert len(RENDERERS.load(name)(RESULT)) > 500
 
 
-def test_the_page_has_numbers_for_charts_and_shapes_only(document: Document, every_kind: Chart) -> None:
-    html = DOCUMENTS.load("html")(document).decode()
+def test_the_page_has_numbers_for_charts_and_shapes_only(written: Callable[[str], bytes], every_kind: Chart) -> None:
+    html = written("html").decode()
     figures = re.findall(r"<figure .*?</figure>", html, re.DOTALL)
     numbers = [re.search(r'<script type="application/json">(.*?)</script>', figure) for figure in figures]
     assert [found is not None for found in numbers] == [True, True, False, False, True]
@@ -77,10 +85,10 @@ def test_every_figure_is_drawn_once(module: object, function: str, name: str, do
     assert len(drawn) == 5 and len(set(map(id, drawn))) == 5
 
 
-def test_pages_of_a_pdf_are_a_cover_and_what_its_figures_need(document: Document) -> None:
+def test_pages_of_a_pdf_are_a_cover_and_what_its_figures_need(document: Document, written: Callable[[str], bytes]) -> None:
     # At 165 mm of width the figures are 92, 64, 66, 119 and 142 mm high, and a page holds 259 mm: behind the cover the words with the
     # first two (which leave no room for 66 mm and a caption), the next two, and the last.
-    assert len(PAGE.findall(DOCUMENTS.load("pdf")(document))) == 4
+    assert len(PAGE.findall(written("pdf"))) == 4
     alone = replace(document, sections=document.sections[:1], to_sign=False)
     assert len(PAGE.findall(DOCUMENTS.load("pdf")(alone))) == 1
 
@@ -97,8 +105,8 @@ def test_a_drawing_of_very_many_points_is_a_picture_in_a_pdf(every_kind: Chart, 
     assert b"/Subtype /Image" in content
 
 
-def test_markdown_is_plain_text(document: Document) -> None:
-    text = DOCUMENTS.load("md")(document).decode()
+def test_markdown_is_plain_text(written: Callable[[str], bytes]) -> None:
+    text = written("md").decode()
     assert "> **passed**: All well." in text and "Plain \\*words\\*." in text and '```json\n{"a": 1}\n```' in text
     assert "| name | value |\n| --- | ---: |\n| a\\|b | 1 |" in text and "*Figure (drawn in the HTML report):* Caption 0" in text
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -31,6 +32,7 @@ class Structure:
         return self.matrix + std * (rng.normal(size=self.matrix.shape) + 1j * rng.normal(size=self.matrix.shape)) / np.sqrt(2)
 
 
+@lru_cache(maxsize=8)
 def nine_modes(n_point: int = 79, n_line: int = 1501, seed: int = 0) -> Structure:
     """Nine slightly complex modes in 10-160 Hz, two of them 1 % apart, and six real modes outside; three references."""
     rng = np.random.default_rng(seed)
@@ -50,6 +52,7 @@ def nine_modes(n_point: int = 79, n_line: int = 1501, seed: int = 0) -> Structur
             shapes.append(shape)
         residue = shape[:, None] * shape[references] / (2j * w)
         matrix += (s**2)[:, None, None] * (residue / (s - pole)[:, None, None] + residue.conj() / (s - pole.conjugate())[:, None, None])
+    matrix.flags.writeable = False
     return Structure(frequency, matrix, np.array(poles), np.array(shapes))
 
 

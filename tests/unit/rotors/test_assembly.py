@@ -103,3 +103,13 @@ def test_a_third_bearing_takes_what_the_beam_gives_it() -> None:
 def test_one_bearing_is_refused(overhung: Rotor) -> None:
     with pytest.raises(ConfigError, match="at least two bearings"):
         bearing_loads(overhung, [2, 2])
+
+
+def test_a_rotor_of_lists_is_the_same_and_its_matrices_are_kept_as_they_are(overhung: Rotor) -> None:
+    """They serve the next speed too, so that nobody may write into them."""
+    listed = Rotor(list(overhung.elements), list(overhung.discs), list(overhung.sleeves))  # type: ignore[arg-type]
+    assert listed == Rotor(overhung.elements, overhung.discs, overhung.sleeves)
+    free = free_rotor(listed)
+    np.testing.assert_array_equal(free.mass, free_rotor(overhung).mass)
+    with pytest.raises(ValueError, match="read-only"):
+        free.stiffness[0, 0] = 1.0

@@ -10,6 +10,7 @@ import pytest
 from labpipe.errors import ConfigError
 from labpipe.records.doubt import ChannelDoubt, Doubt
 from labpipe.records.response import Port
+from labpipe.records.run_up import RunUp
 from labpipe.records.uncertain import Uncertain
 from labpipe.run_ups.joint import fit_jointly
 from labpipe.run_ups.methods import joint_method
@@ -23,15 +24,19 @@ from labpipe.spectra.run_up_orders import run_up_of
 from tests.unit.run_ups.run_up_cases import RIG, trained
 
 DOUBTS = ProbeDoubts(gain=Uncertain(1.0, 0.02), keyphasor=Uncertain(0.0, 0.03))
-RUNS = tuple(replace(run, doubts=DOUBTS.errors(run.planes)) for run in trained("inside")[:2])
 
 
-def test_the_change_by_a_keyphasor_is_that_of_refits() -> None:
+@pytest.fixture(scope="module")
+def runs() -> tuple[RunUp, ...]:
+    return tuple(replace(run, doubts=DOUBTS.errors(run.planes)) for run in trained("inside")[:2])
+
+
+def test_the_change_by_a_keyphasor_is_that_of_refits(runs: tuple[RunUp, ...]) -> None:
     """All phasors turned by a tenth of 0.03 rad either way; to 3 % of the combined error of every parameter."""
-    fit = fit_jointly(RIG, RUNS)
+    fit = fit_jointly(RIG, runs)
     names = [source.source for source in fit.sources]
     assert names == ["disc 1 x.gain", "disc 1 y.gain", "disc 2 x.gain", "disc 2 y.gain", "keyphasor"]
-    ends = [fit_jointly(RIG, [replace(run, response=run.response * np.exp(sign * 0.003j)) for run in RUNS]).values for sign in (1, -1)]
+    ends = [fit_jointly(RIG, [replace(run, response=run.response * np.exp(sign * 0.003j)) for run in runs]).values for sign in (1, -1)]
     found = fit.systematic[names.index("keyphasor")]
     np.testing.assert_allclose(found / fit.std_error, (ends[0] - ends[1]) / 0.2 / fit.std_error, atol=0.03)
     viscosity = joint_method("joint", "joint", fit).parameters[0]
@@ -39,10 +44,10 @@ def test_the_change_by_a_keyphasor_is_that_of_refits() -> None:
     assert sum(part.share for part in viscosity.budget) == pytest.approx(1.0)
 
 
-def test_probes_that_are_off_do_not_reject_the_family() -> None:
+def test_probes_that_are_off_do_not_reject_the_family(runs: tuple[RunUp, ...]) -> None:
     """One probe reads 6 % too much, three standard uncertainties: without their doubts chi-square rejects, with them it does not."""
     off = []
-    for run in RUNS:
+    for run in runs:
         response = run.response.copy()
         response[:, 0, 0] *= 1.06
         off.append(replace(run, response=response))
@@ -51,9 +56,9 @@ def test_probes_that_are_off_do_not_reject_the_family() -> None:
     np.testing.assert_allclose(with_doubts.values, without.values, rtol=1e-9)
 
 
-def test_coefficients_and_peaks_take_the_doubts() -> None:
+def test_coefficients_and_peaks_take_the_doubts(runs: tuple[RunUp, ...]) -> None:
     """Point by point: the coefficients of a run whose x probe reads 2 % less, first order; a peak's speed does not know the keyphasor."""
-    one = replace(RUNS[0], doubts=tuple(error for error in RUNS[0].doubts if error.doubt.source == "disc 1 x.gain"))
+    one = replace(runs[0], doubts=tuple(error for error in runs[0].doubts if error.doubt.source == "disc 1 x.gain"))
     (with_doubt,), (plain,) = fit_points(RIG, [one]), fit_points(RIG, [replace(one, doubts=())])
     small = 0.01 * one.changes()["disc 1 x.gain"]
     ends = [fit_points(RIG, [replace(one, response=one.response + sign * small, doubts=())])[0].coefficients for sign in (1, -1)]
@@ -61,13 +66,13 @@ def test_coefficients_and_peaks_take_the_doubts() -> None:
     expected = np.hypot(plain.std_error, change)
     free = ~(plain.at_bound | with_doubt.at_bound)
     np.testing.assert_allclose(with_doubt.std_error[free], expected[free], rtol=0.05)
-    only = replace(one, doubts=tuple(error for error in RUNS[0].doubts if error.doubt.source == "keyphasor"))
+    only = replace(one, doubts=tuple(error for error in runs[0].doubts if error.doubt.source == "keyphasor"))
     assert measured_critical_speed(only).std_error == pytest.approx(measured_critical_speed(replace(one, doubts=())).std_error, rel=1e-3)
     coarse = replace(one, doubts=ProbeDoubts(gain=Uncertain(1.0, 0.3)).errors(one.planes))
     assert measured_critical_speed(coarse).std_error > 1.1 * measured_critical_speed(one).std_error
 
 
-def test_a_recording_has_the_doubts_of_its_rig_file() -> None:
+def test_a_recording_has_the_doubts_of_its_rig_file(runs: tuple[RunUp, ...]) -> None:
     """A probe at 45 deg that points 1 mrad further and reads through 20 us, against phasors of such probes."""
     size, speed = 1e-3, np.array([20.0, 30.0, 40.0])
     doubts = (ChannelDoubt("direction", Doubt("a.dof", size, "rad")), ChannelDoubt("delay", Doubt("a.delay", 2e-5, "s")))
@@ -100,9 +105,9 @@ def test_doubts_of_tables_are_read() -> None:
         ProbeSettings(gain="much")
 
 
-def test_the_report_states_parameters_with_the_doubts_of_probes() -> None:
+def test_the_report_states_parameters_with_the_doubts_of_probes(runs: tuple[RunUp, ...]) -> None:
     """Two significant digits of the combined error, not of that by noise alone."""
-    (viscosity, *_) = joint_method("joint", "joint", fit_jointly(RIG, RUNS)).parameters
+    (viscosity, *_) = joint_method("joint", "joint", fit_jointly(RIG, runs)).parameters
     assert viscosity.std_error < 0.95 * viscosity.combined and viscosity.full_error == viscosity.combined
     half = (viscosity.ci95[1] - viscosity.ci95[0]) / 2
     assert half == pytest.approx(viscosity.coverage_factor * viscosity.combined)
