@@ -21,10 +21,11 @@ from labpipe.arrays import ComplexArray, FloatArray
 # channels that are worth packing in pairs, and the samples per channel from which on packing pays.
 SAMPLES_OF_SHORT, MOST_PACKED, PACKED_FROM = 80_000, 6, 4096
 # Segments transformed together [samples, segments]: enough to keep the overhead small, few enough to stay in the cache and, for
-# very long blocks, in memory. Products of small matrices are fastest with about this many segments; of long rows, with fewer.
+# very long blocks, in memory. Products of small matrices are fastest with about this many segments; of long rows with fewer, and of no more
+# than LONG_SAMPLES of a channel together.
 CACHED_SAMPLES = 1 << 18
 MOST_SAMPLES = 1 << 22
-SEGMENTS_AT_ONCE, LONG_SEGMENTS_AT_ONCE = 18, 2
+SEGMENTS_AT_ONCE, MOST_LONG_SEGMENTS, LONG_SAMPLES = 18, 4, 100_000
 # Complex numbers of a product that stay in the cache together with what they are made of.
 CACHED_PRODUCTS = 1 << 15
 # The same for rows of all channels: their products are sums of many numbers, which are read and written once per PAIRS_AT_ONCE. Rows that
@@ -132,7 +133,7 @@ class PackedProducts(SegmentProducts):
     """
 
     def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
-        super().__init__(window, lines, n_channel, trend, LONG_SEGMENTS_AT_ONCE)
+        super().__init__(window, lines, n_channel, trend, max(1, min(MOST_LONG_SEGMENTS, LONG_SAMPLES // window.size)))
         n_pair, n_line = (n_channel + 1) // 2, len(lines)
         self._taper = window.astype(np.complex128)
         # An odd channel's partner stays zero.
