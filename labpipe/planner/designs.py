@@ -45,16 +45,16 @@ def optimum(criterion: str, information: FloatArray, wanted: FloatArray | None =
     whole = free * information + np.einsum("a,aij->ij", floor, information)
     _check_regular(whole)
     shares = _multiplied(criterion, whole, wanted)
-    bound = certificate(criterion, whole, _sum(shares, whole), wanted)
-    best, best_shares = bound, shares
+    certified = certificate(criterion, whole, _sum(shares, whole), wanted)
+    best, best_shares = certified, shares
     for _ in range(ROUNDS):
         if best.efficiency >= ENOUGH:
             break
         remaining = np.flatnonzero(shares > NEGLIGIBLE * shares.max())
-        shares = _polished(criterion, whole, wanted, np.union1d(remaining, [bound.candidate]), shares)
-        bound = certificate(criterion, whole, _sum(shares, whole), wanted)
-        if bound.efficiency > best.efficiency:
-            best, best_shares = bound, shares
+        shares = _polished(criterion, whole, wanted, np.union1d(remaining, [certified.candidate]), shares)
+        certified = certificate(criterion, whole, _sum(shares, whole), wanted)
+        if certified.efficiency > best.efficiency:
+            best, best_shares = certified, shares
     return Design(floor + free * best_shares, _sum(best_shares, whole), best)
 
 

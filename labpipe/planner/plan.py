@@ -218,8 +218,8 @@ def planned_lines(settings: PlanSettings) -> IntArray:
 
 def weighting_factor(periods: int, of_spectra: bool) -> float:
     """Standard error over that with known noise, where *periods* periods tell it; *of_spectra*: in a fit of all channels' spectra."""
-    names = sorted(OF_SPECTRA)
-    return float(np.interp(periods, names, [OF_SPECTRA[number] for number in names])) if of_spectra else 1.0
+    known_periods = sorted(OF_SPECTRA)
+    return float(np.interp(periods, known_periods, [OF_SPECTRA[number] for number in known_periods])) if of_spectra else 1.0
 
 
 def bench(settings: PlanSettings, model: PlannedModel) -> Rig:

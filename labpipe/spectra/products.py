@@ -117,12 +117,7 @@ class LineProducts(SegmentProducts):
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
         """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all b, or of *columns*."""
-        n_line, n = len(self._lines), self._n_channel
-        parts = self._sum[:, :, 1:].reshape(n_line, n, 2, n, 2).transpose(1, 2, 3, 4, 0)
-        matrix = np.empty((n, n, n_line), np.complex128)
-        matrix.real = parts[:, 0, :, 0] + parts[:, 1, :, 1]
-        matrix.imag = parts[:, 1, :, 0] - parts[:, 0, :, 1]
-        return _hermitian_lines(matrix, columns, scale)
+        return _folded(self._sum[:, :, 1:], columns, scale)
 
 
 class PackedProducts(SegmentProducts):
@@ -246,22 +241,7 @@ class RowProducts(SegmentProducts):
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
         """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all b, or of *columns*."""
-        n_line, n, chosen = len(self._lines), self._n_channel, range(self._n_channel) if columns is None else columns
-        matrix = np.empty((n, len(chosen), n_line), np.complex128)
-        n_chunk = max(1, CACHED_NUMBERS // n**2)
-        for start in range(0, n_line, n_chunk):
-            lines = slice(start, start + n_chunk)
-            parts = self._sum[lines, :, 1:].reshape(-1, n, 2, n, 2)
-            folded = np.empty((parts.shape[0], n, n), np.complex128)
-            np.add(parts[:, :, 0, :, 0], parts[:, :, 1, :, 1], out=folded.real)
-            np.subtract(parts[:, :, 1, :, 0], parts[:, :, 0, :, 1], out=folded.imag)
-            np.einsum("laa->la", folded).imag[...] = 0.0
-            folded *= 0.5 * scale
-            # X_a X_b* and (X_b X_a*)* differ by rounding: of each pair that of the later channel's row.
-            for number, column in enumerate(chosen):
-                matrix[column:, number, lines] = folded[:, column:, column].T
-                np.conjugate(folded[:, column, :column].T, out=matrix[:column, number, lines])
-        return matrix.transpose(2, 0, 1)
+        return _folded(self._sum[:, :, 1:], columns, 0.5 * scale)
 
 
 def _factors(flat: FloatArray, n_row: int, n_line: int) -> tuple[FloatArray, FloatArray]:
@@ -302,3 +282,27 @@ def _hermitian_lines(matrix: ComplexArray, columns: Sequence[int] | None, scale:
             np.conjugate(matrix[row, column], out=matrix[column, row])
     matrix *= scale
     return (matrix if columns is None else matrix[:, list(columns)]).transpose(2, 0, 1)
+
+
+def _folded(sums: FloatArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
+    """*scale* sum X_a X_b* from sums of products of [re_0 im_0 ...] (n_line, 2 n, 2 n), as (n_line, n, n) or its *columns*.
+
+    Re = re_a re_b + im_a im_b, Im = im_a re_b - re_a im_b, a few lines at a time, which stay in the cache; lines are last in memory.
+    """
+    n_line, n = sums.shape[0], sums.shape[1] // 2
+    chosen = range(n) if columns is None else columns
+    matrix = np.empty((n, len(chosen), n_line), np.complex128)
+    n_chunk = max(1, CACHED_NUMBERS // n**2)
+    for start in range(0, n_line, n_chunk):
+        lines = slice(start, start + n_chunk)
+        parts = sums[lines].reshape(-1, n, 2, n, 2)
+        folded = np.empty((parts.shape[0], n, n), np.complex128)
+        np.add(parts[:, :, 0, :, 0], parts[:, :, 1, :, 1], out=folded.real)
+        np.subtract(parts[:, :, 1, :, 0], parts[:, :, 0, :, 1], out=folded.imag)
+        np.einsum("laa->la", folded).imag[...] = 0.0
+        folded *= scale
+        # X_a X_b* and (X_b X_a*)* differ by rounding: of each pair that of the later channel's row.
+        for number, column in enumerate(chosen):
+            matrix[column:, number, lines] = folded[:, column:, column].T
+            np.conjugate(folded[:, column, :column].T, out=matrix[:column, number, lines])
+    return matrix.transpose(2, 0, 1)

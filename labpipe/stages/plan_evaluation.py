@@ -155,12 +155,12 @@ def _fit(evaluation: Evaluation) -> dict[str, Any]:
     if not evaluation.side_by_side:
         mass: dict[str, Any] = {"mass": "estimate"} if number is None else {"mass": uncertain_text(number, "kg")}
         return {"model": settings.model, **mass}
-    form = {"form": "kcm" if evaluation.with_masses else "kc"}
+    entries = {"form": "kcm" if evaluation.with_masses else "kc"}
     if settings.model == ROTOR:
-        form["motion"] = "absolute"
+        entries["motion"] = "absolute"
     if number is not None:
-        form["stator_mass"] = uncertain_text(number, "kg")
-    return {"model": FLOATING, "dynamic_stiffness": form}
+        entries["stator_mass"] = uncertain_text(number, "kg")
+    return {"model": FLOATING, "dynamic_stiffness": entries}
 
 
 def uncertain_text(number: Uncertain, unit: str) -> str:
