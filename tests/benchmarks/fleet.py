@@ -143,7 +143,6 @@ def recordings(folder: Path, count: int) -> Iterator[tuple[str, str]]:
     yield "summary report", f"{report['cpu']:.1f} s CPU, {(folder / 'report.html').stat().st_size / 1e6:.2f} MB"
     for name, pattern in (
         ("raw recording", "runs/*"),
-        ("calibrated copy", "one/recordings/*"),
         ("response", "one/*.frf.parquet"),
         ("fits", "one/fits/*"),
         ("rows of the dataset", "one/dataset/*/*/*"),
