@@ -17,15 +17,12 @@ from labpipe.identify.budget import mass_doubt
 from labpipe.identify.fitting import identify
 from labpipe.identify.matrix_errors import across_ports, matrix_errors, turned
 from labpipe.identify.measured import Measured, measured_part, select_ports
-from labpipe.identify.settings import FitSettings, Support
+from labpipe.identify.settings import MODELS, FitSettings, Support, model_kind
 from labpipe.records.doubt import Doubt, MatrixError
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import receptance_factor
-
-# Damping that belongs to a stiffness of a model with one value per direction.
-MODELS = ("sdof", "rotor-2dof-direct")
 
 
 @dataclass(frozen=True)
@@ -68,8 +65,9 @@ class View:
 def checked_view(view: View) -> View:
     """The view; ConfigError for fits whose coefficients are not those of one bearing in one direction, or without known mass."""
     name = view.settings.name
-    if view.settings.model not in MODELS:
-        raise ConfigError(f"fit '{name}' is of the model {view.settings.model}", hint=f"a loop is predicted for {' and '.join(MODELS)}")
+    if not view.settings.kind.one_direction:
+        able = " and ".join(model for model in MODELS if model_kind(model).one_direction)
+        raise ConfigError(f"fit '{name}' is of the model {view.settings.model}", hint=f"a loop is predicted for {able}")
     if not isinstance(view.settings.mass, float):
         raise ConfigError(f"fit '{name}' has no known mass", hint="mass: 0.92 kg, as in the rig file")
     if view.file.loop.cross is not None:

@@ -182,7 +182,7 @@ def _log_fit(curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: floa
 
 def _curve(fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Rig, whole: bool = False) -> _Curve:
     """The part of the response that belongs to *fit*; *whole*: its term on all lines."""
-    if settings.model != "sdof" or fit.curve is None:
+    if not settings.kind.one_frf or fit.curve is None:
         raise ConfigError(f"fit '{fit.name}' is not of the model sdof", hint="only one-dof fits are compared with those of the theory")
     if settings.subtract is not None or settings.share != 1:
         raise ConfigError(f"fit '{fit.name}' is corrected for support or share", hint="compare the fit of the whole with the theory")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 from labpipe.config.faults import join
 from labpipe.config.reader import read_settings
 from labpipe.config.reading import Reading
-from labpipe.identify.settings import MODELS, FitSettings, model_kind
+from labpipe.identify.settings import MODELS, FitSettings, model_kind, takers
 from labpipe.marked_yaml import Marked
 from labpipe.records.settings import settings_of
 
@@ -27,12 +26,17 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
             faults.add(entries[entry], join(key, entry), f"the section '{entry}' goes with model {model}", model_kind(model).example)
         else:
             presets["model_settings"] = _model_settings(entries[entry], join(key, entry), model, reading)
+    rig = reading.rig
+    if rig is not None and rig.mass is not None and _takes_mass(entries):
+        presets |= {"mass": rig.mass, "doubts": () if rig.mass_doubt is None else (("mass", rig.mass_doubt),)}
     plain = Marked({entry: part for entry, part in entries.items() if not section or entry != section[1]}, node.where, node.key_where)
-    fit = read_settings(FitSettings, plain, key, faults, **presets) if len(faults) == before else None
-    if fit is None or "mass" in entries or reading.rig is None or reading.rig.mass is None:
-        return fit
-    doubts = () if reading.rig.mass_doubt is None else (("mass", reading.rig.mass_doubt),)
-    return replace(fit, mass=reading.rig.mass, doubts=(*fit.doubts, *doubts))
+    return read_settings(FitSettings, plain, key, faults, **presets) if len(faults) == before else None
+
+
+def _takes_mass(entries: dict[str, Marked]) -> bool:
+    """Whether a fit has no mass of its own, and a model that takes one."""
+    model = entries["model"].text if "model" in entries else ""
+    return "mass" not in entries and model in takers("mass")
 
 
 def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:

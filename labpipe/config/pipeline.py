@@ -16,7 +16,6 @@ from labpipe.config.rules import Rule, read_rules
 from labpipe.config.tests import EachFile, Test, TestReader
 from labpipe.config.uncertainty import read_uncertainty
 from labpipe.errors import ConfigError
-from labpipe.identify.model_kinds import DECAYS, RESPONSES, SPECTRA
 from labpipe.identify.settings import FitSettings, check_kind
 from labpipe.marked_yaml import Marked, load_marked, set_entry
 from labpipe.records.rig import Rig
@@ -190,7 +189,7 @@ def _check_kinds(
     """Faults of fits whose model is not of what the recordings give: free decays, spectra or responses."""
     if frf is None:
         return
-    kinds = {test.name: _kind_of(test.frf or frf) for test in tests if test.recordings}
+    kinds = {test.name: (test.frf or frf).gives for test in tests if test.recordings}
     for fit in fits:
         for kind in dict.fromkeys(kinds[name] for name in fit.test or kinds if name in kinds):
             try:
@@ -198,11 +197,6 @@ def _check_kinds(
             except ConfigError as error:
                 node = entries["identify"].content[fit.name].content["model"]
                 faults.add(node, join(join("identify", fit.name), "model"), error.what, error.hint)
-
-
-def _kind_of(frf: FrfSettings) -> str:
-    """What recordings give by these settings."""
-    return DECAYS if frf.excitation == "decay" else SPECTRA if frf.result == "spectra" else RESPONSES
 
 
 def _standalone() -> Iterator[str]:

@@ -64,7 +64,8 @@ class UncertaintySettings(Settings):
 
     def of(self, fit: FitSettings, repeats: tuple[RepeatSource, ...] = ()) -> FitSettings:
         """A fit with these settings where it has none of its own, and with the scatter between *repeats*."""
-        draws = fit.monte_carlo or (self.draws if self.method == "monte-carlo" else 0)
+        by_draws = self.method == "monte-carlo" and "monte_carlo" in fit.kind.keys
+        draws = fit.monte_carlo or (self.draws if by_draws else 0)
         coverage = self.coverage if fit.coverage == FitSettings.coverage else fit.coverage
         return replace(fit, coverage=coverage, monte_carlo=draws, repeats=repeats)
 

@@ -73,11 +73,7 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
 
 
 def _check(settings: FitSettings) -> None:
-    """ConfigError for keys of other models."""
-    if settings.input:
-        raise ConfigError("a free decay has no force", hint="leave `input` out", field="input")
-    if settings.sliding or settings.bands:
-        raise ConfigError("a decay is fitted in one band", hint="use `band`, and one fit for each")
+    """ConfigError for more than one mass."""
     if not isinstance(settings.mass, (float, str)):
         raise ConfigError("a decay takes one mass", hint="for example mass: 0.92 kg", field="mass")
 

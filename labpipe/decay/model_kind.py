@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from labpipe.decay.settings import DecaySettings
-from labpipe.identify.model_kinds import DECAYS, ModelKind
+from labpipe.identify.model_kinds import ModelKind
 from labpipe.identify.settings import FitSettings
 from labpipe.records.free_decay import FreeDecays
 from labpipe.records.identification import Fit
+from labpipe.spectra.settings import DECAYS
 
 
 def _fit(decays: FreeDecays, settings: FitSettings) -> tuple[Fit, ...]:
@@ -15,4 +16,14 @@ def _fit(decays: FreeDecays, settings: FitSettings) -> tuple[Fit, ...]:
     return (decay_fit(decays, settings),)
 
 
-DECAY = ModelKind(_fit, "decay", DecaySettings, "decay: {modes: 1}", optional=True, of=DECAYS, times_mass=True)
+DECAY = ModelKind(
+    _fit,
+    "decay",
+    DecaySettings,
+    "decay: {modes: 1}",
+    optional=True,
+    of=DECAYS,
+    times_mass=True,
+    keys=("mass", "output"),
+    estimators=("ml",),
+)

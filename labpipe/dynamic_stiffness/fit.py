@@ -85,14 +85,7 @@ def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tu
 
 
 def _check(settings: FitSettings) -> None:
-    """ConfigError for keys of other models."""
-    if settings.sliding or settings.peaks:
-        raise ConfigError("the dynamic stiffness has no sliding bands", hint="form: bands, or `bands` for one fit each")
-    if settings.estimator not in ("ml", "ls"):
-        raise ConfigError(f"{settings.estimator} does not estimate a dynamic stiffness", hint="estimator: ml, or ls", field="estimator")
-    others = [key for key in ("subtract", "eliminate", "fixed", "tied", "bootstrap", "symmetric") if getattr(settings, key)]
-    if others:
-        raise ConfigError(f"'{others[0]}' is not for model dynamic-stiffness", hint="leave it out", field=others[0])
+    """ConfigError for more than one mass."""
     if not isinstance(settings.mass, float) and settings.mass != ESTIMATE:
         raise ConfigError("the stator has one mass", hint="for example stator_mass: 60 kg +- 0.6 kg", field="mass")
 
@@ -104,7 +97,8 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     balance = balance_of(stator, given)
     noise = Noise(spectra.covariance_dof, stator.shared, stator.shared_power)
     solved = _solved(stator, given, balance, settings, noise)
-    best, factor = solved.best, mismatch_factor(solved.best) if settings.estimator == "ml" else 1.0
+    likely = settings.estimates.likelihood
+    best, factor = solved.best, mismatch_factor(solved.best) if likely else 1.0
     of_given = systematic(solved.doubts, best.values.size)
     doubted = Doubted(best.model, best.values, best.covariance, factor**2 * best.covariance + of_given, best.dof)
     shaft = Shaft(_stated(section.speed, spectra, "speed", "Hz"), section.rotor_mass, section.rotor_stiffness)
@@ -118,14 +112,14 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     fit = _reported(settings, balance, solved, whole_band, parameters)
     findings = (
         *fit.findings,
-        *(mismatch_findings(best) if settings.estimator == "ml" else ()),
+        *(mismatch_findings(best) if likely else ()),
         *choice_findings(solved.candidates, best.model.form.name, section.form is not None),
-        *(noise_findings(best, noise) if settings.estimator == "ml" else ()),
+        *(noise_findings(best, noise) if likely else ()),
         *motion_findings(stator, given),
         *whirl_findings(turning, shaft.speed),
         *physical_findings(parameters),
     )
-    notes = (*given_notes(given, solved.doubts, doubted), motion_note(stator), *((LS_NOTE,) if settings.estimator == "ls" else ()))
+    notes = (*given_notes(given, solved.doubts, doubted), motion_note(stator), *(() if likely else (LS_NOTE,)))
     shown = shown_course(balance, doubted, solved.doubts, given, shaft.sense)
     shown = replace(shown, excitations=solved.excitations)
     return replace(
@@ -165,9 +159,7 @@ def _stated(given: float | None, spectra: ChannelSpectra, condition: str, unit: 
 def _solved(stator: Stator, given: Given, balance: Balance, settings: FitSettings, noise: Noise) -> Solved:
     """The estimate by the settings' estimator."""
     section: DynamicStiffnessSettings = settings.model_settings
-    if settings.estimator == "ls":
-        if settings.compare:
-            raise ConfigError("'compare' needs estimator ml", hint="estimator: ml", field="compare")
+    if not settings.estimates.likelihood:
         best, respond = least_squares(balance, StiffnessModel(_form(section, balance.omega), section.symmetry))
         errors = given_errors(stator, given, best.model.stiffness(best.values, stator.omega), stator.channels)
         return Solved(best, given_doubts(errors, respond), None)
@@ -208,7 +200,7 @@ def _reported(settings: FitSettings, balance: Balance, solved: Solved, band: tup
     stiffness = best.model.stiffness(best.values, balance.omega)
     residual = balance.right - np.einsum("lij,lrj->lri", stiffness, balance.motion)
     r2, adjusted = determination(balance.right, residual, len(names))
-    likely = settings.estimator == "ml"
+    likely = settings.estimates.likelihood
     gof = Goodness(r2, adjusted, best.reduced if likely else None, best.p_value if likely else None)
     as_estimate = statistics.Estimate(
         values=best.values,

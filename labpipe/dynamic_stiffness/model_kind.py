@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from labpipe.dynamic_stiffness.settings import DynamicStiffnessSettings
-from labpipe.identify.model_kinds import SPECTRA, ModelKind
+from labpipe.identify.model_kinds import ModelKind
 from labpipe.identify.settings import FitSettings
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.identification import Fit
+from labpipe.spectra.settings import SPECTRA
 
 
 def _fit(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
@@ -39,4 +40,7 @@ DYNAMIC_STIFFNESS = ModelKind(
     earlier=_earlier,
     begin=_begin,
     of=SPECTRA,
+    keys=("mass", "input", "output", "bands", "compare"),
+    by_likelihood=("compare",),
+    estimators=("ml", "ls"),
 )

@@ -13,22 +13,24 @@ import numpy as np
 
 from labpipe.errors import ConfigError
 from labpipe.identify.model import DynamicModel, Term
-from labpipe.identify.settings import BASE, ESTIMATE, FitSettings
+from labpipe.identify.model_kinds import linear_kind
+from labpipe.identify.settings import ESTIMATE, FitSettings
 from labpipe.identify.setup import Setup, entry_term, fixed_matrices, labels
 from labpipe.spectra.convert import DERIVATIVES, TRANSMISSIBILITY, FormView
 
+BASE = "base"
 # Coefficients of a mass that is not given, and their units.
 PER_MASS = {"k": ("stiffness_per_mass", "1/s^2"), "c": ("damping_per_mass", "1/s")}
 
 
 def form_view(form: str, settings: FitSettings) -> FormView:
     """The view of a model on a response of that *form*; ConfigError for a base without its motion, and for a transmissibility elsewhere."""
-    if settings.model == BASE and form != TRANSMISSIBILITY:
+    if settings.kind.of_base and form != TRANSMISSIBILITY:
         what = f"model {BASE} needs the motion of the base as input, this FRF is of a force" if form in DERIVATIVES else _no_motion(form)
         raise ConfigError(
             what, hint="in the rig file: role: input for the acceleration (velocity, displacement) of the base; or model: sdof"
         )
-    if settings.model != BASE and form == TRANSMISSIBILITY:
+    if not settings.kind.of_base and form == TRANSMISSIBILITY:
         raise ConfigError(f"model {settings.model} needs a force as input, this FRF is of the motion of a base", hint=f"model: {BASE}")
     if form == TRANSMISSIBILITY:
         return FormView(form, 0.0 if settings.relative else 1.0)
@@ -60,3 +62,6 @@ def base_excited(setup: Setup) -> DynamicModel:
 def _per_mass(term: Term) -> Term:
     name, unit = PER_MASS[term.name]
     return replace(term, name=name, unit=unit)
+
+
+BASE_EXCITED = linear_kind(base_excited, "relative", one_mode=True, of_base=True)

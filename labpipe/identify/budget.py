@@ -16,6 +16,7 @@ from labpipe.arrays import FloatArray
 from labpipe.display import amount_text
 from labpipe.distributions import coverage_factor
 from labpipe.identify.derived import BandModel
+from labpipe.identify.estimators import Step
 from labpipe.identify.instrumental import instrument_step
 from labpipe.identify.leakage import expected
 from labpipe.identify.matrix_errors import SHARE, across_ports, turned
@@ -24,10 +25,9 @@ from labpipe.identify.model import DynamicModel
 from labpipe.identify.output_error import OutputError
 from labpipe.identify.regression import equation_solution, regression, solve_scaled
 from labpipe.identify.reported import reported_parameters, with_systematic
-from labpipe.identify.settings import ESTIMATE, ESTIMATORS, FitSettings, Support
+from labpipe.identify.settings import ESTIMATE, FitSettings, Support
 from labpipe.identify.setup import Setup
 from labpipe.identify.statistics import Estimate
-from labpipe.identify.transfer_mode import TransferMode
 from labpipe.identify.weights import equal_weights, has_noise, whitener
 from labpipe.records.budget import Budget
 from labpipe.records.doubt import COURSES, Doubt, MatrixError, doubt_of
@@ -60,7 +60,8 @@ def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
     sources = sources_of(case.setup, case.measured)
     if not sources or not case.estimate.converged:
         return None
-    step = _step_of(case)
+    of_estimator = case.setup.settings.estimates.step
+    step = _repeated(case) if of_estimator is None else of_estimator(case)
     changes = []
     for doubt, change in sources:
         ends = [_values(case, step, *change(case, sign * SHARE * doubt.std_error)) for sign in (1.0, -1.0)]
@@ -261,26 +262,29 @@ def _other_support(name: str) -> Change:
     return change
 
 
-def _values(case: Case, step: Callable[[BandModel, Measured], FloatArray], setup: Setup, measured: Measured) -> FloatArray:
+def _values(case: Case, step: Step, setup: Setup, measured: Measured) -> FloatArray:
     """Reported values (n_parameter,) [parameter units] with the numbers of a changed setup on changed data."""
     model = case.model if setup is case.setup else case.model_of(setup)
     estimate = replace(case.estimate, values=step(model, measured))
     return np.array([parameter.value for parameter in reported_parameters(estimate, model, setup)])
 
 
-def _step_of(case: Case) -> Callable[[BandModel, Measured], FloatArray]:
-    """One more step of the fit's estimator from its estimate, on changed data and with a changed model."""
-    estimator, values = case.setup.settings.estimator, case.estimate.values
-    if isinstance(case.model, TransferMode) or estimator == "ml":
-        return _likelihood_step(case)
-    if estimator == "iv":
-        by_instruments = instrument_step(case.measured, _linear(case.model), case.setup.settings.weight, values)
-        return lambda model, measured: by_instruments(_linear(model), measured)
-    if estimator == "ls":
-        weight = case.setup.settings.weight
-        return lambda model, measured: equation_solution(regression(measured, _linear(model), weight), _linear(model))[0]
-    # The amplitude fit has no phase and few equations: it is repeated.
-    return lambda model, measured: ESTIMATORS[estimator](measured, model, case.setup.settings.weight).values
+def _repeated(case: Case) -> Step:
+    """The estimate anew."""
+    settings = case.setup.settings
+    return lambda model, measured: settings.estimates.fit(measured, model, settings.weight).values
+
+
+def instrumental_step(case: Case) -> Step:
+    """One more step of the instrumental variables from their estimate, on changed data and with a changed model."""
+    by_instruments = instrument_step(case.measured, _linear(case.model), case.setup.settings.weight, case.estimate.values)
+    return lambda model, measured: by_instruments(_linear(model), measured)
+
+
+def least_squares_step(case: Case) -> Step:
+    """Least squares, which needs no estimate to step from."""
+    weight = case.setup.settings.weight
+    return lambda model, measured: equation_solution(regression(measured, _linear(model), weight), _linear(model))[0]
 
 
 def _linear(model: BandModel) -> DynamicModel:
@@ -288,7 +292,7 @@ def _linear(model: BandModel) -> DynamicModel:
     return model
 
 
-def _likelihood_step(case: Case) -> Callable[[BandModel, Measured], FloatArray]:
+def likelihood_step(case: Case) -> Step:
     """p - (J^T J)^-1 J^T (r(q + dq) - r(q)) with the weighted residual r and its Jacobian J at the estimate."""
     measured, values = case.measured, case.estimate.values
     weights = whitener(measured) if has_noise(measured) else equal_weights(measured)

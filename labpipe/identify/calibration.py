@@ -12,7 +12,7 @@ from labpipe.errors import FitError
 from labpipe.identify.regression import solve_scaled
 from labpipe.identify.statistics import condition_number, correlation, estimated
 from labpipe.records.finding import Finding
-from labpipe.records.identification import Fit, Goodness, Parameter
+from labpipe.records.identification import STRAIGHT_LINE, Fit, Goodness, Parameter
 
 CURVATURE_P = 0.01
 
@@ -123,7 +123,7 @@ def line_fit(
     adjusted = 1 - (1 - line.r2) * (n - 1) / line.dof
     return Fit(
         name=name,
-        model="straight-line",
+        model=STRAIGHT_LINE,
         estimator="ls",
         band_hz=(0.0, 0.0),
         lines=n,

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError, FitError
@@ -12,7 +15,7 @@ from labpipe.identify.measured import Measured
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.proportional import ProportionalModel
 from labpipe.identify.rational_fit import RationalFit
-from labpipe.identify.settings import ESTIMATE, MODELS, FitSettings
+from labpipe.identify.settings import ESTIMATE, FitSettings
 from labpipe.identify.setup import Setup
 from labpipe.identify.statistics import Estimate
 from labpipe.identify.weights import has_noise, weight_doubt, whitener
@@ -110,35 +113,42 @@ def _damping_variants(settings: FitSettings) -> list[_Variant]:
 
 
 def _richer(settings: FitSettings) -> list[_Variant]:
-    settings_of_variants = []
-    if settings.model == "rotor-2dof-direct":
-        settings_of_variants.append(replace(settings, model="rotor-2dof"))
-    if settings.model == "mdof" and settings.symmetric:
-        settings_of_variants.append(replace(settings, symmetric=False))
+    kind, changes = settings.kind, list[dict[str, Any]]()
+    if kind.richer:
+        changes.append({"model": kind.richer})
+    if settings.symmetric:
+        changes.append({"symmetric": False})
     if settings.damping == "proportional":
-        settings_of_variants.append(replace(settings, damping="viscous"))
-    if settings.model in ("sdof", "mdof") and settings.mass != ESTIMATE:
-        settings_of_variants.append(replace(settings, mass=ESTIMATE, scale_mass=False))
-    return [_Variant(_described(other), other) for other in settings_of_variants]
+        changes.append({"damping": "viscous"})
+    if kind.frees_mass and settings.mass != ESTIMATE:
+        changes.append({"mass": ESTIMATE, "scale_mass": False})
+    return [_Variant(_described(other), other) for other in _changed(settings, changes)]
 
 
 def _simpler(settings: FitSettings) -> list[_Variant]:
     this = f"{THIS}: {_described(settings)}"
-    settings_of_variants = []
-    if settings.model == "rotor-2dof":
-        settings_of_variants.append(replace(settings, model="rotor-2dof-direct"))
-    if settings.model == "mdof" and not settings.symmetric:
-        settings_of_variants.append(replace(settings, symmetric=True))
-    if settings.model in ("mdof", "rotor-2dof") and settings.damping == "viscous":
-        settings_of_variants.append(replace(settings, damping="proportional"))
-    if settings.model == "mdof" and settings.mass == ESTIMATE and not settings.lumped_mass:
-        settings_of_variants.append(replace(settings, lumped_mass=True))
-    return [_Variant(_described(other), other, (this,)) for other in settings_of_variants]
+    kind, changes = settings.kind, list[dict[str, Any]]()
+    if kind.simpler:
+        changes.append({"model": kind.simpler})
+    if "symmetric" in kind.keys and not settings.symmetric:
+        changes.append({"symmetric": True})
+    if "damping" in kind.keys and settings.damping == "viscous":
+        changes.append({"damping": "proportional"})
+    if "lumped_mass" in kind.keys and settings.mass == ESTIMATE and not settings.lumped_mass:
+        changes.append({"lumped_mass": True})
+    return [_Variant(_described(other), other, (this,)) for other in _changed(settings, changes)]
+
+
+def _changed(settings: FitSettings, changes: Sequence[dict[str, Any]]) -> Iterator[FitSettings]:
+    """The settings with each of the changes, where another model or key takes all of the others."""
+    for change in changes:
+        with contextlib.suppress(ConfigError):
+            yield replace(settings, **change)
 
 
 def _described(settings: FitSettings) -> str:
     parts = [settings.model]
-    if settings.model == "mdof":
+    if "symmetric" in settings.kind.keys:
         parts.append("symmetric" if settings.symmetric else "general")
     if settings.damping == "proportional":
         parts.append("proportional damping")
@@ -150,7 +160,7 @@ def _described(settings: FitSettings) -> str:
 def _model(setup: Setup) -> DynamicModel | ProportionalModel | None:
     """The model of a variant; None where it does not suit these ports."""
     try:
-        return constrained(MODELS[setup.settings.model](setup), setup.settings)
+        return constrained(setup.settings.kind.model(setup), setup.settings)
     except ConfigError:
         return None
 

@@ -12,7 +12,7 @@ from labpipe.identify.corrections import Estimated, is_corrected
 from labpipe.identify.model import DynamicModel
 from labpipe.identify.modes import Quantities, modal_quantities
 from labpipe.identify.proportional import ProportionalModel
-from labpipe.identify.settings import BASE, COEFFICIENT_UNITS
+from labpipe.identify.settings import COEFFICIENT_UNITS
 from labpipe.identify.setup import Setup
 from labpipe.identify.statistics import derived
 from labpipe.identify.transfer_mode import TransferMode, transfer_of
@@ -31,11 +31,11 @@ def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: in
     """
     settings = setup.settings
     parameters: list[Parameter] = []
-    if settings.model in ("sdof", BASE):
+    if settings.kind.one_mode:
         parameters.extend(_resonance(total, setup, dof))
     if isinstance(model, ProportionalModel):
         parameters.extend(_propagated_all(total, lambda values: _damping_coefficients(model, values), dof))
-    if settings.model == "mdof":
+    if settings.kind.matrix_modes:
         ports = tuple(port.dof or port.label for port in setup.outputs), tuple(port.label for port in setup.inputs)
         parameters.extend(_propagated_all(total, lambda values: modal_quantities(model.whole(values), *ports), dof))
     if "b_x" in total.names and "b_y" in total.names:

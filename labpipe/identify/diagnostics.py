@@ -133,13 +133,16 @@ def goodness_findings(gof: Goodness) -> list[Finding]:
     return []
 
 
-def excess_findings(estimate: Estimate, estimator: str) -> list[Finding]:
-    """A finding where the residual exceeds the measured noise, for models whose intervals are not from a covariance alone."""
+def excess_findings(estimate: Estimate, biased: str = "") -> list[Finding]:
+    """A finding where the residual exceeds the measured noise, for models whose intervals are not from a covariance alone.
+
+    *biased*: name of an estimator that is so itself.
+    """
     reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
     if reduced is None or p_value is None or p_value >= MISMATCH_P:
         return []
     factor = np.sqrt(reduced)
-    cause = "the model is incomplete" if estimator == "ml" else f"the model is incomplete, or {estimator} is biased; compare with ml"
+    cause = f"the model is incomplete, or {biased} is biased; compare with ml" if biased else "the model is incomplete"
     message = (
         f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom {reduced:.3g}, "
         f"p = {p_value:.2g}): {cause}. Multiply the standard errors by {factor:.3g} at least, or narrow the band."

@@ -14,6 +14,7 @@ from labpipe.identify.bootstrap import bootstrapped
 from labpipe.identify.budget import Case, budget_of, with_contributions, with_given_mass
 from labpipe.identify.comparison import candidates, comparison_findings, comparison_notes
 from labpipe.identify.constraints import constrained
+from labpipe.identify.corrections import is_corrected
 from labpipe.identify.dense_curve import drawn_densely
 from labpipe.identify.derived import BandModel
 from labpipe.identify.diagnostics import (
@@ -27,21 +28,19 @@ from labpipe.identify.diagnostics import (
 from labpipe.identify.drift import drift_findings
 from labpipe.identify.given_mass import mass_findings
 from labpipe.identify.leakage import expected
-from labpipe.identify.likelihood import maximum_likelihood_from
 from labpipe.identify.loops import is_of_closed_loop, with_feedback
 from labpipe.identify.measured import Measured, measured_part, select_ports
 from labpipe.identify.mismatch import Judgement, judge
 from labpipe.identify.model import DynamicModel
-from labpipe.identify.model_kinds import DECAYS, RESPONSES, SPECTRA
 from labpipe.identify.monte_carlo import propagated
 from labpipe.identify.motions import motion_notes
 from labpipe.identify.physical import mode_findings
 from labpipe.identify.reported import reported_parameters, widened_parameters, with_systematic, without_intervals
-from labpipe.identify.settings import BASE, ESTIMATE, ESTIMATORS, LINEAR, MODELS, FitSettings, check_kind
+from labpipe.identify.settings import ESTIMATE, FitSettings, check_kind
 from labpipe.identify.setup import Setup
 from labpipe.identify.short_blocks import leakage_findings
 from labpipe.identify.statistics import Estimate, condition_number, correlation, student_limit
-from labpipe.identify.transfer_mode import TransferMode, transfer_of, transfer_start
+from labpipe.identify.transfer_mode import TransferMode, transfer_of
 from labpipe.records.budget import Budget
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.finding import Finding
@@ -50,6 +49,7 @@ from labpipe.records.identification import Fit, FittedCurve, Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.bands import EDGE, lines_in
 from labpipe.spectra.convert import FormView
+from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
 
 Band = tuple[float, float]
 
@@ -64,8 +64,10 @@ def identify(measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings
     check_kind(settings, _kind_of(measured))
     if isinstance(measured, FrequencyResponse):
         form_view(measured.form, settings)
-    linear = settings.kind is LINEAR
-    fits = fit_linear(measured, settings, judging=judging) if linear else settings.kind.fit(measured, settings)  # type: ignore[arg-type]
+    if isinstance(measured, FrequencyResponse) and settings.kind.equations is not None:
+        fits = fit_linear(measured, settings, judging=judging)
+    else:
+        fits = settings.kind.fit(measured, settings)
     if isinstance(measured, FrequencyResponse):
         fits = tuple(with_feedback(fit, measured.findings) for fit in fits)
     if settings.kind.times_mass:
@@ -147,12 +149,12 @@ class _BandFit:
 
 
 def _model(setup: Setup) -> BandModel:
-    """The settings' model; a transfer FRF of unknown mass has a residue of any sign and phase, which ml can fit."""
+    """The settings' model; a transfer FRF of unknown mass has a residue of any sign and phase, which needs no linear equations."""
     settings = setup.settings
-    plain = not (settings.fixed or settings.tied or settings.eliminate) and settings.damping == "viscous"
-    if settings.model == "sdof" and settings.mass == ESTIMATE and settings.estimator == "ml" and plain and transfer_of(setup):
+    plain = not (settings.fixed or settings.tied or settings.eliminate or is_corrected(settings))
+    if settings.kind.one_frf and settings.mass == ESTIMATE and not settings.estimates.linear and plain and transfer_of(setup):
         return TransferMode()
-    return constrained(MODELS[settings.model](setup), settings)
+    return constrained(settings.kind.model(setup), settings)
 
 
 def _same_model(setup: Setup, names: tuple[str, ...]) -> BandModel:
@@ -166,9 +168,7 @@ def _same_model(setup: Setup, names: tuple[str, ...]) -> BandModel:
 
 def _estimated(measured: Measured, model: BandModel, settings: FitSettings) -> Estimate:
     """The estimate by the settings' estimator."""
-    if isinstance(model, TransferMode):
-        return maximum_likelihood_from(measured, model, transfer_start(measured), "least squares of a mode with a residue of any phase")
-    return ESTIMATORS[settings.estimator](measured, model, settings.weight)
+    return settings.estimates.fit(measured, model, settings.weight)
 
 
 def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_band: int, judging: bool) -> _BandFit:
@@ -177,10 +177,11 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
     dropped: list[str] = []
     if settings.eliminate and isinstance(model, DynamicModel):
         model, estimate, dropped = _eliminated(measured, model, estimate, settings)
-    shown = expected(measured, model) if settings.estimator == "ml" else model
+    estimator = settings.estimates
+    shown = expected(measured, model) if estimator.models_leakage else model
     fitted = shown.receptance(estimate.values, measured.omega)
-    leakage = leakage_findings(measured, model.whole(estimate.values), settings.estimator)
-    judgement = judge(measured, model, estimate, settings.estimator, n_band, leaking=bool(leakage)) if judging else Judgement()
+    leakage = leakage_findings(measured, model.whole(estimate.values), estimator)
+    judgement = judge(measured, model, estimate, settings, n_band, leaking=bool(leakage)) if judging else Judgement()
     parameters = reported_parameters(estimate, model, setup)
     notes = (*estimate.notes, *dropped)
     if settings.bootstrap:
@@ -193,7 +194,7 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
     notes, parameters = (*notes, *budgeted.notes), budgeted.parameters
     notes = (*notes, *motion_notes(measured))
     # Candidates show whether proportional damping is justified.
-    of_model = settings.estimator == "ml" and not settings.eliminate and not isinstance(model, TransferMode)
+    of_model = estimator.likelihood and not settings.eliminate and not isinstance(model, TransferMode)
     ml_estimate = estimate if of_model else None
     compared_models, left_out = (
         candidates(measured, setup, ml_estimate) if settings.compare or settings.damping == "proportional" else ((), ())
@@ -280,12 +281,7 @@ def _with_honest_intervals(
 
 def _mass_findings(measured: Measured, model: BandModel, estimate: Estimate, setup: Setup) -> list[Finding]:
     """The given mass against a free one, for models linear in their parameters and responses of reliable phase to a force."""
-    if (
-        not isinstance(model, DynamicModel)
-        or setup.settings.model == BASE
-        or setup.settings.estimator == "amplitude"
-        or not estimate.converged
-    ):
+    if not isinstance(model, DynamicModel) or setup.settings.kind.of_base or not setup.settings.estimates.phase or not estimate.converged:
         return []
     return mass_findings(measured, model, estimate.values, setup)
 
@@ -313,7 +309,7 @@ def _eliminated(
         name = model.terms[weakest].name
         notes.append(f"{name} was dropped as insignificant (|t| = {t_ratios[weakest]:.2f}) and is taken as zero")
         model = model.without(name)
-        estimate = ESTIMATORS[settings.estimator](measured, model, settings.weight)
+        estimate = _estimated(measured, model, settings)
     return model, estimate, notes
 
 

@@ -21,6 +21,7 @@ from labpipe.identify.regression import inverse_of
 from labpipe.identify.shared_noise import shared_residual
 from labpipe.identify.starts import Start, starts
 from labpipe.identify.statistics import Estimate, determination
+from labpipe.identify.transfer_mode import TransferMode, transfer_start
 from labpipe.identify.weights import WeightDoubt, complex_rows, fit_weights, fitted_doubt, has_noise, weight_doubt
 from labpipe.optimise.levenberg import MAX_ITERATIONS, Linearisation, Minimum, minimise
 from labpipe.records.identification import Goodness
@@ -35,7 +36,7 @@ UNWEIGHTED_NOTE = (
 
 def maximum_likelihood(
     measured: Measured,
-    model: ResponseModel,
+    model: ResponseModel | TransferMode,
     weight: str = "noise",  # noqa: ARG001 (always by noise)
     *,
     most_steps: int = MAX_ITERATIONS,
@@ -46,6 +47,8 @@ def maximum_likelihood(
     the residual gives the standard errors. *most_steps* bounds the descent from each start. FitError for fewer equations than parameters,
     or for a covariance that cannot be inverted. Equation (est-ml).
     """
+    if isinstance(model, TransferMode):
+        return maximum_likelihood_from(measured, model, transfer_start(measured), "least squares of a mode with a residue of any phase")
     n_parameter = len(model.names)
     dof = measured.n_equation - n_parameter
     if dof <= 0:

@@ -9,6 +9,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.identify.model import DynamicModel, Term
+from labpipe.identify.model_kinds import linear_kind
 from labpipe.identify.settings import ESTIMATE, Mass
 from labpipe.identify.setup import Setup, angle_of, entry_term, fixed_matrices, labels
 from labpipe.records.response import Port
@@ -100,3 +101,6 @@ def _direction(port: Port, dofs: list[str], setup: Setup) -> FloatArray:
         raise ConfigError(f"the force {port.label} acts on dof '{port.dof}', which has no response", hint=hint)
     shares = np.cos(angle - np.array(output_angles, dtype=float))
     return np.where(np.abs(shares) < 1e-15, 0.0, shares)
+
+
+MDOF = linear_kind(mdof, "tied", "damping", "symmetric", "lumped_mass", "scale_mass", matrix_modes=True, frees_mass=True)

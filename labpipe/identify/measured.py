@@ -14,7 +14,7 @@ from labpipe.records.doubt import MatrixError
 from labpipe.records.response import Blocks, FrequencyResponse, Port
 from labpipe.registry import nearest
 from labpipe.spectra.convert import DERIVATIVES, TRANSMISSIBILITY, FormView
-from labpipe.spectra.leakage import kernel_of
+from labpipe.spectra.leakage import has_kernel, kernel_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +131,7 @@ def measured_part(
 
 def _leakage(response: FrequencyResponse, frequency: FloatArray) -> Leakage | None:
     blocks = response.blocks
-    if blocks is None or blocks.estimator != "H1" or blocks.degree:
+    if blocks is None or not has_kernel(blocks):
         return None
     numbers = np.round(frequency * blocks.length).astype(np.intp)
     return Leakage(

@@ -23,6 +23,7 @@ from labpipe.identify.model import FittedModel, ReceptanceModel
 from labpipe.identify.output_error import OutputError
 from labpipe.identify.outside_modes import with_outside_modes
 from labpipe.identify.residual_structure import DRAWS, Null, Structure, residual_structure
+from labpipe.identify.settings import FitSettings
 from labpipe.identify.statistics import Estimate, student_limit
 from labpipe.identify.weights import NOISE_FREE, Weights, fit_weights, has_noise
 from labpipe.optimise.levenberg import minimise
@@ -77,7 +78,7 @@ class _Judge:
     measured: Measured
     model: FittedModel
     estimate: Estimate
-    estimator: str
+    settings: FitSettings
     n_band: int
     leaking: bool
     factor: float | None
@@ -139,19 +140,19 @@ class _Judge:
 
 
 def judge(
-    measured: Measured, model: FittedModel, estimate: Estimate, estimator: str, n_band: int = 1, *, leaking: bool = False
+    measured: Measured, model: FittedModel, estimate: Estimate, settings: FitSettings, n_band: int = 1, *, leaking: bool = False
 ) -> Judgement:
     """Whether the residual of *estimate* is noise, and the intervals that hold if it is not.
 
     p-values are for the best of *n_band* bands (Bonferroni); *leaking*: a finding says that blocks are short. Without convergence, or of
     amplitudes alone, nothing is judged but a measured excess over the noise.
     """
-    judged = _Judge(measured, model, estimate, estimator, n_band, leaking, excess(estimate))
+    judged = _Judge(measured, model, estimate, settings, n_band, leaking, excess(estimate))
     if (has_noise(measured) and judged.factor is None) or not estimate.converged:
         return Judgement()
     if judged.exact(expected(measured, model), estimate.values):
         return Judgement()
-    minimum = None if estimator == "amplitude" else judged.minimum(expected(measured, model), estimate.values)
+    minimum = None if not settings.estimates.phase else judged.minimum(expected(measured, model), estimate.values)
     if minimum is None:
         return Judgement(judged=False) if judged.factor is None else _by_factor(judged, judged.factor)
     if minimum.p_value >= MISMATCH_P:
@@ -169,11 +170,11 @@ def excess(estimate: Estimate) -> float | None:
 
 def _biased(judged: _Judge, own: _Minimum) -> Judgement:
     """The model is right: what another estimator than ml is away from it is its bias."""
-    estimate, estimator = judged.estimate, judged.estimator
+    estimate, estimator = judged.estimate, judged.settings.estimator
     away = own.values - estimate.values
     errors = np.sqrt(np.diag(estimate.covariance))
     ratios = np.divide(np.abs(away), errors, out=np.zeros_like(away), where=errors > 0)
-    if estimator == "ml" or np.max(ratios) < BIASED:
+    if np.max(ratios) < BIASED:
         return Judgement()
     worst, covariance = int(np.argmax(ratios)), _apart(estimate.covariance, away)
     said = (
@@ -240,12 +241,12 @@ def _unexplained(judged: _Judge, own: _Minimum) -> Judgement:
 
 def _by_factor(judged: _Judge, factor: float, away: FloatArray | None = None) -> Judgement:
     """The excess over the measured noise taken as noise, and the distance *away* of another estimator from ml beside it."""
-    estimate, estimator = judged.estimate, judged.estimator
+    estimate, estimator = judged.estimate, judged.settings.estimator
     covariance = factor**2 * estimate.covariance
     if away is not None:
         covariance = _apart(covariance, away)
     # Equation errors are biased and inefficient: their residual exceeds the noise for a correct model as well.
-    cause = "the model is incomplete" if estimator in ("ml", "amplitude") else f"the model is incomplete, or {estimator} is biased"
+    cause = "the model is incomplete" if judged.settings.estimates.unbiased else f"the model is incomplete, or {estimator} is biased"
     said = (
         f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom "
         f"{estimate.gof.chi2_reduced:.3g}, p = {estimate.gof.chi2_p:.2g}): {cause}. {_grown(estimate, covariance)} since the excess counts "

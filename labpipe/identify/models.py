@@ -7,6 +7,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.identify.model import DynamicModel, Term
+from labpipe.identify.model_kinds import linear_kind
 from labpipe.identify.settings import ESTIMATE, Mass
 from labpipe.identify.setup import Setup, angle_of, entry_term, fixed_matrices, labels
 from labpipe.records.response import Port
@@ -142,3 +143,8 @@ def _need_ports(setup: Setup, model: str, n_output: int) -> None:
     if len(setup.outputs) != n_output:
         hint = "name it with `output`" if n_output == 1 else "name them with `output`"
         raise ConfigError(f"{model} takes {n_output} response(s), found {labels(setup.outputs)}", hint=hint)
+
+
+SDOF = linear_kind(sdof, "peaks", one_frf=True, one_mode=True, one_direction=True, frees_mass=True)
+ROTOR_2DOF = linear_kind(rotor_2dof, "tied", "damping", simpler="rotor-2dof-direct")
+ROTOR_2DOF_DIRECT = linear_kind(rotor_2dof_direct, "tied", one_direction=True, richer="rotor-2dof")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from labpipe.identify.settings import BASE, ESTIMATE
+from labpipe.identify.settings import ESTIMATE
 from labpipe.identify.setup import Setup
 from labpipe.identify.transfer_mode import transfer_of
 from labpipe.records.finding import Finding
@@ -17,7 +17,7 @@ def mode_findings(parameters: Sequence[Parameter], band: tuple[float, float], se
     They do not wait for significance, which is for coefficients that may be zero: a mode has a mass and damping. Without an estimated
     mass the band may well lie beside the resonance, and coefficients stand for themselves. What a closed loop holds need have no resonance.
     """
-    if setup.settings.model not in ("sdof", BASE) or setup.settings.mass != ESTIMATE:
+    if not setup.settings.kind.one_mode or setup.settings.mass != ESTIMATE:
         return []
     by_name = {parameter.name: parameter for parameter in parameters}
     beside = [] if setup.closed_loop else _beside(by_name, band)

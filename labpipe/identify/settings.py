@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass, fields
 from typing import Any
 
 from labpipe.errors import ConfigError
-from labpipe.identify.model_kinds import DECAYS, RESPONSES, SPECTRA, ModelKind
-from labpipe.records.identification import Fit
+from labpipe.identify.estimators import Estimator
+from labpipe.identify.model_kinds import EVERY, ModelKind, linear_kind
 from labpipe.records.repeat_source import RepeatSource
-from labpipe.records.response import FrequencyResponse
 from labpipe.records.setting_values import COEFFICIENT_UNITS as COEFFICIENT_UNITS
 from labpipe.records.setting_values import ESTIMATE as ESTIMATE
 from labpipe.records.settings import Doubts, Settings, Uncertain, setting
 from labpipe.registry import Registry
+from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
 
-# From the setup of a fit (ports, mass) to a model linear in its parameters, or a ModelKind with its own fit function.
+# ModelKinds, or, of plug-ins, functions from the setup of a fit (ports, mass) to a model linear in its parameters.
 MODELS = Registry(
     "model",
     {
-        "sdof": "labpipe.identify.models:sdof",
-        "rotor-2dof": "labpipe.identify.models:rotor_2dof",
-        "rotor-2dof-direct": "labpipe.identify.models:rotor_2dof_direct",
-        "mdof": "labpipe.identify.mdof:mdof",
-        "base": "labpipe.identify.base_motion:base_excited",
+        "sdof": "labpipe.identify.models:SDOF",
+        "rotor-2dof": "labpipe.identify.models:ROTOR_2DOF",
+        "rotor-2dof-direct": "labpipe.identify.models:ROTOR_2DOF_DIRECT",
+        "mdof": "labpipe.identify.mdof:MDOF",
+        "base": "labpipe.identify.base_motion:BASE_EXCITED",
         "modal": "labpipe.modal.model_kind:MODAL",
         "decay": "labpipe.decay.model_kind:DECAY",
         "dynamic-stiffness": "labpipe.dynamic_stiffness.model_kind:DYNAMIC_STIFFNESS",
@@ -32,18 +33,16 @@ MODELS = Registry(
         "worn-bearing": "labpipe.wear.model_kind:WORN_BEARING",
     },
 )
-# From a measured FRF, a model and the weight of lines to an Estimate.
+# Estimators, or, of plug-ins, functions from a measured FRF, a model and the weight of lines to an Estimate.
 ESTIMATORS = Registry(
     "estimator",
     {
-        "ls": "labpipe.identify.regression:least_squares",
-        "iv": "labpipe.identify.instrumental:instrumental_variables",
-        "ml": "labpipe.identify.likelihood:maximum_likelihood",
-        "amplitude": "labpipe.identify.amplitude:amplitude_fit",
+        "ls": "labpipe.identify.estimators:LS",
+        "iv": "labpipe.identify.estimators:IV",
+        "ml": "labpipe.identify.estimators:ML",
+        "amplitude": "labpipe.identify.estimators:AMPLITUDE",
     },
 )
-# The model whose input is the motion of a base.
-BASE = "base"
 WEIGHTS = ("none", "noise")
 DAMPINGS = ("viscous", "proportional")
 
@@ -82,20 +81,20 @@ class FitSettings(Settings):
     band: tuple[float, float] | None = setting("band", "frequencies used; default: all", unit="Hz", default=None)
     bands: tuple[tuple[float, float], ...] = setting("bands", "several bands, one fit for each", unit="Hz", default=())
     peaks: tuple[tuple[str, tuple[tuple[float, float], ...]], ...] = setting(
-        "peaks", "sdof: bands of chosen peaks of the diagonal terms, by dof; one fit for each", unit="Hz", default=()
+        "peaks", "bands of chosen peaks of the diagonal terms, by dof; one fit for each", unit="Hz", default=()
     )
     sliding: Sliding | None = setting("section", "repeat the fit in sliding bands", section=Sliding, default=None)
     subtract: Support | None = setting("section", "support to subtract", section=Support, default=None)
     share: int = setting("integer", "equal bearings in parallel that share the load", default=1)
     eliminate: bool = setting("flag", "drop insignificant parameters one by one", default=False)
-    symmetric: bool = setting("flag", "mdof: K, C and M are symmetric", default=False)
-    lumped_mass: bool = setting("flag", "mdof with mass: estimate: the mass matrix is diagonal", default=False)
-    scale_mass: bool = setting("flag", "mdof: the given mass is known but for a factor, which is estimated", default=False)
-    relative: bool = setting("flag", "base: the response is measured relative to the base", default=False)
+    symmetric: bool = setting("flag", "K, C and M are symmetric", default=False)
+    lumped_mass: bool = setting("flag", "with mass: estimate: the mass matrix is diagonal", default=False)
+    scale_mass: bool = setting("flag", "the given mass is known but for a factor, which is estimated", default=False)
+    relative: bool = setting("flag", "the response is measured relative to the base", default=False)
     damping: str = setting("choice", "viscous, or proportional: C = alpha M + beta K", choices=DAMPINGS, default="viscous")
     fixed: tuple[tuple[str, float], ...] = setting("coefficients", "coefficients that are given, by name", default=())
     tied: tuple[tuple[str, ...], ...] = setting("groups", "lists of coefficients that have one value", default=())
-    weight: str = setting("choice", "ls, iv, amplitude: all lines weigh alike, or by their noise", choices=WEIGHTS, default="none")
+    weight: str = setting("choice", "all lines weigh alike, or by their noise (as they always do for ml)", choices=WEIGHTS, default="none")
     bootstrap: int = setting("integer", "repeats of the fit on resampled noise, for intervals beyond first order", default=0)
     coverage: float = setting("value", "probability of expanded uncertainties", unit="1", default=0.95)
     monte_carlo: int = setting("integer", "draws of noise and of all numbers with a doubt, as a check of the budget", default=0)
@@ -107,18 +106,9 @@ class FitSettings(Settings):
     repeats: tuple[RepeatSource, ...] = ()
 
     def __post_init__(self) -> None:
+        self._check_keys()
         self._check_bands()
-        if not 0 < self.coverage < 1:
-            raise ConfigError("'coverage' must lie between 0 and 100 %", field="coverage")
-        if self.weight != "none" and self.estimator == "ml":
-            raise ConfigError("'weight' is not for ml, which always weighs by the noise", hint="leave it out")
-        if self.damping == "proportional" and self.estimator != "ml":
-            raise ConfigError(f"proportional damping is not linear in its parameters, {self.estimator} cannot fit it", hint="estimator: ml")
-        if self.damping == "proportional" and self.eliminate:
-            raise ConfigError("'eliminate' cannot be combined with proportional damping", hint="leave one of them out")
-        if self.estimator == "amplitude" and self.model != "sdof":
-            raise ConfigError("the amplitude fit is for sdof only", hint="estimator: ml")
-        self._check_flags()
+        self._check_combinations()
         kind = self.kind
         if kind.settings is None and self.model_settings is not None:
             raise ConfigError(f"model {self.model} has no settings of its own", hint="leave model_settings out")
@@ -126,29 +116,59 @@ class FitSettings(Settings):
             object.__setattr__(self, "model_settings", kind.settings())
         if kind.settings is not None and not isinstance(self.model_settings, kind.settings):
             raise ConfigError(f"model {self.model} needs the section '{kind.section}'", hint=kind.example)
-        if self.scale_mass and self.mass == ESTIMATE:
-            raise ConfigError("'scale_mass' needs the mass to be scaled", hint="for example mass: [1 kg, 2 kg]")
-
-    def _check_flags(self) -> None:
-        """ConfigError for flags of another model."""
-        if self.model != "mdof" and (self.symmetric or self.lumped_mass or self.scale_mass):
-            raise ConfigError("'symmetric', 'lumped_mass' and 'scale_mass' are for mdof only", hint="leave them out")
-        if self.relative and self.model != BASE:
-            raise ConfigError(f"'relative' is for {BASE} only, the response to a force is absolute", hint="leave it out", field="relative")
 
     @property
     def kind(self) -> ModelKind:
         """The ModelKind of the settings' model; ConfigError for an unknown model."""
         return model_kind(self.model)
 
+    @property
+    def estimates(self) -> Estimator:
+        """The Estimator of that name; ConfigError for an unknown one."""
+        return estimator_of(self.estimator)
+
+    def _check_keys(self) -> None:
+        """ConfigError for an estimator that does not fit the model, and for keys that would change nothing that is computed."""
+        able = _able(self.model)
+        if self.estimator not in able:
+            what = f"{self.estimator} does not estimate model {self.model}"
+            raise ConfigError(what, hint=f"estimator: {_one_of(able)}", field="estimator")
+        for key in (field.name for field in fields(self) if "setting" in field.metadata and getattr(self, field.name) != field.default):
+            if key not in (*EVERY, *self.kind.keys):
+                hint = f"leave it out; models that take it: {', '.join(takers(key))}"
+                raise ConfigError(f"'{key}' is not for model {self.model}", hint=hint, field=key)
+            others = [name for name in able if self._may_have(key, estimator_of(name))]
+            if self.estimator not in others:
+                hint = f"leave it out, or estimator: {_one_of(others)}" if others else "leave it out"
+                raise ConfigError(f"'{key}' is not for estimator {self.estimator}", hint=hint, field=key)
+
+    def _may_have(self, key: str, estimator: Estimator) -> bool:
+        return key not in estimator.refuses and (estimator.likelihood or key not in self.kind.by_likelihood)
+
+    def _check_combinations(self) -> None:
+        """ConfigError for keys that change nothing, or have no meaning, beside others."""
+        if not 0 < self.coverage < 1:
+            raise ConfigError("'coverage' must lie between 0 and 100 %", field="coverage")
+        if self.damping == "proportional" and self.eliminate:
+            hint = "leave one of them out"
+            raise ConfigError("'eliminate' cannot be combined with proportional damping", hint=hint, field="eliminate")
+        if self.scale_mass and self.mass == ESTIMATE:
+            hint = "for example mass: [1 kg, 2 kg]"
+            raise ConfigError("'scale_mass' needs the mass to be scaled", hint=hint, field="scale_mass")
+        if self.lumped_mass and self.mass != ESTIMATE:
+            raise ConfigError("'lumped_mass' is for a mass that is estimated", hint="mass: estimate", field="lumped_mass")
+        if self.kind.of_base and self.mass == ESTIMATE and (self.subtract or self.share != 1):
+            key = "subtract" if self.subtract else "share"
+            what = f"'{key}' needs the mass: without it a transmissibility gives no stiffness"
+            raise ConfigError(what, hint="for example mass: 0.92 kg", field=key)
+
     def _check_bands(self) -> None:
         """ConfigError for bands or ports that are set twice."""
         if self.bands and (self.band or self.sliding):
-            raise ConfigError("'bands' goes with neither 'band' nor 'sliding'", hint="name all bands under bands")
+            raise ConfigError("'bands' goes with neither 'band' nor 'sliding'", hint="name all bands under bands", field="bands")
         if self.peaks and (self.band or self.bands or self.sliding or self.input or self.output):
-            raise ConfigError("'peaks' names bands and ports by itself", hint="leave out band, bands, sliding, input and output")
-        if self.peaks and self.model != "sdof":
-            raise ConfigError("'peaks' is for sdof only", hint="for other models name input, output and bands")
+            hint = "leave out band, bands, sliding, input and output"
+            raise ConfigError("'peaks' names bands and ports by itself", hint=hint, field="peaks")
 
 
 # What a model needs, in words, and how a pipeline measures that; the model that is of it.
@@ -173,18 +193,28 @@ def check_kind(settings: FitSettings, measured: str) -> None:
 
 
 def model_kind(name: str) -> ModelKind:
-    """The kind of model of that name; a model linear in its parameters is fitted band by band."""
+    """The kind of model of that name; of a plug-in's function, that of a model linear in its parameters."""
     entry = MODELS.load(name)
-    if isinstance(entry, ModelKind):
-        return entry
-    return LINEAR
+    return entry if isinstance(entry, ModelKind) else linear_kind(entry, "tied", "damping")
 
 
-def _fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
-    from labpipe.identify.fitting import fit_linear
+def estimator_of(name: str) -> Estimator:
+    """The estimator of that name; a plug-in's function counts as one with the defaults."""
+    entry = ESTIMATORS.load(name)
+    return entry if isinstance(entry, Estimator) else Estimator(entry)
 
-    return fit_linear(response, settings)
+
+def takers(key: str) -> tuple[str, ...]:
+    """The models that take a key of a fit."""
+    return tuple(name for name in MODELS if key in (*EVERY, *model_kind(name).keys))
 
 
-# The kind of every model that is linear in its parameters.
-LINEAR = ModelKind(_fit_linear)
+def _able(model: str) -> tuple[str, ...]:
+    """The estimators that fit a model."""
+    kind = model_kind(model)
+    return kind.estimators or tuple(name for name in ESTIMATORS if kind.one_frf or not estimator_of(name).one_frf)
+
+
+def _one_of(names: Sequence[str]) -> str:
+    """a, b or c."""
+    return " or ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)

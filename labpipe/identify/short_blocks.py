@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.identify.estimators import Estimator
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import Matrices
 from labpipe.identify.modes import modes
 from labpipe.records.finding import Finding
-from labpipe.spectra.joint import ESTIMATOR
+from labpipe.spectra.joint import is_joint
 
 # Lines in the half-power width of a mode below which its damping is biased by more than its standard error; below which the expected
 # leakage, though part of the model (ml of an H1), decides on it.
@@ -21,7 +22,7 @@ LINES_BY_DEGREE = 30.0
 BIAS, FALL = 14.0, 1.6
 
 
-def leakage_findings(measured: Measured, whole: Matrices, estimator: str) -> list[Finding]:
+def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) -> list[Finding]:
     """A warning where the block times the half-power width 2 zeta f_n [lines] of the most lightly damped mode in the band is small.
 
     *whole*: K, C and M of the fitted model. Nothing for data that are not random, or a model without modes in the band.
@@ -29,10 +30,10 @@ def leakage_findings(measured: Measured, whole: Matrices, estimator: str) -> lis
     blocks = measured.blocks
     narrowest = None if blocks is None else _narrowest(measured, whole)
     # In a closed loop the force rings as the response does: what leaks are the poles of the loop, not those of the fitted model.
-    if blocks is None or narrowest is None or blocks.estimator == ESTIMATOR:
+    if blocks is None or narrowest is None or is_joint(blocks):
         return []
     frequency, width = narrowest
-    lines, modelled = blocks.length * width, estimator == "ml" and measured.leakage is not None
+    lines, modelled = blocks.length * width, estimator.models_leakage and measured.leakage is not None
     enough = LINES_BY_DEGREE / blocks.degree if blocks.degree else FEWEST_LINES if modelled else ENOUGH_LINES
     if lines >= enough:
         return []

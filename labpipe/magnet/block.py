@@ -99,8 +99,6 @@ class _Problem:
 
 def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
     """One fit, or one per band; ConfigError for more than one input or output, FitError for lines without noise or too few."""
-    if settings.estimator != "ml":
-        raise ConfigError(f"{settings.estimator} does not estimate a block", hint="estimator: ml", field="estimator")
     rows, columns = select_ports(response, settings.input, settings.output)
     if len(rows) != 1 or len(columns) != 1:
         raise ConfigError(f"a block has one input and one output, not {len(columns)} and {len(rows)}", hint="name them: input, output")

@@ -27,8 +27,6 @@ from labpipe.records.dynamic_stiffness import systematic
 from labpipe.records.identification import Fit, Goodness, Parameter
 from labpipe.records.uncertain import Uncertain
 
-OTHERS = ("subtract", "eliminate", "fixed", "tied", "bootstrap", "symmetric", "compare")
-
 
 def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
     """One fit, or one per band.
@@ -40,14 +38,7 @@ def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ..
 
 
 def _check(settings: FitSettings) -> None:
-    """ConfigError for keys of other models, and without the mass."""
-    if settings.sliding or settings.peaks:
-        raise ConfigError("a magnet has no sliding bands", hint="`bands` for one fit each")
-    if settings.estimator != "ml":
-        raise ConfigError(f"{settings.estimator} does not estimate a magnet", hint="estimator: ml", field="estimator")
-    others = [key for key in OTHERS if getattr(settings, key)]
-    if others:
-        raise ConfigError(f"'{others[0]}' is not for model magnet", hint="leave it out", field=others[0])
+    """ConfigError without the mass."""
     if settings.mass == ESTIMATE:
         hint = "mass: 4 kg +- 5 g, in the rig file or in the fit"
         raise ConfigError("the mass of the rotor must be known: all else is in proportion to it", hint=hint, field="mass")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from labpipe.identify.model_kinds import SPECTRA, ModelKind
+from labpipe.identify.model_kinds import ModelKind
 from labpipe.identify.settings import FitSettings
 from labpipe.magnet.settings import BlockSettings, MagnetSettings
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
+from labpipe.spectra.settings import SPECTRA
 
 
 def _fit_magnet(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
@@ -22,5 +23,15 @@ def _fit_block(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
     return block_fits(response, settings)
 
 
-MAGNET = ModelKind(_fit_magnet, "magnet", MagnetSettings, "magnet: {coupling: direct}", optional=True, of=SPECTRA)
-BLOCK = ModelKind(_fit_block, "block", BlockSettings, "block: {order: auto}", optional=True)
+MAGNET = ModelKind(
+    _fit_magnet,
+    "magnet",
+    MagnetSettings,
+    "magnet: {coupling: direct}",
+    optional=True,
+    of=SPECTRA,
+    estimators=("ml",),
+)
+BLOCK = ModelKind(
+    _fit_block, "block", BlockSettings, "block: {order: auto}", optional=True, keys=("input", "output", "bands"), estimators=("ml",)
+)

@@ -70,6 +70,8 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
 
     ConfigError where settings and response do not fit together, FitError where no mode is found or the lines are too few.
     """
+    if not isinstance(settings.mass, float | str):
+        raise ConfigError("a modal fit takes one mass", hint="for example mass: 0.92 kg", field="mass")
     modal: ModalSettings = settings.model_settings
     rows, columns = select_ports(response, settings.input, settings.output)
     band = settings.band or (float(response.frequency[0]), float(response.frequency[-1]))

@@ -15,4 +15,6 @@ def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
     return (modal_fit(response, settings),)
 
 
-MODAL = ModelKind(_fit, "modal", ModalSettings, "modal: {order: 60}", optional=True, times_mass=True)
+MODAL = ModelKind(
+    _fit, "modal", ModalSettings, "modal: {order: 60}", optional=True, times_mass=True, keys=("mass", "input", "output"), estimators=("ml",)
+)

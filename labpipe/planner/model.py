@@ -114,10 +114,19 @@ def floating(expected: Mapping[str, float], mass: float | None = None) -> Planne
     return PlannedModel("dynamic-stiffness", names, _values(expected, names), _matrix_elements(letters), np.zeros((3, 2, 2)), mass)
 
 
-MODELS: dict[str, Callable[[Mapping[str, float], float | None], PlannedModel]] = {
-    "sdof": sdof,
-    "rotor-2dof": rotor,
-    "dynamic-stiffness": floating,
+@dataclass(frozen=True)
+class PlannedKind:
+    """model: from expected coefficients and the mass; axes: in which it moves; floating: against its shaft, with accelerations."""
+
+    model: Callable[[Mapping[str, float], float | None], PlannedModel]
+    axes: tuple[str, ...] = AXES
+    floating: bool = False
+
+
+MODELS = {
+    "sdof": PlannedKind(sdof, axes=("x",)),
+    "rotor-2dof": PlannedKind(rotor),
+    "dynamic-stiffness": PlannedKind(floating, floating=True),
 }
 
 

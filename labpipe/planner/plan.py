@@ -14,7 +14,7 @@ from labpipe.planner.campaigns import Campaign, Limits, Rig, crest_factors, runn
 from labpipe.planner.expectation import Earlier, Expected, spread, spread_notes
 from labpipe.planner.identifiability import Excitation, identifiability
 from labpipe.planner.information import Noise
-from labpipe.planner.model import AXES, MODELS, PlannedModel
+from labpipe.planner.model import AXES, PlannedModel
 from labpipe.planner.schemes import ONE_BY_ONE, Multisines
 from labpipe.planner.search import FLAT_PHASES, LEAST_CREST, Candidate, Wanted, best, flat, reference, schemes_of
 from labpipe.planner.settings import BEST, PlanSettings
@@ -111,7 +111,7 @@ def make_plan(settings: PlanSettings, expected: Expected, title: str, rehearse: 
 
 
 def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: Rehearse | None) -> _Question:
-    model = MODELS[settings.model](expected.values, settings.mass)
+    model = settings.kind.model(expected.values, settings.mass)
     rig, lines, goals = bench(settings, model), planned_lines(settings), goals_of(settings, model)
     if not (settings.combine_earlier and expected.earlier is not None):
         _check_identifiable(rig, lines)
@@ -138,7 +138,7 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
 def _scheme(settings: PlanSettings) -> str:
     """The scheme that is asked for; one by one where the rig file has one force for two shakers."""
     forces = [] if settings.sensors is None else [channel for channel in settings.sensors.channels if channel.channel.role == "input"]
-    if len(forces) != 1 or len(settings.shakers) == 1 or settings.model == "sdof":
+    if len(forces) != 1 or len(settings.shakers) == 1 or len(settings.kind.axes) == 1:
         return settings.scheme
     if settings.scheme not in (BEST, ONE_BY_ONE):
         raise ConfigError("the rig has one force", hint=f"scheme: {ONE_BY_ONE}, or a force for every shaker", field="scheme")

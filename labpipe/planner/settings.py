@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 
 from labpipe.errors import ConfigError
 from labpipe.planner.criteria import CRITERIA, MINIMAX
-from labpipe.planner.model import MODELS
+from labpipe.planner.model import MODELS, PlannedKind
 from labpipe.planner.schemes import SCHEMES
 from labpipe.records.rig import Rig
 from labpipe.records.settings import Doubts, Settings, setting
@@ -126,11 +126,16 @@ class PlanSettings(Settings):
         if abs(self.sample_rate * self.period - round(self.sample_rate * self.period)) > 1e-6:
             raise ConfigError("a period holds no whole number of samples", hint="change `period` or `sample_rate`", field="period")
 
+    @property
+    def kind(self) -> PlannedKind:
+        """What the model to be identified is."""
+        return MODELS[self.model]
+
     def _check_expected(self) -> None:
         if not self.expected and not self.earlier and self.theory is None:
             hint = "expected: {k_xx: 180 kN/m, ...}, {bearing: FILE}, or earlier: identification.json"
             raise ConfigError("nothing is expected", hint=hint, field="expected")
         if self.combine_earlier and not self.earlier:
             raise ConfigError("there is no earlier result to combine", hint="earlier: FILE", field="combine_earlier")
-        if self.theory is not None and self.model == "sdof":
+        if self.theory is not None and len(self.kind.axes) == 1:
             raise ConfigError("theory gives matrices", hint="state k and c of the pedestal under `expected`", field="theory")

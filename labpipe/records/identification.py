@@ -22,6 +22,9 @@ from labpipe.records.robust import RobustPlant
 from labpipe.records.text import fit_html, fit_line, fit_text, identification_line
 from labpipe.records.views import VIEWS
 
+# The model of a line through points, of a calibration.
+STRAIGHT_LINE = "straight-line"
+
 
 @dataclass(frozen=True)
 class Goodness:
@@ -148,6 +151,11 @@ class Fit:
             if parameter.name == name:
                 return parameter
         raise KeyError(f"no parameter '{name}'; known: {', '.join(p.name for p in self.parameters)}")
+
+
+def of_points(model: str) -> bool:
+    """Whether a fit of that model is a line through points, of which no noise is known and which are no spectrum."""
+    return model == STRAIGHT_LINE
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.campaign.control import ControlLimits, straight_trend
 from labpipe.errors import FitError
-from labpipe.records.identification import Fit, Identification
+from labpipe.records.identification import Fit, Identification, of_points
 from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, named_ticks, stacked
 from labpipe.report.coefficient_series import CoefficientSeries
 from labpipe.report.document import Figure
@@ -73,7 +73,7 @@ def sliding_overlays(results: Sequence[tuple[str, Identification]]) -> list[Figu
             groups.setdefault((fit.name, fit.term), {}).setdefault(label, []).append(fit)
     figures: list[Figure] = []
     for (name, term), tests in groups.items():
-        sliding = {label: fits for label, fits in tests.items() if len(fits) > 1 and fits[0].model != "straight-line"}
+        sliding = {label: fits for label, fits in tests.items() if len(fits) > 1 and not of_points(fits[0].model)}
         if len(sliding) > 1:
             title = f"{name} of {term}" if term else name
             figures.extend(_overlay(title, parameter, sliding) for parameter in sliding_names(next(iter(sliding.values()))))

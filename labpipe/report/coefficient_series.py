@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.campaign.common_sources import joint_errors, matrix_of
 from labpipe.quantities import UnitError, display_unit, si_amount, to_display
-from labpipe.records.identification import Identification
+from labpipe.records.identification import Identification, of_points
 from labpipe.records.listed import ListedParameter, listed_parameters
 from labpipe.records.parameter import Parameter
 from labpipe.report.chart import Axis
@@ -114,7 +114,7 @@ def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[Co
 
 def single_parameters(identification: Identification) -> list[ListedParameter]:
     """Parameters that occur once for their fit, test and term."""
-    rows = [listed for listed in listed_parameters(identification) if listed.model != "straight-line"]
+    rows = [listed for listed in listed_parameters(identification) if not of_points(listed.model)]
     counts = Counter((listed.fit, listed.test, listed.term, listed.parameter.name) for listed in rows)
     return [listed for listed in rows if counts[listed.fit, listed.test, listed.term, listed.parameter.name] == 1]
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from labpipe.display import difference_in, with_error
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.finding import WARNING, of_level
-from labpipe.records.identification import Fit, Identification
+from labpipe.records.identification import Fit, Identification, of_points
 from labpipe.report import figures
 from labpipe.report.budget import budget_blocks
 from labpipe.report.candidates import candidate_blocks
@@ -62,17 +62,17 @@ def _groups(fits: Sequence[Fit]) -> list[list[Fit]]:
     """Fits that belong together: the bands of a sliding fit, the lines of one calibration."""
     groups: dict[tuple[str, str, str], list[Fit]] = {}
     for fit in fits:
-        groups.setdefault((fit.name, fit.term, "" if fit.model == "straight-line" else fit.test), []).append(fit)
+        groups.setdefault((fit.name, fit.term, "" if of_points(fit.model) else fit.test), []).append(fit)
     return list(groups.values())
 
 
 def _title(fits: list[Fit]) -> str:
     """One heading for all lines of a calibration, in every group."""
-    return fits[0].name if fits[0].model == "straight-line" else fit_title(fits[0])
+    return fits[0].name if of_points(fits[0].model) else fit_title(fits[0])
 
 
 def _result(fits: list[Fit]) -> tuple[Block, ...]:
-    if fits[0].model == "straight-line":
+    if of_points(fits[0].model):
         return _calibration(fits)
     return _sliding(fits) if len(fits) > 1 else _single(fits[0])
 

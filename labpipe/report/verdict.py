@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labpipe.records.finding import NOTE, WARNING, Finding
-from labpipe.records.identification import Identification
+from labpipe.records.identification import Identification, of_points
 from labpipe.report.document import Block, Paragraph, Section, Table
 from labpipe.report.wording import fit_title
 from labpipe.sections import section
@@ -13,8 +13,6 @@ MOST_NOTES = 12
 LONGEST_NOTES = 1200
 # Codes of findings with which a result must not be used.
 SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch", "negative-gof", "mass", "drift", "unstable-loop", "feedback")
-# Models whose residual is held against no noise: their points have none.
-WITHOUT_NOISE = ("straight-line",)
 
 
 def verdict_sections(identification: Identification) -> tuple[Section, ...]:
@@ -62,7 +60,7 @@ def _judged(identification: Identification) -> tuple[Block, ...]:
 def _unchecked(identification: Identification) -> list[str]:
     """What no rule looked at, in words; empty where everything was checked, which alone makes a box green."""
     unchecked = [] if identification.outcomes else ["no accept or expect rule was given"]
-    fits = [fit for fit in identification.fits if fit.model not in WITHOUT_NOISE]
+    fits = [fit for fit in identification.fits if not of_points(fit.model)]
     without = [fit_title(fit) for fit in fits if fit.gof.chi2_reduced is None]
     if without:
         unchecked.append(f"chi-square, since the noise is not known ({_listed(without)})")

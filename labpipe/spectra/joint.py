@@ -38,6 +38,11 @@ LOW_SNR, SILENT = 5.0, 2.0
 GAP = 1
 
 
+def is_joint(blocks: Blocks) -> bool:
+    """Whether blocks were averaged by the joint method, as of a closed loop."""
+    return blocks.estimator == ESTIMATOR
+
+
 @dataclass(frozen=True)
 class JointEstimate:
     """G (n_line, n_output, n_input) [output unit / N], and what it is made of.

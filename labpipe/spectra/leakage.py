@@ -44,6 +44,11 @@ class LeakageKernel:
         return [(1 - abs(t) / self.blocks.number, np.exp(2j * np.pi * self.offsets * (t * step / POINTS))) for t in range(-most, most + 1)]
 
 
+def has_kernel(blocks: Blocks) -> bool:
+    """Whether what leaks is known: in H1 of whole blocks, whose kernel is that of their window."""
+    return blocks.estimator == "H1" and not blocks.degree
+
+
 @functools.cache
 def kernel_of(blocks: Blocks) -> LeakageKernel:
     """The spectrum of the blocks' window; ConfigError for an unknown window. Equation (frf-leakage-kernel)."""

@@ -16,6 +16,8 @@ FOUND = {"stepped-sine": "dwells", "sweep": "sweeps"}
 # Keys that a free decay has no use for: there is no FRF.
 OF_RESPONSES = ("period", "block", "band", "exclude", "mask", "remove", "directional")
 ESTIMATORS = ("H1", "H2", "Hv")
+# What recordings give: frequency responses, free decays, or spectra of all channels.
+RESPONSES, DECAYS, SPECTRA = "responses", "decays", "spectra"
 # What recordings become: one response matrix, or all channels side by side with the noise of each.
 RESULTS = ("response", "spectra")
 DETRENDS = ("constant", "linear", "none")
@@ -207,6 +209,12 @@ class FrfSettings(Settings):
         if self.impact.decay is not None:
             hint = "leave out impact.decay: the data have their window already"
             raise ConfigError("'windowed' and impact.decay are two exponential windows", hint=hint, field="windowed")
+
+    @property
+    def gives(self) -> str:
+        """What recordings become: DECAYS, SPECTRA or RESPONSES."""
+        by_excitation = {"decay": DECAYS}
+        return by_excitation.get(self.excitation, SPECTRA if self.result == SPECTRA else RESPONSES)
 
     @property
     def damping_window(self) -> float | None:

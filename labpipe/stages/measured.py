@@ -22,7 +22,8 @@ from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.free_decay import FreeDecays
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse
-from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.settings import DECAYS, FrfSettings
+from labpipe.spectra.settings import SPECTRA as OF_ALL_CHANNELS
 from labpipe.stages.frf import MeasuredSource, fresh_measured, frf, frf_file_name, measured_header, where_recorded
 
 MeasuredTest = FrequencyResponse | FreeDecays | ChannelSpectra
@@ -54,13 +55,12 @@ def _channel_spectra(recordings: Sequence[SampleSource], settings: FrfSettings, 
 # What measures is imported when something is measured: a run that finds all fresh needs none of it.
 DECAY = _Kind("decay", SUFFIX, _free_decays, write_decays, read_decays)
 SPECTRA = _Kind("spectra", SPECTRA_SUFFIX, _channel_spectra, write_spectra, read_spectra)
+OTHERS = {DECAYS: DECAY, OF_ALL_CHANNELS: SPECTRA}
 
 
 def _kind(settings: FrfSettings | None) -> _Kind | None:
     """The kind of what the settings measure; None for a response."""
-    if settings is None:
-        return None
-    return DECAY if settings.excitation == "decay" else SPECTRA if settings.result == "spectra" else None
+    return None if settings is None else OTHERS.get(settings.gives)
 
 
 def _kind_of_file(path: Path) -> _Kind | None:

@@ -34,7 +34,7 @@ def rehearsal(file: PlanFile) -> Rehearse | None:
     """What gives the budget of tests; None where nothing but noise is in doubt. ConfigError for a rig without the channels."""
     settings: PlanSettings = file.settings
     if settings.sensors is not None:
-        check_rig(settings.sensors, settings, settings.shakers or (("x",) if settings.model == "sdof" else ("x", "y")))
+        check_rig(settings.sensors, settings, settings.shakers or settings.kind.axes)
     of_sensors = settings.sensors is not None and any(channel.channel.doubts for channel in settings.sensors.channels)
     if not of_sensors and not settings.doubts:
         return None

@@ -19,8 +19,8 @@ from labpipe.records.uncertain import SHAPES, Uncertain, split_doubt
 
 RIG, PIPELINE = "rig.yaml", "pipeline.yaml"
 FIT = "planned"
-# Displacements of a rotor are absolute; those of a floating stator are against its shaft.
-SDOF, ROTOR, FLOATING = "sdof", "rotor-2dof", "dynamic-stiffness"
+# What evaluates spectra of all channels.
+OF_SPECTRA = "dynamic-stiffness"
 SI_UNITS = {"force": "N", "displacement": "m", "acceleration": "m/s^2"}
 
 
@@ -47,20 +47,20 @@ class Evaluation:
     @property
     def side_by_side(self) -> bool:
         """Whether the test is evaluated from spectra of all channels: a stator, or shakers that run at once."""
-        return self.settings.model == FLOATING or self.at_once
+        return self.settings.kind.floating or self.at_once
 
 
 def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
     """ConfigError unless the rig has what the model needs: a force for every shaker, or one that is moved, and every response once."""
     if rig.derived:
         raise ConfigError("sums of channels are not planned with", hint="a rig file with what is recorded", field="rig")
-    axes = ("x",) if settings.model == SDOF else ("x", "y")
+    axes = settings.kind.axes
     needed = [("displacement", axis) for axis in axes]
-    needed += [("acceleration", axis) for axis in axes] if settings.model == FLOATING else []
+    needed += [("acceleration", axis) for axis in axes] if settings.kind.floating else []
     channels = [channel.channel for channel in rig.channels if channel.channel.role != "reference"]
     for quantity, axis in needed:
         having = [channel for channel in channels if channel.quantity == quantity and channel.role == "output"]
-        if not any(settings.model == SDOF or channel.dof == axis for channel in having):
+        if not any(len(axes) == 1 or channel.dof == axis for channel in having):
             raise ConfigError(f"the rig has no {quantity} in {axis}", hint="a channel with `dof`", field="rig")
     wrong = [channel for channel in channels if channel.role == "output" and channel.quantity not in {quantity for quantity, _ in needed}]
     if wrong:
@@ -88,9 +88,9 @@ def rig_entries(evaluation: Evaluation) -> dict[str, Any]:
         forces = {f"f_{number}": _channel(f"f_{number}", "force", shaker) for number, shaker in enumerate(shakers, 1)}
     else:
         forces = {"f": _channel("f", "force", shakers[0])}
-    axes = ("x",) if settings.model == SDOF else ("x", "y")
+    axes = settings.kind.axes
     motions = {axis: _channel(axis, "displacement", axis) for axis in axes}
-    moved = {f"a_{axis}": _channel(f"a_{axis}", "acceleration", axis) for axis in axes} if settings.model == FLOATING else {}
+    moved = {f"a_{axis}": _channel(f"a_{axis}", "acceleration", axis) for axis in axes} if settings.kind.floating else {}
     return {"name": evaluation.title, "sample_rate": f"{settings.sample_rate!r} Hz", "channels": {**forces, **motions, **moved}}
 
 
@@ -133,7 +133,7 @@ def _moved_force(evaluation: Evaluation) -> tuple[str, str] | None:
         return None
     if evaluation.rig_path is None:
         return ("f", "") if len(evaluation.tests) > 1 else None
-    if settings.model == SDOF:
+    if len(settings.kind.axes) == 1:
         return None
     assert settings.sensors is not None
     forces = forces_of(settings.sensors)
@@ -156,11 +156,12 @@ def _fit(evaluation: Evaluation) -> dict[str, Any]:
         mass: dict[str, Any] = {"mass": "estimate"} if number is None else {"mass": uncertain_text(number, "kg")}
         return {"model": settings.model, **mass}
     entries = {"form": "kcm" if evaluation.with_masses else "kc"}
-    if settings.model == ROTOR:
+    # Displacements of a rotor are absolute; those of a floating stator are against its shaft.
+    if not settings.kind.floating:
         entries["motion"] = "absolute"
     if number is not None:
         entries["stator_mass"] = uncertain_text(number, "kg")
-    return {"model": FLOATING, "dynamic_stiffness": entries}
+    return {"model": OF_SPECTRA, "dynamic_stiffness": entries}
 
 
 def uncertain_text(number: Uncertain, unit: str) -> str:

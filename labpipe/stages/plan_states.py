@@ -91,7 +91,7 @@ def _states(settings: StatePlanSettings, bearing: BearingFile, common: Sequence[
     for (load, speed), coefficients in zip(points, values, strict=True):
         steps = np.array([2 * STEP * number.value for number in common])
         slopes = ((coefficients[1::2] - coefficients[2::2]) / steps[:, None]).T if common else np.zeros((len(COEFFICIENTS), 0))
-        model = MODELS[FLOATING](dict(zip(COEFFICIENTS, coefficients[0].tolist(), strict=True)), settings.mass)
+        model = MODELS[FLOATING].model(dict(zip(COEFFICIENTS, coefficients[0].tolist(), strict=True)), settings.mass)
         states.append(BearingState(_name(load, speed), load, speed, model, slopes))
     return states
 

@@ -12,7 +12,7 @@ from labpipe.errors import ConfigError
 from labpipe.identify.constraints import constrained
 from labpipe.identify.measured import measured_part, select_ports
 from labpipe.identify.output_error import OutputError
-from labpipe.identify.settings import MODELS, FitSettings
+from labpipe.identify.settings import FitSettings
 from labpipe.identify.setup import Setup
 from labpipe.identify.weights import whitener
 from labpipe.records.channel_spectra import ChannelSpectra
@@ -49,7 +49,7 @@ class Source:
         kind = kind_of(self.rig)
         if kind.response is not None:
             return _bounds_of_response(kind.response(self.rig, None), self.truth, settings)
-        if kind.std_errors is None or settings.model != "sdof" or isinstance(settings.mass, str):
+        if kind.std_errors is None or not settings.kind.one_frf or isinstance(settings.mass, str):
             return {}
         whole = self.frf.band if self.frf is not None else None
         return kind.std_errors(self.rig, self.runs, settings.band or whole or (0.0, np.inf))
@@ -59,7 +59,7 @@ def _bounds_of_response(exact: FrequencyResponse, truth: Truth, settings: FitSet
     """sqrt(diag((J^T J)^-1)) of the weighted output error at the truth; empty where the fit's parameters differ from the rig's."""
     rows, columns = select_ports(exact, settings.input, settings.output)
     setup = Setup(tuple(exact.outputs[row] for row in rows), tuple(exact.inputs[column] for column in columns), settings)
-    model = constrained(MODELS[settings.model](setup), settings)
+    model = constrained(settings.kind.model(setup), settings)
     if any(name not in truth for name in model.names):
         return {}
     measured = measured_part(exact, rows, columns, _lines(exact.frequency, settings))

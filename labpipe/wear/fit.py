@@ -110,7 +110,7 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         converged=estimate.converged,
         iterations=estimate.iterations,
         findings=(
-            *_estimate_findings(solved, estimate, NAMES[wear.objective]),
+            *_estimate_findings(solved, estimate, "" if wear.objective == "complex" else NAMES[wear.objective]),
             *findings,
             *quality_findings(response, [0, 1], [0, 1], lines),
         ),
@@ -269,10 +269,10 @@ def _parameter(solved: _Solved, number: int, vif: float | None, interval: Interv
     return parameter
 
 
-def _estimate_findings(solved: _Solved, estimate: Estimate, estimator: str) -> list[Finding]:
+def _estimate_findings(solved: _Solved, estimate: Estimate, biased: str) -> list[Finding]:
     """Findings on the estimate; collinear nuisance parameters are left out, their prior determines them."""
     names = [solved.misfit.model.names[number] for number in _sensitive_parameters(solved)]
-    findings = [*estimate_findings(estimate, names, solved.misfit.receptance.frequency.size), *excess_findings(estimate, estimator)]
+    findings = [*estimate_findings(estimate, names, solved.misfit.receptance.frequency.size), *excess_findings(estimate, biased)]
     group = {name for collinear in (collinear_groups(estimate.scaled_design, names) if names else []) for name in collinear}
     along = DEPTH in solved.misfit.model.names and not group & {DEPTH, ANGLE}
     return [finding for finding in findings if finding.code != "collinear" or not along]

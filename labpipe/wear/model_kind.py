@@ -30,4 +30,6 @@ def _begin(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
     return with_prior(settings, fits)
 
 
-WORN_BEARING = ModelKind(_fit, "wear", WearSettings, "wear: {rotor: ../configs/rotors/FILE.yaml}", earlier=_earlier, begin=_begin)
+WORN_BEARING = ModelKind(
+    _fit, "wear", WearSettings, "wear: {rotor: ../configs/rotors/FILE.yaml}", earlier=_earlier, begin=_begin, keys=(), estimators=("ml",)
+)

@@ -60,7 +60,7 @@ def _write(folder: Path, entries: dict[str, object]) -> Path:
 def _carry_out(plan: Plan, folder: Path, seed: int) -> None:
     """Recordings of the plan's signal files on the expected rig, in its steady state, with the noise that the plan assumes."""
     expected = {c.name: c.expected for c in plan.coefficients}
-    model = MODELS[plan.model](expected, plan.mass)
+    model = MODELS[plan.model].model(expected, plan.mass)
     rng = np.random.default_rng(seed)
     (folder / "recordings").mkdir()
     for test in plan.tests:

@@ -85,7 +85,7 @@ def budget_of(folder: Path, entries: dict[str, Any], rig: dict[str, Any], lines:
     file = load_plan(write(folder, entries, rig))
     rehearse = rehearsal(file)
     assert rehearse is not None
-    model = MODELS["sdof"](dict(file.settings.expected), file.settings.mass)
+    model = MODELS["sdof"].model(dict(file.settings.expected), file.settings.mass)
     bench = Rig(model, Noise.of_samples(0.02, 0.3e-6, 0.0, 500.0), Limits(1.0), np.ones((1, 1), complex), ("x",), 0.5)
     budget = rehearse(bench, flat(bench, lines, ONE_BY_ONE, LEAST_CREST).tests, [20])
     assert budget is not None
@@ -137,7 +137,7 @@ def test_a_common_gain_of_all_probes_is_that_of_every_coefficient_of_a_floating_
 
 def carry_out(plan: Plan, folder: Path, seed: int) -> None:
     """Recordings in volts of the plan's signal files on the expected rig, with the noise that the plan assumes."""
-    model = MODELS[plan.model]({c.name: c.expected for c in plan.coefficients}, plan.mass)
+    model = MODELS[plan.model].model({c.name: c.expected for c in plan.coefficients}, plan.mass)
     rng = np.random.default_rng(seed)
     (folder / "recordings").mkdir()
     for test in plan.tests:

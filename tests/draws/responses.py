@@ -9,7 +9,7 @@ import numpy as np
 
 from labpipe.identify.fitting import identify
 from labpipe.identify.measured import select_ports
-from labpipe.identify.settings import MODELS, FitSettings
+from labpipe.identify.settings import FitSettings
 from labpipe.identify.setup import Setup
 from labpipe.identify.shared_noise import SharedNoise
 from labpipe.records.identification import Fit
@@ -173,7 +173,7 @@ def _by_model(truth: FrequencyResponse, settings: FitSettings, fit: Fit) -> Turn
 
     def receptance(by: np.ndarray) -> np.ndarray:
         inputs = tuple(replace(truth.inputs[c], angle=truth.inputs[c].angle + by[c]) for c in columns)
-        model = MODELS[settings.model](Setup(tuple(truth.outputs[r] for r in rows), inputs, plain))
+        model = settings.kind.model(Setup(tuple(truth.outputs[r] for r in rows), inputs, plain))
         return model.receptance(np.array([whole[name] for name in model.names]), omega)
 
     start = receptance(np.zeros(len(truth.inputs)))

@@ -151,3 +151,60 @@ def test_the_command_s_table_loads_nothing_heavy() -> None:
             for alias in ([node.module or ""] if isinstance(node, ast.ImportFrom) else [one.name for one in node.names])
         }
         assert not outside & HEAVY, (name, outside & HEAVY)
+
+
+def method_names() -> set[str]:
+    """The names of all models and estimators: of fits, and of spectra."""
+    from labpipe.identify.settings import ESTIMATORS, MODELS
+    from labpipe.records.identification import STRAIGHT_LINE
+    from labpipe.spectra.estimators import ESTIMATORS as OF_SPECTRA
+
+    return {*MODELS, *ESTIMATORS, *OF_SPECTRA, STRAIGHT_LINE}
+
+
+def strings(node: ast.AST) -> set[str]:
+    """The strings of an expression that is one, or a display of them."""
+    parts = node.elts if isinstance(node, (ast.Tuple, ast.List, ast.Set)) else node.keys if isinstance(node, ast.Dict) else [node]
+    return {str(part.value) for part in parts if isinstance(part, ast.Constant) and isinstance(part.value, str)}
+
+
+@functools.cache
+def constants_with_names() -> frozenset[str]:
+    """Constants of modules that are the name of a model or an estimator, or several of them."""
+    named = set()
+    for node in (node for tree in trees().values() for node in tree.body if isinstance(node, ast.Assign)):
+        target, value = node.targets[0], node.value
+        several = isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple)
+        for name, one in zip(target.elts, value.elts, strict=True) if several else [(target, value)]:
+            held = set() if isinstance(one, ast.Dict) else strings(one)
+            if isinstance(name, ast.Name) and held and held <= method_names():
+                named.add(name.id)
+    return frozenset(named)
+
+
+def compared_names(tree: ast.AST) -> Iterator[str]:
+    """Every comparison with the name of a model or an estimator, as a string or by a constant."""
+    for node in ast.walk(tree):
+        compared = isinstance(node, ast.Compare)
+        for side in [node.left, *node.comparators] if compared else [node.value] if isinstance(node, ast.MatchValue) else []:
+            names = strings(side) & method_names()
+            names |= {part.id for part in ast.walk(side) if isinstance(part, ast.Name)} & constants_with_names()
+            names |= {part.attr for part in ast.walk(side) if isinstance(part, ast.Attribute)} & constants_with_names()
+            yield from (f"{getattr(node, 'lineno', 0)}: {name}" for name in sorted(names))
+
+
+# Where a name may be compared: in the modules that define what bears it.
+DEFINES = ("labpipe.spectra.", "labpipe.records.identification")
+
+
+@pytest.mark.parametrize("path", [path for path in MODULES if not name_of(path).startswith(DEFINES)], ids=name_of)
+def test_properties_are_asked_for_and_no_names(path: Path) -> None:
+    """A model or estimator of a plug-in has the properties of one of ours, and never its name."""
+    assert not list(compared_names(trees()[path]))
+
+
+@pytest.mark.parametrize(
+    "line", ['a == "sdof"', 'a.estimator != "ml"', 'a in ("x", "iv")', 'b not in {"mdof": 1}', "a == STRAIGHT_LINE", "a != m.STRAIGHT_LINE"]
+)
+def test_a_comparison_with_a_name_is_seen(line: str) -> None:
+    assert list(compared_names(ast.parse(line)))

@@ -120,8 +120,8 @@ def test_an_oscillation_that_does_not_decay_is_no_mode() -> None:
 @pytest.mark.parametrize(
     ("settings", "error", "message"),
     [
-        ({"input": "f"}, ConfigError, "a free decay has no force"),
-        ({"bands": [(30.0, 50.0)]}, ConfigError, "in one band"),
+        ({"input": "f"}, ConfigError, "'input' is not for model decay"),
+        ({"bands": [(30.0, 50.0)]}, ConfigError, "'bands' is not for model decay"),
         ({"mass": [1.0, 2.0]}, ConfigError, "takes one mass"),
         ({"output": "q"}, ConfigError, "no response 'q'"),
         ({"band": (600.0, 700.0)}, FitError, "0 lines of a decay"),

@@ -257,13 +257,13 @@ def test_forces_and_probes_at_an_angle_are_turned_into_x_and_y() -> None:
     ("keys", "error", "message"),
     [
         ({"estimator": "iv"}, ConfigError, "iv does not estimate"),
-        ({"sliding": {"width": 20.0, "step": 5.0}}, ConfigError, "no sliding bands"),
+        ({"sliding": {"width": 20.0, "step": 5.0}}, ConfigError, "'sliding' is not for"),
         ({"eliminate": True}, ConfigError, "'eliminate' is not for"),
         ({"mass": [1.0, 2.0]}, ConfigError, "the stator has one mass"),
         ({"input": "q"}, ConfigError, "no force channel 'q'"),
         ({"output": "dx"}, ConfigError, r"displacement channels dx \(x\) do not give the motion in x and in y"),
         ({"band": (300.0, 400.0)}, FitError, "0 lines in the band"),
-        ({"estimator": "ls", "compare": True}, ConfigError, "'compare' needs estimator ml"),
+        ({"estimator": "ls", "compare": True}, ConfigError, "'compare' is not for estimator ls; leave it out, or estimator: ml$"),
         ({"estimator": "ls", "form": "pad"}, ConfigError, "least squares is for form kc or kcm"),
     ],
 )

@@ -74,7 +74,7 @@ PEAKS = (("x", ((60.0, 85.0),)),)
         ({"bands": ((1.0, 2.0),), "sliding": Sliding(1.0, 1.0)}, "'bands' goes with neither"),
         ({"peaks": PEAKS, "output": ("x",)}, "'peaks' names bands and ports"),
         ({"peaks": PEAKS, "band": (1.0, 2.0)}, "'peaks' names bands and ports"),
-        ({"peaks": PEAKS, "model": "mdof"}, "'peaks' is for sdof only"),
+        ({"peaks": PEAKS, "model": "mdof"}, "'peaks' is not for model mdof"),
     ],
 )
 def test_what_says_the_same_thing_twice_is_refused(settings, what: str) -> None:

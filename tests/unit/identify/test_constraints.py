@@ -67,7 +67,7 @@ def test_proportional_standard_errors_are_the_scatter(three_dof_response) -> Non
 def test_slopes_of_proportional_models_are_central_differences(three_dof_response, mass) -> None:  # type: ignore[no-untyped-def]
     response = three_dof_response()
     setup = Setup(response.outputs, response.inputs, replace(RAYLEIGH, mass=mass, fixed=(("k_1_3", 0.1),)))
-    model = constrained(MODELS["mdof"](setup), setup.settings)
+    model = constrained(MODELS["mdof"].model(setup), setup.settings)
     assert isinstance(model, ProportionalModel)
     start = 1 + 0.1 * np.arange(len(model.names))
     own = dict(zip(model.names, start, strict=True))
@@ -84,27 +84,27 @@ def test_slopes_of_proportional_models_are_central_differences(three_dof_respons
 
 
 def test_proportional_damping_is_refused_where_it_means_nothing(sdof_response) -> None:
-    with pytest.raises(ConfigError, match="several damping coefficients"):
-        identify(sdof_response(), FitSettings("sdof", mass=0.79, damping="proportional"))
+    with pytest.raises(ConfigError, match=r"'damping' is not for model sdof; leave it out; models that take it: rotor-2dof, mdof$"):
+        FitSettings("sdof", mass=0.79, damping="proportional")
     setup = Setup((), (), FitSettings("sdof"))
-    with pytest.raises(ConfigError):
-        proportional(MODELS["sdof"](replace(setup, outputs=sdof_response().outputs, inputs=sdof_response().inputs)))
+    with pytest.raises(ConfigError, match="several damping coefficients"):
+        proportional(MODELS["sdof"].model(replace(setup, outputs=sdof_response().outputs, inputs=sdof_response().inputs)))
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"estimator": "ls", "damping": "proportional"}, "not linear"),
+        ({"estimator": "ls", "damping": "proportional"}, "'damping' is not for estimator ls; leave it out, or estimator: ml$"),
         ({"eliminate": True, "damping": "proportional"}, "eliminate"),
-        ({"weight": "noise"}, "not for ml"),
-        ({"estimator": "amplitude"}, "for sdof only"),
+        ({"weight": "noise"}, "not for estimator ml; leave it out, or estimator: ls or iv$"),
+        ({"estimator": "amplitude"}, "amplitude does not estimate model mdof"),
         ({"mass": "estimate", "scale_mass": True}, "needs the mass"),
     ],
 )
 def test_settings_that_contradict_each_other(change: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         replace(KNOWN, **change)
-    with pytest.raises(ConfigError, match="mdof only"):
+    with pytest.raises(ConfigError, match=r"not for model sdof; leave it out; models that take it: mdof$"):
         FitSettings("sdof", symmetric=True)
 
 

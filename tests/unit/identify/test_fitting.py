@@ -9,9 +9,9 @@ import pytest
 from scipy import stats
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.identify.fitting import ESTIMATORS, identify, sliding_bands
+from labpipe.identify.fitting import identify, sliding_bands
 from labpipe.identify.model import DynamicModel
-from labpipe.identify.settings import MODELS, FitSettings, Sliding, Support, model_kind
+from labpipe.identify.settings import ESTIMATORS, MODELS, FitSettings, Sliding, Support, model_kind
 from labpipe.identify.setup import Setup
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import Uncertain
@@ -175,7 +175,7 @@ def test_interval_and_significance_follow_student(sdof_response) -> None:
 
 
 def model_of(name: str, response: FrequencyResponse) -> DynamicModel:
-    return MODELS[name](Setup(response.outputs, response.inputs, FitSettings(name, mass=0.92)))
+    return MODELS[name].model(Setup(response.outputs, response.inputs, FitSettings(name, mass=0.92)))
 
 
 @pytest.mark.parametrize("name", [name for name in MODELS if not model_kind(name).section])

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.identify.estimators import LS
 from labpipe.identify.fitting import identify
 from labpipe.identify.leakage import SmearedModel, leaking_noise
 from labpipe.identify.measured import Measured, measured_part
@@ -168,8 +169,8 @@ def test_a_mismatch_beside_short_blocks_advises_longer_ones() -> None:
 def test_nothing_is_said_without_a_mode_in_the_band() -> None:
     measured = part(response(1.0))
     matrices = model().whole(np.array([STIFFNESS, DAMPING]))
-    assert [type(finding) for finding in leakage_findings(measured, matrices, "ls")] == [Finding]
-    assert not leakage_findings(measured, replace(matrices, stiffness=100 * matrices.stiffness), "ls")
-    assert not leakage_findings(measured, replace(matrices, damping=-matrices.damping), "ls")
-    assert not leakage_findings(measured, replace(matrices, mass=0 * matrices.mass), "ls")
-    assert not leakage_findings(replace(measured, blocks=None), matrices, "ls")
+    assert [type(finding) for finding in leakage_findings(measured, matrices, LS)] == [Finding]
+    assert not leakage_findings(measured, replace(matrices, stiffness=100 * matrices.stiffness), LS)
+    assert not leakage_findings(measured, replace(matrices, damping=-matrices.damping), LS)
+    assert not leakage_findings(measured, replace(matrices, mass=0 * matrices.mass), LS)
+    assert not leakage_findings(replace(measured, blocks=None), matrices, LS)

@@ -7,6 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from labpipe.identify.estimators import ML
 from labpipe.identify.measured import Measured
 from labpipe.identify.model import Matrices
 from labpipe.identify.short_blocks import leakage_findings
@@ -25,7 +26,7 @@ def said(length: float, degree: int = 0, *, modelled: bool = False, by: str = "H
         omega=2 * np.pi * np.linspace(*band, 50), matrix=np.ones((50, 1, 1), complex), covariance=None, noise_dof=np.inf, noise_lines=1.0,
         outputs=(), inputs=(), blocks=blocks, leakage=cast("Any", object()) if modelled else None,
     )  # fmt: skip
-    return "".join(finding.message for finding in leakage_findings(measured, MODE, "ml"))
+    return "".join(finding.message for finding in leakage_findings(measured, MODE, ML))
 
 
 @pytest.mark.parametrize(

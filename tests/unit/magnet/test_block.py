@@ -78,7 +78,7 @@ def test_too_low_an_order_is_said() -> None:
 
 def test_what_does_not_fit_is_refused() -> None:
     plain = response(1, 0.01)
-    with pytest.raises(ConfigError, match="ls does not estimate a block"):
+    with pytest.raises(ConfigError, match="ls does not estimate model block"):
         fitted(plain, estimator="ls")
     with pytest.raises(FitError, match="noise of the response is not known"):
         fitted(replace(plain, covariance=None))

@@ -185,7 +185,7 @@ def channel(name: str, quantity: str, role: str, dof: str) -> Channel:
     ("keys", "message"),
     [
         ({"mass": "estimate"}, "the mass of the rotor must be known"),
-        ({"estimator": "ls"}, "ls does not estimate a magnet"),
+        ({"estimator": "ls"}, "ls does not estimate model magnet"),
         ({"compare": True}, "'compare' is not for model magnet"),
         ({"input": ("iz",)}, "no current channel 'iz'"),
         ({"band": (5.0, 12.0)}, "2 lines in the band"),
