@@ -94,7 +94,8 @@ def _with_interval(parameter: Parameter, low: float, high: float) -> Parameter:
 def _findings(budget: Budget, draws: int) -> tuple[Finding, ...]:
     """The parameters whose scatter is not what first order says, beyond chance (three standard deviations of a scatter)."""
     assert budget.drawn is not None
-    ratio = budget.drawn[:, 0] / budget.combined
+    # What never scatters (the largest entry of a mode's shape, which is 1) is known.
+    ratio = np.divide(budget.drawn[:, 0], budget.combined, out=np.ones_like(budget.combined), where=budget.combined > 0)
     far = np.abs(ratio - 1) > ENOUGH + 3 / np.sqrt(2 * draws)
     if not np.any(far):
         return ()
