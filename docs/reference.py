@@ -57,6 +57,7 @@ def reference_pages() -> dict[str, str]:
 
 def table(owner: type, known: str = "", without: Collection[str] = ()) -> str:
     """The settings of a dataclass as a table; sections and lists of them follow below it, each under its dotted name."""
+    from labpipe.identify.settings import FitSettings, models_text
     from labpipe.records.settings import settings_of
 
     defaults = {field.name: field.default for field in dataclasses.fields(owner)}
@@ -66,7 +67,9 @@ def table(owner: type, known: str = "", without: Collection[str] = ()) -> str:
         if name in without:
             continue
         otherwise = "**needed**" if needed else default(defaults[name], setting.unit)
-        rows.append(f"| `{name}` | {cell(setting.help)} | {form(setting)} | {otherwise} |")
+        rows.append(
+            f"| `{name}` | {cell(setting.help)}{models_text(name) if owner is FitSettings else ''} | {form(setting)} | {otherwise} |"
+        )
         if setting.section is not None:
             below.append(f"\n`{known}{name}:`{BELOW[setting.kind]}\n\n" + table(setting.section, f"{known}{name}."))
     return "\n".join(rows) + "\n" + "\n".join(below)

@@ -8,7 +8,7 @@ from labpipe.config.pipeline import RESULTS, ReportSettings
 from labpipe.config.recordings import BY
 from labpipe.config.rig import ChannelSettings, RigSettings
 from labpipe.config.uncertainty import UncertaintySettings
-from labpipe.identify.settings import MODELS, FitSettings, model_kind
+from labpipe.identify.settings import MODELS, FitSettings, model_kind, models_text
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.settings import Setting, settings_of
 from labpipe.sections import PipelineSection, sections
@@ -98,6 +98,8 @@ def _section(entry: PipelineSection) -> dict[str, Any]:
         parts = {kind.section: _object(kind.settings) for kind in kinds if kind.settings is not None}
         # Settings of a model that needs no section may stand in the fit itself.
         plain = [parts[kind.section]["properties"] for kind in kinds if kind.optional]
+        for name, described in schema["properties"].items():
+            described["description"] += models_text(name)
         schema["properties"] = {name: value for part in plain for name, value in part.items()} | schema["properties"] | parts
     return {"type": "object", "additionalProperties": schema} if entry.named else schema
 

@@ -28,7 +28,7 @@ from labpipe.identify.reported import reported_parameters, with_systematic
 from labpipe.identify.settings import ESTIMATE, FitSettings, Support
 from labpipe.identify.setup import Setup
 from labpipe.identify.statistics import Estimate
-from labpipe.identify.weights import equal_weights, has_noise, whitener
+from labpipe.identify.weights import Weights, equal_weights, has_noise, whitener
 from labpipe.records.budget import Budget
 from labpipe.records.doubt import COURSES, Doubt, MatrixError, doubt_of
 from labpipe.records.identification import Fit
@@ -36,6 +36,8 @@ from labpipe.records.parameter import Contribution, Parameter
 from labpipe.records.response import Port
 from labpipe.records.uncertain import Uncertain
 
+# Standard errors from a minimum below which an estimate is the minimum.
+AT_MINIMUM = 1e-3
 # From a setup with changed numbers to its model.
 ModelOf = Callable[[Setup], BandModel]
 # A source, and the change (n_parameter,) of reported parameters by one standard uncertainty of it.
@@ -60,8 +62,7 @@ def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
     sources = sources_of(case.setup, case.measured)
     if not sources or not case.estimate.converged:
         return None
-    of_estimator = case.setup.settings.estimates.step
-    step = _repeated(case) if of_estimator is None else of_estimator(case)
+    step = _step_of(case)
     changes = []
     for doubt, change in sources:
         ends = [_values(case, step, *change(case, sign * SHARE * doubt.std_error)) for sign in (1.0, -1.0)]
@@ -269,10 +270,22 @@ def _values(case: Case, step: Step, setup: Setup, measured: Measured) -> FloatAr
     return np.array([parameter.value for parameter in reported_parameters(estimate, model, setup)])
 
 
-def _repeated(case: Case) -> Step:
-    """The estimate anew."""
+def _step_of(case: Case) -> Step:
+    """The estimator's step; without one that of ml, where the estimate is that of ml, else the estimate anew."""
     settings = case.setup.settings
-    return lambda model, measured: settings.estimates.fit(measured, model, settings.weight).values
+    estimator = settings.estimates
+    if estimator.step is not None:
+        return estimator.step(case)
+    if estimator.phase and _is_likeliest(case):
+        return likelihood_step(case)
+    return lambda model, measured: estimator.fit(measured, model, settings.weight).values
+
+
+def _is_likeliest(case: Case) -> bool:
+    """Whether the estimate is the minimum of the output error weighted by the noise."""
+    _, jacobian, residual = _linearised(case)
+    away = solve_scaled(jacobian, residual)[0]
+    return bool(np.all(np.abs(away) <= AT_MINIMUM * np.sqrt(np.diag(case.estimate.covariance))))
 
 
 def instrumental_step(case: Case) -> Step:
@@ -294,14 +307,19 @@ def _linear(model: BandModel) -> DynamicModel:
 
 def likelihood_step(case: Case) -> Step:
     """p - (J^T J)^-1 J^T (r(q + dq) - r(q)) with the weighted residual r and its Jacobian J at the estimate."""
-    measured, values = case.measured, case.estimate.values
-    weights = whitener(measured) if has_noise(measured) else equal_weights(measured)
-    problem = OutputError(measured, expected(measured, case.model), weights)
-    jacobian, residual = problem.jacobian(values), problem.residual(values)
+    weights, jacobian, residual = _linearised(case)
     _, inverse = solve_scaled(jacobian, residual)
 
     def step(model: BandModel, changed: Measured) -> FloatArray:
-        moved = OutputError(changed, expected(changed, model), weights).residual(values)
-        return np.asarray(values - inverse @ (jacobian.T @ (moved - residual)))
+        moved = OutputError(changed, expected(changed, model), weights).residual(case.estimate.values)
+        return np.asarray(case.estimate.values - inverse @ (jacobian.T @ (moved - residual)))
 
     return step
+
+
+def _linearised(case: Case) -> tuple[Weights, FloatArray, FloatArray]:
+    """The weights of the output error, its Jacobian (n_equation, n_parameter) and its residual (n_equation,) at the estimate."""
+    measured, values = case.measured, case.estimate.values
+    weights = whitener(measured) if has_noise(measured) else equal_weights(measured)
+    problem = OutputError(measured, expected(measured, case.model), weights)
+    return weights, problem.jacobian(values), problem.residual(values)

@@ -28,7 +28,8 @@ class Estimator:
     refuses: keys of a fit that it has no use for. linear: it needs a model linear in its parameters; else one with `receptance` and
     `jacobian` will do. one_frf: it needs a model of one FRF. likelihood: its estimate is the minimum of the output error, weighted by
     the noise. models_leakage: it compares random data with what leakage makes of the model. unbiased: a right model leaves nothing but
-    noise. phase: it uses the phase. step: one more step from the estimate of a case; None: the fit is repeated.
+    noise. phase: it uses the phase. step: one more step from the estimate of a case, on which the budget rests; None: that of ml where the
+    estimate is that of ml, else the fit is repeated.
 
     The defaults are those of an output error of its own weights.
     """

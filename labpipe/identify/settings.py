@@ -209,6 +209,12 @@ def takers(key: str) -> tuple[str, ...]:
     return tuple(name for name in MODELS if key in (*EVERY, *model_kind(name).keys))
 
 
+def models_text(key: str) -> str:
+    """Which models take a key of a fit, as a help says it; empty where all do."""
+    able = takers(key)
+    return "" if len(able) == len(tuple(MODELS)) else f" (models {', '.join(able)})"
+
+
 def _able(model: str) -> tuple[str, ...]:
     """The estimators that fit a model."""
     kind = model_kind(model)
