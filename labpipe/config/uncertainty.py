@@ -61,6 +61,8 @@ class UncertaintySettings(Settings):
     def __post_init__(self) -> None:
         if not 0 < self.coverage < 1:
             raise ConfigError("'coverage' must lie between 0 and 100 %", field="coverage")
+        if self.draws != UncertaintySettings.draws and self.method == METHODS[0]:
+            raise ConfigError("'draws' are of method monte-carlo", hint="method: monte-carlo, or leave it out", field="draws")
 
     def of(self, fit: FitSettings, repeats: tuple[RepeatSource, ...] = ()) -> FitSettings:
         """A fit with these settings where it has none of its own, and with the scatter between *repeats*."""

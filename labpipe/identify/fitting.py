@@ -11,7 +11,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.identify.base_motion import form_view
 from labpipe.identify.bootstrap import bootstrapped
-from labpipe.identify.budget import Case, budget_of, with_contributions, with_given_mass
+from labpipe.identify.budget import Case, budget_of, sources_of, with_contributions, with_given_mass
 from labpipe.identify.comparison import candidates, comparison_findings, comparison_notes
 from labpipe.identify.constraints import constrained
 from labpipe.identify.corrections import is_corrected
@@ -243,7 +243,13 @@ class _Budgeted:
 
 
 def _with_budget(case: Case, parameters: tuple[Parameter, ...], fitted: ComplexArray) -> _Budgeted:
-    """The parameters with what given numbers add to their doubt, by first order and, if asked for, by draws."""
+    """The parameters with what given numbers add to their doubt, by first order and, if asked for, by draws.
+
+    ConfigError for draws where no number has a doubt.
+    """
+    if case.setup.settings.monte_carlo and not sources_of(case.setup, case.measured):
+        hint = "bootstrap: 1000 draws the noise alone; or state a doubt, as mass: 0.92 kg +- 1 %"
+        raise ConfigError("'monte_carlo' has nothing to draw: no given number has a doubt", hint=hint, field="monte_carlo")
     budget = budget_of(case, parameters)
     if budget is None:
         return _Budgeted(parameters)

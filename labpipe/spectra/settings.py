@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, fields
 
 from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, setting
@@ -13,8 +13,21 @@ EXCITATIONS = ("periodic", "random", "impact", "stepped-sine", "sweep", "decay")
 NEEDED = {"periodic": "period", "random": "block", "impact": "block"}
 # Excitations whose pieces are found in the recording, and what these are called.
 FOUND = {"stepped-sine": "dwells", "sweep": "sweeps"}
-# Keys that a free decay has no use for: there is no FRF.
-OF_RESPONSES = ("period", "block", "band", "exclude", "mask", "remove", "directional")
+# Keys that each excitation takes; all others would change nothing.
+OF_LINES = ("band", "exclude", "mask", "directional", "result")
+KEYS: dict[str, tuple[str, ...]] = {
+    "periodic": (*OF_LINES, "period", "skip", "smooth", "remove", "realisations", "reference"),
+    "random": (
+        *OF_LINES,
+        *("block", "window", "overlap", "detrend", "estimator", "local", "degree", "half_width", "remove", "reference"),
+    ),
+    "impact": (*OF_LINES, "block", "estimator", "impact", "windowed"),
+    "stepped-sine": (*OF_LINES, "skip", "settle", "smooth"),
+    "sweep": (*OF_LINES, "degree", "half_width"),
+    "decay": ("decay",),
+}
+# Keys of averages over blocks with a window, and of local polynomials in their place.
+OF_AVERAGES, OF_POLYNOMIALS = ("window", "overlap", "detrend"), ("degree", "half_width")
 ESTIMATORS = ("H1", "H2", "Hv")
 # What recordings give: frequency responses, free decays, or spectra of all channels.
 RESPONSES, DECAYS, SPECTRA = "responses", "decays", "spectra"
@@ -152,17 +165,26 @@ class FrfSettings(Settings):
 
     def __post_init__(self) -> None:
         self._check_length()
+        self._check_keys()
         if not 0 <= self.overlap < 1:
             raise ConfigError("'overlap' must be at least 0 and below 100 %")
-        if self.realisations and self.excitation != "periodic":
-            raise ConfigError(f"'realisations' are of periodic excitation, not of {self.excitation}", hint="leave it out")
         self._check_windowed()
         self._check_local()
         self._check_result()
         self._check_found()
-        if self.remove is not None and self.excitation not in ("random", "periodic"):
-            what = f"'remove' works on periodic and random excitation, not on {self.excitation}"
-            raise ConfigError(what, hint="leave the lines out with `mask`")
+
+    def _check_keys(self) -> None:
+        """ConfigError for keys that would change nothing under this excitation, or beside this way of averaging."""
+        given = [field.name for field in fields(self) if "setting" in field.metadata and getattr(self, field.name) != field.default]
+        for name in (name for name in given if name not in ("excitation", *KEYS[self.excitation])):
+            able = ", ".join(excitation for excitation in EXCITATIONS if name in KEYS[excitation])
+            what = f"'{name}' is not for {self.excitation} excitation"
+            raise ConfigError(what, hint=f"leave it out; excitations that take it: {able}", field=name)
+        if self.excitation != "random":
+            return
+        for name in (name for name in given if name in (OF_POLYNOMIALS if self.local == "none" else OF_AVERAGES)):
+            what = f"'{name}' is for local: {'polynomial' if self.local == 'none' else 'none'}"
+            raise ConfigError(what, hint="leave it out", field=name)
 
     def _check_result(self) -> None:
         """ConfigError for keys of a response matrix beside spectra, and for drives that nothing uses."""
@@ -175,6 +197,7 @@ class FrfSettings(Settings):
         if self.reference and self.excitation != "random":
             raise ConfigError("'reference' is for random excitation: periodic data need no drives", hint="leave it out", field="reference")
         matrix_only = {"directional": self.directional, "realisations": self.realisations, "local": self.local != "none"}
+        matrix_only["estimator"] = self.estimator != "H1"
         for name in (name for name, is_set in matrix_only.items() if is_set):
             raise ConfigError(f"'{name}' belongs to a response matrix, not to result: spectra", hint="leave it out", field=name)
 
@@ -182,9 +205,6 @@ class FrfSettings(Settings):
         """ConfigError for a reference where no loop can be opened by it, and beside another estimator."""
         if not self.reference:
             return
-        if self.excitation not in ("periodic", "random"):
-            what = f"'reference' is for periodic and random excitation, not for {self.excitation}"
-            raise ConfigError(what, hint="inject a random or a periodic signal", field="reference")
         if self.local != "none":
             raise ConfigError("'local' takes the loop as open, 'reference' as closed", hint="leave one of them out", field="local")
         if self.estimator != "H1":
@@ -193,8 +213,6 @@ class FrfSettings(Settings):
 
     def _check_found(self) -> None:
         """ConfigError for a settling time without steps, and for a mask without width where no block or period sets one."""
-        if self.settle is not None and self.excitation != "stepped-sine":
-            raise ConfigError(f"'settle' is for stepped-sine, not for {self.excitation}", hint="leave it out", field="settle")
         if self.settle is not None and self.settle < 0:
             raise ConfigError("'settle' must not be negative", field="settle")
         if self.excitation in FOUND and self.mask is not None and self.mask.width is None:
@@ -204,8 +222,6 @@ class FrfSettings(Settings):
     def _check_windowed(self) -> None:
         if self.windowed is None:
             return
-        if self.excitation != "impact":
-            raise ConfigError(f"'windowed' belongs to hits, not to {self.excitation} excitation", hint="leave it out", field="windowed")
         if self.impact.decay is not None:
             hint = "leave out impact.decay: the data have their window already"
             raise ConfigError("'windowed' and impact.decay are two exponential windows", hint=hint, field="windowed")
@@ -226,11 +242,7 @@ class FrfSettings(Settings):
         if self.local == "none" and self.excitation != "sweep":
             return
         self._check_polynomials()
-        if self.local == "none":
-            return
-        if self.excitation != "random":
-            raise ConfigError(f"'local' is for random excitation, not for {self.excitation}", hint="leave it out", field="local")
-        if self.estimator != "H1":
+        if self.local != "none" and self.estimator != "H1":
             raise ConfigError(f"'local' takes the forces as exact, {self.estimator} does not", hint="estimator: H1", field="estimator")
 
     def _check_polynomials(self) -> None:
@@ -241,18 +253,9 @@ class FrfSettings(Settings):
             raise ConfigError("'half_width' must exceed 'degree'", hint="leave it out", field="half_width")
 
     def _check_length(self) -> None:
-        """ConfigError where the length of a period or block is missing, or where a free decay is given keys of responses."""
+        """ConfigError where the length of a period or block is missing."""
         needed = NEEDED.get(self.excitation)
-        if self.excitation in FOUND:
-            idle = [name for name in ("period", "block") if getattr(self, name) is not None]
-            if idle:
-                what = f"'{idle[0]}' is not for {self.excitation}: its {FOUND[self.excitation]} are found"
-                raise ConfigError(what, hint="leave it out", field=idle[0])
-            return
         if needed is None:
-            idle = [name for name in OF_RESPONSES if getattr(self, name)]
-            if idle:
-                raise ConfigError(f"'{idle[0]}' is not for free decays, which have no FRF", hint="`band` stands in the fit", field=idle[0])
             return
         length = getattr(self, needed)
         if length is None:

@@ -19,7 +19,7 @@ from labpipe.identify.repeat_sources import with_repeat_sources
 from labpipe.identify.settings import ESTIMATORS, MODELS, FitSettings, estimator_of, model_kind, takers
 from labpipe.magnet.settings import BlockSettings, MagnetSettings
 from labpipe.records.repeat_source import RepeatSource
-from labpipe.records.response import FrequencyResponse
+from labpipe.records.response import FrequencyResponse, Port
 from labpipe.stages.fits import fits_of
 from tests.unit.decay.test_fit import linear
 from tests.unit.dynamic_stiffness.test_fit import drawn, settings_of
@@ -229,3 +229,27 @@ def test_a_key_that_an_estimator_has_no_use_for_is_refused_at_its_line(estimator
     with pytest.raises(ConfigErrors, match=f"'{key}' is not for (estimator {estimator}|model {model}); leave it out") as refused:
         load_pipeline(path)
     assert f"{path}:8:5: identify.a.{key}: " in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("model", "keys", "message"),
+    [
+        ("mdof", {"lumped_mass": True}, "'lumped_mass' is for a mass that is estimated; mass: estimate"),
+        ("base", {"mass": "estimate", "doubts": (), "share": 2}, "'share' needs the mass"),
+        ("base", {"mass": "estimate", "doubts": (), "subtract": {"damping": "1 N.s/m"}}, "'subtract' needs the mass"),
+        ("sdof", {"mass": 0.92, "doubts": (), "monte_carlo": 200}, "'monte_carlo' has nothing to draw"),
+        ("modal", {"mass": ("1 kg", "2 kg")}, "a modal fit takes one mass"),
+    ],
+)
+def test_keys_that_change_nothing_beside_others_are_refused(model: str, keys: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        identify(data_of(model), replace(CASES[model][1](), **keys))
+
+
+def test_a_mode_seen_from_another_point_takes_support_and_share() -> None:
+    seen = replace(data_of("sdof"), outputs=(Port("q", "q", "1"), Y), inputs=(Port("f", "f", "3"), FY))
+    plain = FitSettings("sdof", input="f", output="q")
+    (whole,) = identify(seen, plain)
+    (shared,) = identify(seen, replace(plain, share=2))
+    assert "modal_constant_quadrature" in {p.name for p in whole.parameters}
+    assert shared.parameter("k").value == pytest.approx(shared.parameter("k_total").value / 2, rel=1e-12)

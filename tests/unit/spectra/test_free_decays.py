@@ -143,10 +143,10 @@ def test_recordings_that_do_not_fit_together_are_refused() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"band": "10-60 Hz"}, "'band' is not for free decays"),
-        ({"mask": {"speed": "50 Hz"}}, "'mask' is not for free decays"),
-        ({"directional": True}, "'directional' is not for free decays"),
-        ({"block": "1 s"}, "'block' is not for free decays"),
+        ({"band": "10-60 Hz"}, "'band' is not for decay excitation"),
+        ({"mask": {"speed": "50 Hz"}}, "'mask' is not for decay excitation"),
+        ({"directional": True}, "'directional' is not for decay excitation"),
+        ({"block": "1 s"}, "'block' is not for decay excitation"),
         ({"decay": {"start": "2 s", "end": "1 s"}}, "'end' must come after 'start'"),
         ({"decay": {"settle": "-1 s"}}, "'settle' must not be negative"),
         ({"decay": {"trigger": "120 %"}}, "'trigger' must lie between"),

@@ -275,7 +275,7 @@ def test_a_roving_sensor_gives_one_column(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize(
     ("entries", "fault"),
     [
-        ({"excitation": "random", "windowed": {"exponential": 1.0}}, "belongs to hits, not to random"),
+        ({"excitation": "random", "windowed": {"exponential": 1.0}}, "'windowed' is not for random excitation"),
         ({"excitation": "impact", "windowed": {"exponential": 1.0}, "impact": {"decay": 1.0}}, "two exponential windows"),
         ({"excitation": "impact", "windowed": {"exponential": 0.0}}, "must be positive"),
     ],

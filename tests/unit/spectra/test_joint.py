@@ -251,7 +251,7 @@ def test_what_is_no_reference_is_said() -> None:
     [
         ({"estimator": "H2"}, "joint input-output method, not by H2"),
         ({"local": "polynomial"}, "takes the loop as open"),
-        ({"excitation": "impact"}, "for periodic and random excitation, not for impact"),
+        ({"excitation": "impact"}, "'reference' is not for impact excitation; leave it out; excitations that take it: periodic, random"),
     ],
 )
 def test_keys_that_no_loop_has(other: dict[str, str], said: str) -> None:

@@ -122,7 +122,7 @@ def recording(n_sample: int, force: np.ndarray | None = None) -> Recording:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"excitation": "impact"}, "'local' is for random excitation, not for impact"),
+        ({"excitation": "impact"}, "'local' is not for impact excitation"),
         ({"estimator": "H2"}, "'local' takes the forces as exact, H2 does not"),
         ({"half_width": 2}, "'half_width' must exceed 'degree'"),
         ({"degree": 0}, "'degree' is 0"),

@@ -76,7 +76,7 @@ def test_what_are_no_realisations_is_refused(rng: np.random.Generator) -> None:
     for wrong in (runs, [*runs, runs[0]]):
         with pytest.raises(DataError, match=r"recording\(s\) do not form realisations of one measurement"):
             measure(wrong, SETTINGS)
-    with pytest.raises(ConfigError, match="'realisations' are of periodic excitation"):
+    with pytest.raises(ConfigError, match="'realisations' is not for random excitation"):
         FrfSettings(excitation="random", block=1.0, realisations=True)
 
 

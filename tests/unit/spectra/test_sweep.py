@@ -197,8 +197,8 @@ def test_the_rate_is_held_against_the_standard() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"block": 1.0}, "'block' is not for sweep: its sweeps are found"),
-        ({"settle": 1.0}, "'settle' is for stepped-sine, not for sweep"),
+        ({"block": 1.0}, "'block' is not for sweep excitation"),
+        ({"settle": 1.0}, "'settle' is not for sweep excitation; leave it out; excitations that take it: stepped-sine"),
         ({"degree": 0}, "'degree' is 0"),
         ({"degree": 4, "half_width": 4}, "'half_width' must exceed 'degree'"),
         ({"mask": MaskSettings(speed=50.0)}, "'mask' needs its 'width' with sweep"),

@@ -100,5 +100,5 @@ def test_the_mask_follows_the_tacho(rng: np.random.Generator) -> None:
 def test_what_cannot_be_removed_is_refused(rng: np.random.Generator) -> None:
     with pytest.raises(DataError, match="shorter than two revolutions"):
         without_synchronous(run(rng, even(0.001), ()), ShaftLines(speed=0.001))
-    with pytest.raises(ConfigError, match="'remove' works on periodic and random excitation"):
+    with pytest.raises(ConfigError, match="'remove' is not for impact excitation"):
         FrfSettings(excitation="impact", block=1.0, remove=ShaftLines(speed=50.0))

@@ -70,7 +70,7 @@ def test_a_response_is_made_once(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.matrix, first.matrix)
 
 
-@pytest.mark.parametrize("changes", [{"skip": 2}, {"band": (1.0, 19.0)}, {"estimator": "H2"}, {"exclude": ((5.0, 6.0),)}])
+@pytest.mark.parametrize("changes", [{"skip": 2}, {"band": (1.0, 19.0)}, {"smooth": 3}, {"exclude": ((5.0, 6.0),)}])
 def test_other_settings_make_it_again(tmp_path: Path, changes: dict) -> None:
     recording = stored(tmp_path)
     made(tmp_path, recording)
