@@ -110,7 +110,7 @@ def test_decays_are_compared_over_their_conditions(lab: Path, labpipe) -> None:
         ("excitation: decay", "excitation: random, block: 1 s", "6:10", "identify.ring.model: model decay needs free decays, not an FRF"),
         ("modes: 1", "modes: 0", "6:24", "modes' is 0"),
         ("modes: 1", "mode: 1", "6:24", "identify.ring.mode: unknown key"),
-        ("excitation: decay", "excitation: decay, band: 1-9 Hz", "4:26", "'band' is not for free decays"),
+        ("excitation: decay", "excitation: decay, band: 1-9 Hz", "4:26", "'band' is not for decay excitation"),
         ("excitation: decay", "excitation: decay, decay: {stat: 1 s}", "4:34", "frf.decay.stat: unknown key"),
     ],
 )
