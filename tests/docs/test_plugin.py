@@ -83,7 +83,7 @@ def test_disturbed_lines_pull_ml_but_not_the_robust_estimator(part, rng: np.rand
     ports = (Port("y", "y", "y", np.pi / 2),)
     response = FrequencyResponse(frequency, noisy[:, None, None], ports, ports, covariance=(sigma**2 + 0j)[:, None, None])
     measured = measured_part(response, [0], [0], np.full(60, True))
-    model = MODELS["sdof"](Setup(ports, ports, FitSettings("sdof", mass=2.0)))
+    model = MODELS["sdof"].model(Setup(ports, ports, FitSettings("sdof", mass=2.0)))
     plain, own = maximum_likelihood(measured, model), part("robust").robust(measured, model)
     errors = [abs(estimate.values[0] - 80e3) / np.sqrt(own.covariance[0, 0]) for estimate in (plain, own)]
     assert errors[1] < 2 and errors[0] > 2 * errors[1]
