@@ -402,6 +402,21 @@ def test_two_periods_of_all_channels(labpipe: Command, tmp_path: Path, root: Pat
         assert truth is None or abs(p["value"] - truth) < 4 * p["std_error"], p
 
 
+@pytest.mark.parametrize(
+    ("place", "said"), [("identify.fitting.identify", "pipeline.yaml: identify.direct"), ("spectra.measurement.measure", ".csv: ")]
+)
+def test_a_matrix_without_a_solution_is_a_refusal(
+    lab: Path, labpipe: Command, monkeypatch: pytest.MonkeyPatch, place: str, said: str
+) -> None:
+    def singular(*_: object, **__: object) -> None:
+        np.linalg.inv(np.zeros((2, 2)))
+
+    module, _, name = place.rpartition(".")
+    monkeypatch.setattr(importlib.import_module(f"labpipe.{module}"), name, singular)
+    refused(labpipe("run", lab / "pipeline.yaml", "-o", lab / "out"), said, "(Singular matrix)")
+    assert not (lab / "out").exists()
+
+
 # faults of labpipe itself
 
 
@@ -413,8 +428,9 @@ def test_a_fault_of_ours_says_so(
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("by nothing")
 
-    importlib.import_module(f"labpipe.{place.rpartition('.')[0]}")
-    monkeypatch.setattr(sys.modules[f"labpipe.{place.rpartition('.')[0]}"], place.rpartition(".")[2], broken)
+    module, _, name = place.rpartition(".")
+    importlib.import_module(f"labpipe.{module}")
+    monkeypatch.setattr(sys.modules[f"labpipe.{module}"], name, broken)
     monkeypatch.setattr("tempfile.tempdir", str(lab))
     output = ["-o", str(lab / "out")] if command == "run" else []
     arguments = [command, str(lab / "pipeline.yaml"), *output, *(["--debug"] if debug else [])]
