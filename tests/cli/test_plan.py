@@ -154,7 +154,7 @@ def test_what_is_written_obeys_the_limits(labpipe: Command, tmp_path: Path, chan
     plan = read_plan(tmp_path / "out" / "plan.json")
     force_limit, displacement_limit = (parse_value(str(changes.get(f"{name}_limit", f"1 {unit}")), unit) for name, unit in LIMITED)
     model = MODELS[plan.model]({c.name: c.expected for c in plan.coefficients}, plan.mass)
-    n_period, n_dof, fine = round(plan.period * plan.sample_rate), model.n_dof, 16
+    n_period, n_dof, fine = round(plan.period * plan.sample_rate), model.n_dof, int(np.ceil(6400 / plan.sample_rate))
     stiffness, damping, mass = (model.known + np.einsum("n,nkij->kij", model.expected, model.elements)) * np.ones((3, n_dof, n_dof))
     inverse = np.linalg.inv(mass)
     states = np.block([[np.zeros((n_dof, n_dof)), np.eye(n_dof)], [-inverse @ stiffness, -inverse @ damping]])
@@ -163,7 +163,7 @@ def test_what_is_written_obeys_the_limits(labpipe: Command, tmp_path: Path, chan
         for name, shaker, told in zip(test.files, test.shakers, test.peak_force, strict=True):
             written = pc.read_csv(tmp_path / "out" / name)["f [N]"].to_numpy()
             spectrum = np.fft.rfft(written[:n_period]) / n_period
-            period, finer = (np.fft.irfft(spectrum * n, n) for n in (size, 16 * size))
+            period, finer = (np.fft.irfft(spectrum * n, n) for n in (size, 8 * size))
             assert np.abs(written).max() <= told <= force_limit
             # 512 samples and more per period of the highest line leave at most 2e-5 of the peak between them.
             assert np.cos(np.pi / 192) * (1 - 2e-5) * told <= np.abs(finer).max() <= told
