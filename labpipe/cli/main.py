@@ -97,14 +97,14 @@ def main() -> NoReturn:
     """Run the command line and end with exit code 0 (done), 1 (a rule fails), 2 (not done) or 3 (a fault of labpipe itself)."""
     try:
         sys.exit(_run([argument for argument in sys.argv[1:] if argument != DEBUG]))
-    except Exception as error:
-        sys.exit(_own_fault(error))
     except INTERRUPTIONS:
         code = _fail(INTERRUPTED)
         sys.stdout.flush()
         sys.stderr.flush()
         # Where Ctrl-C met an exec() of text, as dataclasses use when they are imported, Python would end by the signal in spite of all.
         os._exit(code)
+    except Exception as error:
+        sys.exit(_own_fault(error))
 
 
 def run_command(arguments: list[str]) -> int:
