@@ -1,7 +1,7 @@
 """What can go wrong because of the user's input, and how it is said.
 
 Every LabpipeError reads ``where: what; hint`` on one line and ends the command with exit code 2.
-Anything else that escapes is a fault of labpipe itself and keeps its traceback.
+Anything else that escapes is a fault of labpipe itself: exit code 3, and a file with its traceback.
 """
 
 from __future__ import annotations

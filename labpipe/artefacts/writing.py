@@ -6,11 +6,11 @@ import errno
 import os
 import shutil
 import socket
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from secrets import token_hex
 from typing import IO
 
 from labpipe.errors import DataError
@@ -90,13 +90,15 @@ def output_folder(target: Path, scratch: Path | None = None, remarks: list[str] 
 def staging_folder(home: Path) -> Iterator[Path]:
     """A hidden folder in *home* for what is being made, removed at the end in every case; those that killed runs left go as well."""
     _remove_abandoned(home)
-    staging = Path(tempfile.mkdtemp(prefix=f"{STAGING}{socket.gethostname()}-{os.getpid()}-", dir=home))
-    with (staging / LOCK).open("w") as lock:
-        _locked(lock)
-        try:
+    staging = home / f"{STAGING}{socket.gethostname()}-{os.getpid()}-{token_hex(8)}"
+    # An interruption as soon as the folder is there finds it removed as well.
+    try:
+        staging.mkdir(mode=0o700)
+        with (staging / LOCK).open("w") as lock:
+            _locked(lock)
             yield staging
-        finally:
-            shutil.rmtree(staging, ignore_errors=True)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
 
 
 def _remove_abandoned(home: Path) -> None:

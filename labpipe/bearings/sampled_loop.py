@@ -168,7 +168,10 @@ def sampled_law(loop: ControlLoop, rate: float, blocks: Sequence[ControllerBlock
 
     zeros, poles, gain = signal.bilinear_zpk(continuous.zeros, continuous.poles, continuous.gain, rate)
     zeros, poles = np.append(zeros, discrete.zeros), np.append(poles, discrete.poles)
-    return _in_sections(signal.zpk2sos(zeros, poles, float(np.real(gain)) * discrete.gain))
+    sections = signal.zpk2sos(zeros, poles, float(np.real(gain)) * discrete.gain)
+    # Where zeros are fewer than poles, scipy puts others at z = 0, which takes as many sampling intervals of delay away: [z^-1] each.
+    late = [[0.0, 1.0, 0.0, 1.0, 0.0, 0.0]] * (len(poles) - len(zeros))
+    return _in_sections(np.vstack([sections, *late]))
 
 
 def _in_sections(sections: FloatArray) -> SampledLaw:

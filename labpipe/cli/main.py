@@ -16,12 +16,13 @@ import click
 
 from labpipe import __version__
 from labpipe.cli.output import echo, message_line
-from labpipe.errors import ConfigErrors, LabpipeError
+from labpipe.errors import ConfigErrors, LabpipeError, cut
 from labpipe.registry import Registry, nearest
 
 # Faults of one file that are printed one by one.
 MOST_FAULTS = 40
 INTERRUPTIONS = (KeyboardInterrupt, click.Abort)
+DEBUG = "--debug"
 INTERRUPTED = "interrupted; nothing was changed"
 COMMANDS = {
     "init": "Scaffold a project: rig, pipeline and a sample recording; runs as it is.",
@@ -83,6 +84,7 @@ def _print_version(context: click.Context, _option: click.Parameter, asked: bool
 
 @click.command(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=_print_version, help="Show version and commit.")
+@click.option(DEBUG, is_flag=True, expose_value=False, help="Print the traceback of a fault of labpipe itself; at any place.")
 def group() -> None:
     """From recorded test-rig runs to stiffness and damping with their uncertainty.
 
@@ -92,15 +94,17 @@ def group() -> None:
 
 
 def main() -> NoReturn:
-    """Run the command line and end with exit code 0 (done), 1 (a rule fails) or 2 (not done)."""
+    """Run the command line and end with exit code 0 (done), 1 (a rule fails), 2 (not done) or 3 (a fault of labpipe itself)."""
     try:
-        sys.exit(_run(sys.argv[1:]))
+        sys.exit(_run([argument for argument in sys.argv[1:] if argument != DEBUG]))
     except INTERRUPTIONS:
         code = _fail(INTERRUPTED)
         sys.stdout.flush()
         sys.stderr.flush()
         # Where Ctrl-C met an exec() of text, as dataclasses use when they are imported, Python would end by the signal in spite of all.
         os._exit(code)
+    except Exception as error:
+        sys.exit(_own_fault(error))
 
 
 def run_command(arguments: list[str]) -> int:
@@ -136,6 +140,26 @@ def _run(arguments: list[str]) -> int:
             raise
         return _fail(f"{error.filename or 'output'}: {os.strerror(error.errno).lower()}")
     return outcome if isinstance(outcome, int) else 0
+
+
+def _own_fault(error: Exception) -> int:
+    """Say that labpipe itself is at fault; the traceback goes to a file that is named, or to the terminal where that is asked for."""
+    from tempfile import NamedTemporaryFile
+    from traceback import format_exception
+
+    text = "".join(format_exception(error))
+    place = "the traceback above"
+    if DEBUG not in sys.argv:
+        try:
+            with NamedTemporaryFile("w", prefix="labpipe-fault-", suffix=".txt", delete=False, encoding="utf-8") as file:
+                file.write(f"labpipe {__version__}, Python {sys.version}\n{sys.argv}\n\n{text}")
+            place, text = file.name, ""
+        except OSError:
+            pass
+    echo(text, err=True, nl=False)
+    words = "; ".join((f"{type(error).__name__}: {error}", *getattr(error, "__notes__", ())))
+    echo(message_line(f"error: this is a fault of labpipe, not of your files ({cut(words, 200)}); please report it with {place}"), err=True)
+    return 3
 
 
 def _echo_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:

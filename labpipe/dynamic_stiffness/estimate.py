@@ -137,8 +137,6 @@ def estimate(balance: Balance, model: StiffnessModel, noise: Noise, doubtful: Gi
     problem = ErrorsInVariables(balance, model)
     best = _lowest(problem)
     squares = 2 * problem.chi2(best.values)
-    if not np.isfinite(squares):
-        raise FitError("the covariance of the channels is singular on a line", hint="leave out lines without noise, or `estimator: ls`")
     jacobian = problem.columns(best.values)
     if doubtful is not None:
         squares -= _explained(problem, best.values, jacobian, doubtful, noise.excess)
@@ -169,7 +167,9 @@ def _explained(problem: ErrorsInVariables, values: FloatArray, jacobian: FloatAr
 
 def _lowest(problem: ErrorsInVariables) -> Minimum:
     """The lowest of the descents from all starts: each until it is clear where it ends, the best one to its end."""
-    begun = starts(problem.balance, problem.model)
+    begun = [start for start in starts(problem.balance, problem.model) if np.isfinite(problem.chi2(start))]
+    if not begun:
+        raise FitError("the covariance of the channels is singular on a line", hint="leave out lines without noise, or `estimator: ls`")
     if len(begun) > 1:
         rough = [minimise(problem, start, ROUGH, FEW_STEPS).values for start in begun]
         begun = [min(rough, key=problem.chi2)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from labpipe.errors import FitError
 from labpipe.modal.lscf import NormalEquations, Poles
 
 # Two poles of different orders are one mode where they differ by less than half the decay rate and a share of the frequency, and act on
@@ -49,8 +50,14 @@ def stabilisation(equations: NormalEquations, band: tuple[float, float], highest
 
 
 def nearest_modes(equations: NormalEquations, frequencies: FloatArray, order: int) -> Poles:
-    """The pole of *order* nearest to each of *frequencies* (n,) [rad/s], for a choice by hand."""
-    poles = equations.poles(order)
+    """The pole of *order* nearest to each of *frequencies* (n,) [rad/s], for a choice by hand; of a lower order where that has none.
+
+    FitError where no order has a pole.
+    """
+    of_orders = (equations.poles(lower) for lower in range(order, 0, -1))
+    poles = next((poles for poles in of_orders if poles.values.size), None)
+    if poles is None:
+        raise FitError(f"no order up to {order} has a pole: no mode stands out of the noise of this band", hint="choose another band")
     index = [int(np.argmin(np.abs(np.abs(poles.values) - frequency))) for frequency in frequencies]
     return Poles(poles.values[index], poles.participation[index], poles.orders[index])
 

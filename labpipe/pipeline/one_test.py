@@ -112,6 +112,9 @@ def work(job: Job) -> Done:
             raise
         failed = Failed(job.test.name, f"{error.filename or 'output'}: {os.strerror(error.errno).lower()}")
         return Done(job.test.name, failed=failed, halts=error.errno in HALTING)
+    except Exception as error:
+        error.add_note(f"in test '{job.test.name}' of {job.pipeline_path}")
+        raise
     return Done(job.test.name, sources, remarks=tuple(remarks), result=result)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import expm
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError
@@ -14,12 +15,22 @@ from labpipe.planner.designs import optimum
 from labpipe.planner.information import Noise, relative_errors, sensitivities, vector_information
 from labpipe.planner.model import PlannedModel
 from labpipe.planner.schemes import Multisines
-from labpipe.signals.least_peak import least_peak_phases, peaks
+from labpipe.signals.least_peak import least_peak_phases, one_period, peaks
+
+# Motion that starts from rest: samples per period of the highest frequency, and the exponent by which the slowest motion has died away.
+SAMPLES, DIED = 64, 9.0
+# Starts within a period that are looked at closely.
+STARTS = 16
+# What rounding may add to a signal at its limit is taken off beforehand.
+OBEYED = 1 - 1e-12
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Largest force of a shaker [N] and displacement of a probe [m], 0-to-peak; of the crest factor [1] of a force; None: no limit."""
+    """Largest force of a shaker [N] and displacement of a probe [m], 0-to-peak; of the crest factor [1] of a force; None: no limit.
+
+    At all times: between samples, and while a test starts from rest and comes to rest.
+    """
 
     force: float
     displacement: float | None = None
@@ -71,6 +82,10 @@ class Rig:
         """Angular frequencies (n_line,) [rad/s] of a test's lines."""
         return np.asarray(2 * np.pi * self.spacing * test.lines)
 
+    def motion(self, test: Multisines) -> ComplexArray:
+        """Steady displacements (n_line, n_dof) [m] of a test."""
+        return np.einsum("lij,lj->li", self.model.receptance(self.omega(test)), test.forces @ self.directions)
+
     def over_limits(self, test: Multisines) -> ComplexArray:
         """Amplitudes of all limited signals over their limits, by shaker, (n_line, n_shaker, n_signal) [1]: forces, then probes."""
         running = running_shakers(test)
@@ -108,7 +123,52 @@ def as_large_as_allowed(rig: Rig, test: Multisines, *, random_starts: int = 0, o
         test = test.turned(phases)
     largest = np.where(running, peaks(test.lines, test.forces), 1.0)
     test = test.scaled(rig.limits.force / largest)
-    return test.scaled(1 / max(float(peaks(test.lines, rig.over_limits(test).sum(axis=1)).max()), 1.0))
+    return test.scaled(OBEYED / max(float(peaks(test.lines, rig.over_limits(test).sum(axis=1)).max()), 1.0))
+
+
+def from_rest(rig: Rig, test: Multisines, seconds: float) -> Multisines:
+    """The test with its period begun where little motion starts and stops, and smaller forces where *seconds* [s] from rest still need it.
+
+    Equation (plan-from-rest).
+    """
+    limit = rig.limits.displacement
+    if limit is None or rig.model.free_motion is None:
+        return test
+    omega, motion = rig.omega(test), rig.motion(test)
+    # States of the steady motion at steps of an eighth of the highest line's period, velocities as displacements at the rms frequency.
+    velocity = 1j * omega[:, None] * motion / np.sqrt(np.average(omega**2, weights=np.sum(np.abs(motion) ** 2, axis=1)))
+    states = one_period(test.lines, np.hstack([motion, velocity]), SAMPLES // 8)
+    begins = np.argsort(np.sum(states**2, axis=0))[:STARTS] / states.shape[1]
+    shifted = [test.turned(2 * np.pi * test.lines[:, None] * begin) for begin in begins]
+    moved = [float(largest_motion(rig, begun, seconds).max()) for begun in shifted]
+    return shifted[int(np.argmin(moved))].scaled(min(OBEYED * limit / min(moved), 1.0))
+
+
+def largest_motion(rig: Rig, test: Multisines, seconds: float) -> FloatArray:
+    """Largest displacement (n_dof,) [m] of *seconds* [s] of a test that starts from rest, and of what moves on when it stops.
+
+    The steady motion alone where what starts does not die away.
+    """
+    motion = rig.motion(test)
+    largest, free = peaks(test.lines, motion), rig.model.free_motion
+    if free is None:
+        return largest
+    poles = np.linalg.eigvals(free)
+    omega = rig.omega(test)
+    steady = one_period(test.lines, motion, max(SAMPLES, int(SAMPLES * np.abs(poles.imag).max() / omega[-1])))
+    step = 1 / rig.spacing / steady.shape[1]
+    n_force = round(seconds / step)
+    n_step = min(int(DIED / -poles.real.max() / step) + 2, 2 * n_force)
+    begin = np.concatenate([motion.sum(axis=0).real, (1j * omega @ motion).real])
+    started, over_steps = begin[:, None], expm(free * step)
+    while started.shape[1] < n_step:
+        started, over_steps = np.hstack([started, over_steps @ started]), over_steps @ over_steps
+    started = started[: rig.model.n_dof, :n_step]
+    on = min(n_step, n_force)
+    running = np.take(steady, np.arange(on), axis=1, mode="wrap") - started[:, :on]
+    stopped = started - np.pad(started[:, n_force:], ((0, 0), (0, on)))
+    between = np.cos(np.pi / SAMPLES)
+    return np.maximum(largest, np.abs(np.hstack([running, stopped])).max(axis=1) / between)
 
 
 def crest_factors(test: Multisines) -> FloatArray:

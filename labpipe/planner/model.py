@@ -64,6 +64,17 @@ class PlannedModel:
         inertia = omega[:, None, None] ** 2 * self.stator_mass * np.eye(self.n_dof)
         return np.asarray(np.linalg.inv(self.stiffness(omega) - inertia))
 
+    @property
+    def free_motion(self) -> FloatArray | None:
+        """A of z' = A z, z = (X, X'), (2 n_dof, 2 n_dof) [1/s, 1/s^2], without force; None where such a motion does not die away."""
+        stiffness, damping, mass = self.known + np.einsum("n,nkij->kij", self.expected, self.elements)
+        mass = mass + self.stator_mass * np.eye(self.n_dof)
+        if np.any(np.linalg.eigvals(mass).real <= 0):
+            return None
+        inverse, none = np.linalg.inv(mass), np.zeros_like(mass)
+        free = np.block([[none, np.eye(self.n_dof)], [-inverse @ stiffness, -inverse @ damping]])
+        return free if np.all(np.linalg.eigvals(free).real < 0) else None
+
     def with_known(self, letter: str) -> PlannedModel:
         """The model with all coefficients of a letter, m say, given at their expected values."""
         kept: BoolArray = np.array([name[0] != letter for name in self.names])

@@ -10,7 +10,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
-from labpipe.planner.campaigns import Campaign, Limits, Rig, crest_factors, running_shakers, score, with_shares
+from labpipe.planner.campaigns import Campaign, Limits, Rig, crest_factors, from_rest, largest_motion, running_shakers, score, with_shares
 from labpipe.planner.expectation import Earlier, Expected, spread, spread_notes
 from labpipe.planner.identifiability import Excitation, identifiability
 from labpipe.planner.information import Noise
@@ -99,7 +99,9 @@ def make_plan(settings: PlanSettings, expected: Expected, title: str, rehearse: 
     rig, wanted = question.rig, question.wanted
     design = best(rig, question.lines, wanted, schemes_of(len(rig.shakers), _scheme(settings)))
     periods = _periods(settings, design.campaign)
-    timed = with_shares(rig, design.campaign.tests, np.array(periods) / sum(periods))
+    lengths = [(settings.skip + number) * settings.period for number in periods]
+    tests = [from_rest(rig, test, seconds) for test, seconds in zip(design.campaign.tests, lengths, strict=True)]
+    timed = with_shares(rig, tests, np.array(periods) / sum(periods))
     budget = None if rehearse is None else rehearse(rig, timed.tests, periods)
     plan = _plan(question, design, timed, periods)
     if budget is not None:
@@ -107,7 +109,7 @@ def make_plan(settings: PlanSettings, expected: Expected, title: str, rehearse: 
     if expected.earlier is not None:
         common = () if budget is None else tuple(source.source for source in budget.sources)
         plan = _over_draws(plan, question, timed, expected.earlier, common)
-    return Planned(plan, rig, design.campaign.tests)
+    return Planned(plan, rig, timed.tests)
 
 
 def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: Rehearse | None) -> _Question:
@@ -340,7 +342,6 @@ def planned_test(settings: PlanSettings, rig: Rig, test: Multisines, periods: in
     running = running_shakers(test)
     forces: ComplexArray = test.forces[:, running]
     names = tuple(name for name, runs in zip(rig.shakers, running, strict=True) if runs)
-    moved = np.einsum("lij,lj->li", rig.model.receptance(rig.omega(test)), test.forces @ rig.directions)
     stem = "-".join(name.replace(" ", "") for name in names)
     files = tuple(f"{stem}.csv" if len(names) == 1 else f"{stem}-{name.replace(' ', '')}.csv" for name in names)
     return PlannedTest(
@@ -354,7 +355,7 @@ def planned_test(settings: PlanSettings, rig: Rig, test: Multisines, periods: in
         phase=tuple(tuple(column) for column in np.angle(forces).T.tolist()),
         crest_factor=tuple(crest_factors(test).tolist()),
         peak_force=tuple(peaks(test.lines, forces).tolist()),
-        peak_displacement=tuple(peaks(test.lines, moved).tolist()),
+        peak_displacement=tuple(largest_motion(rig, test, (settings.skip + periods) * settings.period).tolist()),
     )
 
 

@@ -50,13 +50,11 @@ def _amplitudes(rig: Rig, test: Multisines, channel: Channel) -> ComplexArray:
     """Of what a channel measures, (n_line,) [SI]."""
     if channel.quantity == "force":
         return _force(rig, test, channel)
-    omega = rig.omega(test)
-    moved = np.einsum("lij,lj->li", rig.model.receptance(omega), test.forces @ rig.directions)
-    along = moved @ _direction(channel, rig.model.n_dof)
+    along = rig.motion(test) @ _direction(channel, rig.model.n_dof)
     if channel.quantity == "displacement":
         return np.asarray(along)
     if channel.quantity == "acceleration":
-        return np.asarray(-(omega**2) * along)
+        return np.asarray(-(rig.omega(test) ** 2) * along)
     raise ConfigError(f"the plan states no noise of {channel.name}, a {channel.quantity}", hint="displacement or acceleration", field="rig")
 
 

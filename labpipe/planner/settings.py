@@ -69,8 +69,10 @@ class PlanSettings(Settings):
     period: float = setting("value", "length of one period; lines lie 1 / period apart", unit="s")
     sample_rate: float = setting("value", "of signals and recordings", unit="Hz")
     duration: float = setting("value", "of all measured periods together", unit="s")
-    force_limit: float = setting("value", "largest force of a shaker, 0-to-peak", unit="N")
-    displacement_limit: float | None = setting("value", "largest displacement in x or y, 0-to-peak; default: none", unit="m", default=None)
+    force_limit: float = setting("value", "largest force of a shaker, 0-to-peak, also between samples", unit="N")
+    displacement_limit: float | None = setting(
+        "value", "largest in x or y, 0-to-peak, from rest to rest; default: none", unit="m", default=None
+    )
     crest_factor: float | None = setting("value", "largest peak over rms of a force; default: any", unit="1", default=None)
     expected: tuple[tuple[str, float], ...] = setting("coefficients", "expected values, by name", default=())
     earlier: str = setting("file", "identification.json whose values are expected where `expected` has none", default="")

@@ -39,8 +39,8 @@ class PlannedCoefficient:
 class PlannedTest:
     """One run of the shakers: *periods* periods are used after *skip* are dropped.
 
-    frequency (n_line,) [Hz]; amplitude and phase [N, rad]: by shaker, each (n_line,); crest_factor, peak_force [1, N] by shaker;
-    peak_displacement [m] by probe; files: of the signals, by shaker.
+    frequency (n_line,) [Hz]; amplitude and phase [N, rad]: by shaker, each (n_line,); crest_factor, peak_force [1, N] by shaker,
+    also between samples; peak_displacement [m] by probe, from rest to rest; files: of the signals, by shaker.
     """
 
     name: str

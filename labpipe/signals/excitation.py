@@ -13,8 +13,9 @@ from scipy import fft
 
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import ConfigError
+from labpipe.signals.least_peak import peaks
 
-# The crest factor includes peaks between samples: the grid is this many times finer than the highest line needs.
+# The search for phases looks at peaks between samples: the grid is this many times finer than the highest line needs.
 OVERSAMPLING = 16
 OPTIMISING_STEPS = 400
 
@@ -30,8 +31,8 @@ class Multisine:
 
     @property
     def crest_factor(self) -> float:
-        """Peak over rms of one period on an oversampled grid."""
-        return crest_factor(_period(self.lines, self.phases, OVERSAMPLING * int(self.lines[-1]) * 2))
+        """Peak over rms of one period, peaks between samples included."""
+        return float(peaks(self.lines, np.exp(1j * self.phases)[:, None])[0] / np.sqrt(self.lines.size / 2))
 
     def samples(self, sample_rate: float, periods: int) -> FloatArray:
         """*periods* periods sampled at *sample_rate* [Hz], (n_sample,) [unit of rms].

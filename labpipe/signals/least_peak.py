@@ -14,15 +14,29 @@ from scipy.optimize import minimize
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 
 # Samples per period of the highest line, while searching and for the peak that is stated.
-SEARCHED, STATED = 8, 24
+SEARCHED, STATED = 8, 192
 HALF_NORMS, STEPS = (4, 16, 64, 256), 200
 # The same for a first look.
 QUICK_NORMS, QUICK_STEPS = (4, 32), 40
 
 
-def peaks(lines: IntArray, amplitudes: ComplexArray, oversampling: int = STATED) -> FloatArray:
-    """Largest |s_c(t)|, (n_signal,) [unit of amplitudes], of amplitudes (n_line, n_signal) [any unit] at lines (n_line,) [multiples]."""
-    return np.asarray(np.abs(_signals(lines, amplitudes, _size(lines, oversampling))).max(axis=1))
+def peaks(lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
+    """Largest |s_c(t)|, (n_signal,) [unit of amplitudes], of amplitudes (n_line, n_signal) [any unit] at lines (n_line,) [multiples].
+
+    Of all times, whatever the sampling rate: never below the true one, and above it by 0.013 % at most. Equation (plan-highest).
+    """
+    signals = one_period(lines, amplitudes, STATED)
+    # Around its peak S a sum of sines up to line k is at least S cos(2 pi k (t - t_S)), and a sample is no farther than half a step.
+    between = np.cos(np.pi * int(lines.max()) / signals.shape[1])
+    return np.asarray(np.abs(signals).max(axis=1) / between)
+
+
+def one_period(lines: IntArray, amplitudes: ComplexArray, oversampling: int) -> FloatArray:
+    """Signals over a period, (n_signal, n_sample) [unit of amplitudes], with *oversampling* samples or more per period of the highest line.
+
+    Arguments as of `peaks`.
+    """
+    return _signals(lines, amplitudes, int(fft.next_fast_len(oversampling * int(lines.max()), real=True)))
 
 
 def schroeder_phases_of(power: FloatArray) -> FloatArray:
@@ -65,10 +79,6 @@ def least_peak_phases(
     return np.asarray(np.mod(problem.phases(best), 2 * np.pi))
 
 
-def _size(lines: IntArray, oversampling: int) -> int:
-    return int(fft.next_fast_len(oversampling * int(lines.max()), real=True))
-
-
 def _signals(lines: IntArray, amplitudes: ComplexArray, n_sample: int) -> FloatArray:
     """(n_signal, n_sample): one period."""
     spectrum = np.zeros((amplitudes.shape[1], n_sample // 2 + 1), np.complex128)
@@ -83,7 +93,7 @@ class _Problem:
         self.lines, self.gains, self.group = lines, gains, group
         self.n_line, self.n_source, _ = gains.shape
         self.n_group = int(group.max()) + 1
-        self.n_sample = _size(lines, SEARCHED)
+        self.n_sample = fft.next_fast_len(SEARCHED * int(lines.max()), real=True)
 
     def phases(self, unknowns: FloatArray) -> FloatArray:
         first = unknowns[: self.n_line, None]

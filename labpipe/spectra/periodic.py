@@ -104,14 +104,20 @@ def smoothed_noise(spectrum: LineSpectrum, half_width: int) -> LineSpectrum:
 
     Few periods give few degrees of freedom per line (n_period - 1), too few for weights: a maximum-likelihood fit with weights
     of 4 degrees of freedom is inefficient and underestimates its standard errors. Measurement noise is broadband, so neighbouring
-    lines share it. A line whose noise in any channel exceeds that of its neighbours (F-test at 0.1 %) is not averaged.
+    lines share it. A line whose noise in any channel exceeds that of its neighbours (F-test at 0.1 %) is not averaged;
+    of fewer periods than channels its own noise has no inverse, and what exceeds its neighbours' raises theirs.
     Equation (spec-smoothed-noise).
     """
     if spectrum.noise is None or half_width == 0:
         return spectrum
     broadband = _broadband_lines(np.einsum("fii->fi", spectrum.noise).real, spectrum.dof, half_width)
     smooth = neighbourhood_mean(spectrum.noise, broadband, half_width)
-    noise = np.where(broadband[:, None, None], smooth, spectrum.noise)
+    own = spectrum.noise
+    if spectrum.dof < own.shape[-1]:
+        power, around = (np.einsum("fii->fi", noise).real for noise in (own, smooth))
+        raised = np.sqrt(np.maximum(np.divide(power, around, out=np.ones_like(power), where=around > 0), 1))
+        own = np.where(np.all((around > 0) | (power == 0), axis=1)[:, None, None], smooth * raised[:, :, None] * raised[:, None], own)
+    noise = np.where(broadband[:, None, None], smooth, own)
     count = _neighbourhood_count(broadband, half_width, centre=True)
     dof = spectrum.dof * float(np.median(count[broadband])) if np.any(broadband) else spectrum.dof
     return LineSpectrum(spectrum.frequency, spectrum.mean, noise, spectrum.n_period, dof)

@@ -6,12 +6,16 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
-from labpipe.errors import ConfigError, LabpipeError
+from numpy.linalg import LinAlgError
+
+from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.identify.settings import FitSettings
 from labpipe.records.identification import Fit
 from labpipe.registry import nearest
 from labpipe.stages.measured import MeasuredTest
 from labpipe.stages.work import Work
+
+SINGULAR = "record more periods or blocks, look for channels that are silent or alike, or choose another band or fewer parameters"
 
 
 def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
@@ -55,9 +59,12 @@ def fits_of(tests: Sequence[MeasuredTest], settings: FitSettings, pipeline_path:
                 with_repeat_sources(fit, settings.repeats, measured.name, measured.conditions, settings.coverage)
                 for fit in identify(measured, settings)
             ]
-        except LabpipeError as error:
+        except (LabpipeError, LinAlgError) as error:
             test = f", test {measured.name}" if measured.name else ""
-            error.where = error.where or f"{pipeline_path}: identify.{settings.name}{test}"
+            where = f"{pipeline_path}: identify.{settings.name}{test}"
+            if not isinstance(error, LabpipeError):
+                raise FitError(f"the data leave a matrix of the fit without a solution ({error})", where=where, hint=SINGULAR) from error
+            error.where = error.where or where
             raise
         fits.extend(dataclasses.replace(fit, test=measured.name) for fit in test_fits)
     return fits

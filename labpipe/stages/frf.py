@@ -10,17 +10,21 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+from numpy.linalg import LinAlgError
+
 from labpipe.artefacts.freshness import fresh_path
 from labpipe.artefacts.header import Header, SourceRef, source_ref
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.response_file import SUFFIX, read_response, write_response
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.config.ready_frf import ReadyFrf
-from labpipe.errors import LabpipeError
+from labpipe.errors import DataError, LabpipeError
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.settings import FrfSettings
 from labpipe.stages.raw_recording import RawRecording
+
+ALIKE = "look for channels that are silent or alike"
 
 # The path of the reference to how files are described, which is no file.
 DESCRIPTION = "(entry under frfs)"
@@ -77,6 +81,8 @@ def frf(
     except LabpipeError as error:
         error.where = error.where or where_recorded(recordings)
         raise
+    except LinAlgError as error:
+        raise DataError(f"a matrix of spectra has no solution ({error})", where=where_recorded(recordings), hint=ALIKE) from error
     write_response(output.write_path(name), response, header())
     return response
 

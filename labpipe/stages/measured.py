@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from numpy.linalg import LinAlgError
+
 from labpipe.artefacts.decay_file import SUFFIX, read_decays, write_decays
 from labpipe.artefacts.fits_file import FOLDER as FITS
 from labpipe.artefacts.header import Header
@@ -17,14 +19,14 @@ from labpipe.artefacts.spectra_file import SUFFIX as SPECTRA_SUFFIX
 from labpipe.artefacts.spectra_file import read_spectra, write_spectra
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.config.ready_frf import ReadyFrf
-from labpipe.errors import LabpipeError
+from labpipe.errors import DataError, LabpipeError
 from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.free_decay import FreeDecays
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.settings import DECAYS, FrfSettings
 from labpipe.spectra.settings import SPECTRA as OF_ALL_CHANNELS
-from labpipe.stages.frf import MeasuredSource, fresh_measured, frf, frf_file_name, measured_header, where_recorded
+from labpipe.stages.frf import ALIKE, MeasuredSource, fresh_measured, frf, frf_file_name, measured_header, where_recorded
 
 MeasuredTest = FrequencyResponse | FreeDecays | ChannelSpectra
 
@@ -105,6 +107,8 @@ def measure_test(
     except LabpipeError as error:
         error.where = error.where or where_recorded(recordings)
         raise
+    except LinAlgError as error:
+        raise DataError(f"a matrix of spectra has no solution ({error})", where=where_recorded(recordings), hint=ALIKE) from error
     kind.write(output.write_path(name), measured, header())
     return measured
 

@@ -53,3 +53,32 @@ def test_a_loop_without_stiffness_at_rest_has_no_largest_sensitivity(labpipe: Ca
     ended = labpipe("bearing", file, "-q", "--json", tmp_path / "b.json", "--set", "static_stiffness=0 N/m")
     assert (ended.code, ended.err) == (0, "")
     assert json.loads((tmp_path / "b.json").read_text("utf-8"))["model"]["sensitivity_peak"] is None
+
+
+@pytest.mark.parametrize(
+    "late",
+    [
+        "{form: polynomial, numerator: [1], denominator: [1, 0], rate: 20 kHz}",
+        "{form: polynomial, numerator: [0, 1], denominator: [1, 0], rate: 20 kHz}",
+        "{form: roots, poles: [0], rate: 20 kHz}",
+    ],
+)
+def test_a_power_of_z_is_the_delay_that_it_is(labpipe: Callable[..., Any], tmp_path: Path, late: str) -> None:
+    """A controller times z^-1 and the same one with a sampling interval more of delay: the same poles, margins and stiffness."""
+    entries = []
+    for delay, block in (("75 us", late), ("125 us", "{form: polynomial, numerator: [1], denominator: [1], rate: 20 kHz}")):
+        path = tmp_path / "bearing.yaml"
+        path.write_text(
+            "kind: magnetic-bearing\nname: test\nmass: 0.3 kg\nfrequency: 50 Hz\nnegative_stiffness: 40 kN/m\n"
+            f"loop:\n  sensor: 8 V/mm\n  amplifier: 1 A/V\n  force_per_current: 20 N/A\n  bandwidth: 1.5 kHz\n  delay: {delay}\n"
+            f"  controller: [{{form: pid, proportional: 0.9, derivative: 1.6 ms, derivative_time: 0.1 ms}}, {block}]\n"
+        )
+        ended = labpipe("bearing", path, "--json", "-")
+        assert ended.code == 0, ended.err
+        entries.append(json.loads(ended.out))
+    first, second = ([pole for pole in entry["poles"] if pole[0] > -5e3] for entry in entries)
+    assert len(first) == len(second) >= 2 and max(real for real, _ in first) < 0
+    for one, other in zip(sorted(first), sorted(second), strict=True):
+        assert one == pytest.approx(other, rel=1e-6, abs=1e-6 * 1e3)
+    assert entries[0]["model"]["sensitivity_peak"] == pytest.approx(entries[1]["model"]["sensitivity_peak"], rel=1e-6)
+    assert entries[0]["stiffness"][0][0] == pytest.approx(entries[1]["stiffness"][0][0], rel=1e-6)

@@ -242,7 +242,7 @@ def test_an_operating_system_error_becomes_one_line(project: Path, labpipe, monk
     def denied(*_: object, **__: object) -> str:
         raise PermissionError(13, "Permission denied", str(project))
 
-    monkeypatch.setattr("tempfile.mkdtemp", denied)
+    monkeypatch.setattr("pathlib.Path.mkdir", denied)
     assert_refused(project, labpipe("run", project / "pipeline.yaml", "-o", project / "out"), f"{project}: permission denied")
 
 

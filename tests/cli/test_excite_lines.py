@@ -21,6 +21,17 @@ def test_one_line_of_every_group_is_left_out(tmp_path: Path, labpipe) -> None:
     assert labpipe("excite", "-o", tmp_path / "b.csv", *wanted[:-4], "--leave-out", 1).code == 2
 
 
+@pytest.mark.parametrize("phases", ["schroeder", "random", "optimised"])
+@pytest.mark.parametrize("rate", ["210 Hz", "1 kHz", "30.5 kHz"])
+def test_the_crest_factor_bounds_the_peak_of_the_file_at_any_rate(tmp_path: Path, labpipe, phases: str, rate: str) -> None:
+    wanted = ("--band", "20-100 Hz", "--spacing", "2 Hz", "--rate", rate, "--periods", 1, "--level", "3 V", "--phases", phases)
+    ended = labpipe("excite", "-o", tmp_path / "s.csv", *wanted)
+    signal = np.genfromtxt(tmp_path / "s.csv", delimiter=",", skip_header=1)[:, -1]
+    # Three decimals are printed. At 305 samples and more per period of the highest line the bound is the peak.
+    peak, told = np.abs(signal).max() / 3, float(ended.out.rsplit(" ", 1)[1])
+    assert peak <= told + 5e-4 and (rate != "30.5 kHz" or told <= peak * (1 + 2e-4) + 5e-4)
+
+
 @pytest.mark.parametrize(("law", "named"), [("linear", "4.9 Hz/s"), ("logarithmic", "33.9 octaves/min")])
 def test_sweeps_are_chirps_with_pauses(tmp_path: Path, labpipe, law: str, named: str) -> None:
     """Up, then down, 1 V rms, 10 s each and 2 s of pause; away from the fades the chirp of scipy, shifted by a quarter of a turn."""

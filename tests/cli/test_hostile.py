@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import itertools
 import json
 import os
 import struct
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +19,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from labpipe.artefacts.json_file import write_json
+from labpipe.cli.main import main
 from labpipe.cli.output import LONGEST, message_line, printable
 from labpipe.errors import DataError
 from labpipe.formats import hdf5_probe, probe
@@ -341,3 +344,106 @@ def test_nothing_is_left_of_what_was_refused(lab: Path, labpipe: Command) -> Non
     (lab / "soft.csv").write_text(scaled(2, 1e160))
     refused(labpipe("run", lab / "pipeline.yaml", "-o", lab / "out"))
     assert set(contents(lab)) == set(before)
+
+
+# data that leave a fit nothing to work with
+
+
+def bench(folder: Path, noise: float) -> Path:
+    """A mass on a spring, 77 Hz, under six periods of an odd multisine with lines 4 Hz apart; *noise* [1] over the motion."""
+    rng, n_sample = np.random.default_rng(3), 512
+    lines = np.arange(11, 100, 2)
+    force = np.zeros(n_sample // 2 + 1, complex)
+    force[lines] = np.exp(2j * np.pi * rng.random(lines.size)) * n_sample
+    omega = 2 * np.pi * 2.0 * np.arange(force.size)
+    motion = np.fft.irfft(force / ((2 * np.pi * 77) ** 2 * (1 + 0.02j) - omega**2), n_sample)
+    whole = np.tile(motion, 6)
+    whole = whole + noise * np.std(motion) * rng.normal(size=whole.size)
+    pq.write_table(pa.table({"f [N]": np.tile(np.fft.irfft(force, n_sample), 6), "y [m]": whole}), folder / "odd.parquet")
+    channels = "".join(
+        f"  {name}: {{column: '{name} [{unit}]', quantity: {quantity}, unit: {unit}, role: {role}, dof: y}}\n"
+        for name, unit, quantity, role in (("f", "N", "force", "input"), ("y", "m", "displacement", "output"))
+    )
+    (folder / "odd-rig.yaml").write_text(f"name: bench\nsample_rate: 1024 Hz\nchannels:\n{channels}")
+    (folder / "odd.yaml").write_text(
+        "title: odd\nrig: odd-rig.yaml\nrecordings: odd.parquet\nfrf: {excitation: periodic, period: 500 ms, band: 20-200 Hz}\n"
+        "identify: {modes: {model: modal, modal: {poles: [77 Hz]}}}\nreport: {formats: []}\n"
+    )
+    return folder / "odd.yaml"
+
+
+def test_a_pole_by_hand_in_data_without_one(labpipe: Command, tmp_path: Path) -> None:
+    # The highest order has no pole in what is mostly noise: lower ones are asked, and where none has any, that is said.
+    ended = labpipe("run", bench(tmp_path, 0.01), "-o", tmp_path / "out")
+    assert ended.code == 0, ended.err
+    (fit,) = json.loads((tmp_path / "out/identification.json").read_text("utf-8"))["fits"]
+    (frequency,) = (p for p in fit["parameters"] if p["name"] == "f_n_1")
+    assert abs(frequency["value"] - 77.0) < 4 * frequency["std_error"] + 0.01
+    refused(
+        labpipe("run", bench(tmp_path, 30.0), "-o", tmp_path / "other"), "odd.yaml: identify.modes: no order up to ", "choose another band"
+    )
+
+
+def test_two_periods_of_all_channels(labpipe: Command, tmp_path: Path, root: Path) -> None:
+    # One degree of freedom: a line that exceeds its neighbours' noise had a covariance without an inverse, which no descent survives.
+    recording = pq.read_table(root / "sample_data/floating/dry-zipper.parquet").slice(0, 1500)
+    pq.write_table(recording, tmp_path / "dry.parquet")
+    fit = "{model: dynamic-stiffness, motion: absolute, form: kcm, stator_mass: 60 kg}"
+    (tmp_path / "pipeline.yaml").write_text(
+        f"title: dry\nrig: {root}/configs/floating.yaml\nrecordings: dry.parquet\nidentify: {{hoses: {fit}}}\nreport: {{formats: []}}\n"
+        "frf: {excitation: periodic, period: 500 ms, result: spectra, band: 20-200 Hz}\n"
+    )
+    ended = labpipe("run", tmp_path / "pipeline.yaml", "-o", tmp_path / "out")
+    assert ended.code == 0, ended.err
+    (fit,) = json.loads((tmp_path / "out/identification.json").read_text("utf-8"))["fits"]
+    # Truth of the virtual rig: 1 MN/m and 500 N.s/m.
+    for p in fit["parameters"]:
+        truth = {"k_xx": 1e6, "k_yy": 1e6, "c_xx": 500.0, "c_yy": 500.0}.get(p["name"])
+        assert truth is None or abs(p["value"] - truth) < 4 * p["std_error"], p
+
+
+@pytest.mark.parametrize(
+    ("place", "said"), [("identify.fitting.identify", "pipeline.yaml: identify.direct"), ("spectra.measurement.measure", ".csv: ")]
+)
+def test_a_matrix_without_a_solution_is_a_refusal(
+    lab: Path, labpipe: Command, monkeypatch: pytest.MonkeyPatch, place: str, said: str
+) -> None:
+    def singular(*_: object, **__: object) -> None:
+        np.linalg.inv(np.zeros((2, 2)))
+
+    module, _, name = place.rpartition(".")
+    monkeypatch.setattr(importlib.import_module(f"labpipe.{module}"), name, singular)
+    refused(labpipe("run", lab / "pipeline.yaml", "-o", lab / "out"), said, "(Singular matrix)")
+    assert not (lab / "out").exists()
+
+
+# faults of labpipe itself
+
+
+@pytest.mark.parametrize("debug", [False, True])
+@pytest.mark.parametrize(("command", "place"), [("run", "identify.fitting.identify"), ("check", "cli.check.run")])
+def test_a_fault_of_ours_says_so(
+    lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str, place: str, debug: bool
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("by nothing")
+
+    module, _, name = place.rpartition(".")
+    importlib.import_module(f"labpipe.{module}")
+    monkeypatch.setattr(sys.modules[f"labpipe.{module}"], name, broken)
+    monkeypatch.setattr("tempfile.tempdir", str(lab))
+    output = ["-o", str(lab / "out")] if command == "run" else []
+    arguments = [command, str(lab / "pipeline.yaml"), *output, *(["--debug"] if debug else [])]
+    monkeypatch.setattr("sys.argv", ["labpipe", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 3 and not (lab / "out").exists()
+    *before, line = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: this is a fault of labpipe, not of your files (ZeroDivisionError: by nothing")
+    written = list(lab.glob("labpipe-fault-*.txt"))
+    if debug:
+        assert any(row.startswith("Traceback") for row in before) and line.endswith("please report it with the traceback above")
+        assert not written
+    else:
+        assert before == [] and line.endswith(f"please report it with {written[0]}")
+        assert "Traceback" in (text := written[0].read_text("utf-8")) and "broken" in text and str(arguments[1]) in text

@@ -163,14 +163,15 @@ def test_an_error_of_the_operating_system_is_the_outcome_of_its_test(lab: Path, 
 
 
 def test_a_fault_of_ours_is_no_outcome(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is no fault of the input keeps its traceback."""
+    """What is no fault of the input keeps its traceback, and says which test it comes from."""
 
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError
 
     monkeypatch.setattr("labpipe.pipeline.one_test.measure", broken)
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(ZeroDivisionError) as fault:
         done(lab / "pipeline.yaml", lab / "out")
+    assert fault.value.__notes__ == [f"in test 'soft' of {lab}/pipeline.yaml"]
     assert not list(lab.rglob(".labpipe-*"))
 
 
