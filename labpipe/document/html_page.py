@@ -6,6 +6,7 @@ import base64
 import csv
 import hashlib
 import io
+import re
 from functools import cache
 from html import escape
 from importlib.resources import files
@@ -19,6 +20,7 @@ NEEDS_SCRIPT = "This figure is drawn by the script of the page, which does not r
 SCRIPTS = ("scale.js", "panel.js", "reading.js", "zoom.js", "choose.js", "figure.js", "shape.js")
 # Many sections need a way to them; few do not.
 LEAST_LISTED = 4
+LONG_FRACTION = re.compile(r"(\.\d\d)\d+")
 # Rows of a table beyond which it is folded.
 LONG_TABLE = 30
 
@@ -94,7 +96,8 @@ def drawing_source(drawing: Drawing) -> str:
     from labpipe.document.charts import canvas_of, png_bytes, svg_text
 
     canvas = canvas_of(drawing)
-    kinds = {"svg+xml": svg_text(canvas, outlined=True).encode(), "png": png_bytes(canvas)}
+    # A hundredth of a point is less than a screen shows.
+    kinds = {"svg+xml": LONG_FRACTION.sub(r"\1", svg_text(canvas)).encode(), "png": png_bytes(canvas)}
     kind, content = min(kinds.items(), key=lambda entry: len(entry[1]))
     return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
