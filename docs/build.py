@@ -58,7 +58,7 @@ class Results:
 
     def html(self, name: str, words: str, up: str) -> str:
         """The first figure whose caption holds *words*, as HTML that names its file; the file is written."""
-        from labpipe.document.saving import canvas_of, svg_text
+        from labpipe.document.charts import canvas_of, svg_text
 
         found = [n for n, figure in enumerate(self.figures(name), 1) if words.lower() in figure.caption.lower()]
         if not found:

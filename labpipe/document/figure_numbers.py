@@ -1,23 +1,32 @@
-"""The numbers of a figure as JSON inside a page: what its script draws, zooms and reads, and the shapes that it turns and sways."""
+"""The numbers of a figure: as JSON for the script of a page, as CSV, and as a table for readers without script."""
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
+import re
 from typing import Any
 
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.document.palette import heat
-from labpipe.report.chart import GREY, Axis, Chart, Series
+from labpipe.report.chart import GREY, Axis, Chart, Panel, Series
+from labpipe.report.document import Table
 from labpipe.report.shape_figure import REACH, ShapeSketch
+from labpipe.spreadsheet_cells import cell
 
 # Digits of places along an axis, which zooming must tell apart, and the fewest of what is read there.
 DIGITS, READ_DIGITS = 7, 5
 # Digits of places of a structure, which is 1 in size.
 SHAPE_DIGITS = 4
+# Digits of a cell of a heat map, which is a colour.
+CELL_DIGITS = 3
 RULE = "var(--rule)"
+COLUMNS = ("panel", "series", "x axis", "x", "y axis", "y", "low", "high", "interval")
+# Rows of the table of a figure, and letters of a file's name.
+MOST_ROWS, MOST_LETTERS = 60, 48
 
 
 class NumberList:
@@ -105,8 +114,8 @@ def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
         entry["entry"] = series.entry
     if series.kind == "cells":
         nothing = numbers.add(np.empty(0))
-        fills = [[heat(value) for value in row] for row in series.y.tolist()]
-        return {**entry, "name": "", "x": nothing, "y": nothing, "texts": series.texts, "fills": fills}
+        values = [[_rounded(value, CELL_DIGITS) for value in row] for row in series.y.tolist()]
+        return {**entry, "name": "", "scale": series.name, "x": nothing, "y": nothing, "texts": series.texts, "values": values}
     entry |= {
         "x": numbers.add(series.x),
         "y": numbers.add(series.y, _read_digits(series)),
@@ -114,7 +123,7 @@ def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
         "size": series.size,
         "hollow": series.hollow,
     }
-    if series.kind == "area":
+    if series.kind in ("area", "hspan", "vspan") or series.interval == "shaded":
         entry["opacity"] = series.opacity
     if series.kind == "text":
         entry["texts"] = series.texts[0]
@@ -139,3 +148,77 @@ def shape_numbers(sketch: ShapeSketch) -> dict[str, Any]:
             for title, moved in zip(sketch.titles, sketch.motion, strict=True)
         ],
     }
+
+
+def short_name(caption: str) -> str:
+    """A caption as part of a file's name: its first words in small letters."""
+    plain = re.sub(r"[^a-z0-9]+", "-", caption.lower()).strip("-")
+    return plain[:MOST_LETTERS].rpartition("-")[0] if len(plain) > MOST_LETTERS else plain
+
+
+def figure_csv(chart: Chart, caption: str) -> str:
+    """One row per point with the units of the axes; low and high: ends of its interval."""
+    stream = io.StringIO()
+    stream.write("# " + caption.replace("\n", " ") + "\n")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for rows in _rows_of_series(chart):
+        writer.writerows(map(cell, row) for row in rows)
+    return stream.getvalue()
+
+
+def figure_table(chart: Chart) -> Table:
+    """The same rows for a page without script: of a long series points at equal distances, its first and last among them."""
+    series = _rows_of_series(chart)
+    room = max(2, MOST_ROWS // max(len(series), 1))
+    chosen = [rows[n] for rows in series for n in sorted({round(at) for at in np.linspace(0, len(rows) - 1, min(room, len(rows)))})]
+    used = [n for n in range(len(COLUMNS)) if any(row[n] for row in chosen)]
+    left_out = sum(map(len, series)) - len(chosen)
+    caption = f"{len(chosen)} of {len(chosen) + left_out} points" if left_out else ""
+    number = tuple(place for place, n in enumerate(used) if COLUMNS[n] in ("x", "y", "low", "high"))
+    return Table(tuple(COLUMNS[n] for n in used), tuple(tuple(_short(row[n], COLUMNS[n]) for n in used) for row in chosen), caption, number)
+
+
+def _short(text: str, column: str) -> str:
+    """A number with the digits that a reader needs."""
+    try:
+        return f"{float(text):.{READ_DIGITS}g}" if column in ("x", "y", "low", "high") else text
+    except ValueError:
+        return text
+
+
+def _rows_of_series(chart: Chart) -> list[list[list[str]]]:
+    """The rows of every series but arrows, which show a sense of rotation only."""
+    return [
+        (_cell_rows if series.kind == "cells" else _point_rows)(panel, panel.title or str(number), series)
+        for number, panel in enumerate(chart.panels, 1)
+        for series in panel.series
+        if series.kind != "arrow"
+    ]
+
+
+def _cell_rows(panel: Panel, name: str, series: Series) -> list[list[str]]:
+    """One row per cell, named by the row and column it stands in."""
+    columns, rows = ([label for _, label in axis.ticks] or [str(n) for n in range(max(series.y.shape))] for axis in (panel.x, panel.y))
+    n_row, n_column = series.y.shape
+    return [[name, rows[r], "", columns[c], "", _number(float(series.y[r, c])), "", "", ""] for r in range(n_row) for c in range(n_column)]
+
+
+def _point_rows(panel: Panel, name: str, series: Series) -> list[list[str]]:
+    return [
+        [
+            name,
+            series.texts[0][n] if series.kind == "text" else series.name or series.kind,
+            panel.x.label,
+            _number(float(series.x[n])) if n < series.x.size else "",
+            panel.y.label,
+            _number(float(series.y[n])) if n < series.y.size else "",
+            *("" if end is None else _number(float(end[n])) for end in (series.low, series.high)),
+            series.interval,
+        ]
+        for n in range(max(series.x.size, series.y.size))
+    ]
+
+
+def _number(value: float) -> str:
+    return f"{value:.12g}" if math.isfinite(value) else ""

@@ -1,4 +1,4 @@
-"""A document as one HTML page that opens without a network: style, script, drawings and their numbers inside, nothing fetched."""
+"""A document as one HTML page that opens without a network: style, script, numbers and drawings inside, nothing fetched."""
 
 from __future__ import annotations
 
@@ -9,21 +9,26 @@ import io
 import re
 from functools import cache
 from html import escape
+from importlib.resources import files
 
-from labpipe.document.figure_numbers import figure_json, json_text, shape_numbers
-from labpipe.document.names import short_name
-from labpipe.document.page_parts import page_part
-from labpipe.document.small_svg import smaller
-from labpipe.document.svg_chart import chart_svg
-from labpipe.report.chart import Chart, Graphic
+from labpipe.document.figure_numbers import figure_json, figure_table, json_text, shape_numbers, short_name
+from labpipe.report.chart import Chart, Drawing, Graphic
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
 from labpipe.report.shape_figure import KIND as SHAPES
 
+NEEDS_SCRIPT = "This figure is drawn by the script of the page, which does not run here. Its numbers:"
 SCRIPTS = ("scale.js", "panel.js", "reading.js", "zoom.js", "choose.js", "figure.js", "shape.js")
 # Many sections need a way to them; few do not.
 LEAST_LISTED = 4
+LONG_FRACTION = re.compile(r"(\.\d\d)\d+")
 # Rows of a table beyond which it is folded.
 LONG_TABLE = 30
+
+
+@cache
+def page_part(name: str) -> str:
+    """A file of the page: its style or a part of its script."""
+    return files("labpipe.document").joinpath("page", name).read_text(encoding="utf-8")
 
 
 @cache
@@ -48,7 +53,7 @@ def render_html(document: Document) -> str:
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{escape(policy())}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(document.title)}</title>\n<style>\n{page_part('report.css')}{page_part('drawing.css')}</style></head>\n<body>\n"
+        f"<title>{escape(document.title)}</title>\n<style>\n{page_part('report.css')}</style></head>\n<body>\n"
         '<a class="skip" href="#content">Skip to the content</a>\n<main id="content">\n'
         f"<header><h1>{escape(document.title)}</h1><p>{escape(document.subtitle)}</p></header>\n"
         f"{_contents(document)}{sections}\n</main>\n{script}</body></html>\n"
@@ -62,18 +67,18 @@ class _Figures:
         self.count, self.alive = 0, False
 
     def html(self, figure: Figure) -> str:
-        """A figure with its number: the drawing for print and without scripts, the numbers of a chart for the script, the caption."""
+        """A figure with its number: numbers for the script, what is shown without it, the caption."""
         self.count += 1
-        numbers, kind = "", ""
-        # A drawing for print has the colours of paper; a chart has the page's.
-        ground = "" if isinstance(figure.graphic, Chart) else " paper"
-        living = live_json(figure.graphic)
-        if living is not None:
-            self.alive = True
-            kind, numbers = f' class="{living[0]}"', f'<script type="application/json">{living[1]}</script>'
+        graphic, name = figure.graphic, escape(figure.alternative)
+        living = live_json(graphic)
+        self.alive |= living is not None
+        kind, numbers = ("", "") if living is None else (f' class="{living[0]}"', f'<script type="application/json">{living[1]}</script>')
+        if isinstance(graphic, Chart):
+            still = f"<noscript><p>{NEEDS_SCRIPT}</p>{_whole(figure_table(graphic))}</noscript>"
+        else:
+            still = f'<div class="static"><img alt="{name}" src="{drawing_source(graphic)}"></div>'
         return (
-            f'<figure id="figure-{self.count}" role="group" aria-label="{escape(figure.alternative)}"{kind}>'
-            f'<div class="static{ground}">{inline_svg(figure, self.count)}</div>{numbers}'
+            f'<figure id="figure-{self.count}" role="group" aria-label="{name}"{kind}>{still}{numbers}'
             f"<figcaption><b>Figure {self.count}.</b> {escape(figure.caption)}</figcaption></figure>"
         )
 
@@ -85,18 +90,16 @@ def live_json(graphic: Graphic) -> tuple[str, str] | None:
     return ("shapes", json_text(shape_numbers(graphic.subject))) if graphic.kind == SHAPES else None
 
 
-def inline_svg(figure: Figure, number: int) -> str:
-    """The figure as SVG inside a page: named for those who cannot see it, its ids its own, its style not the page's."""
-    if isinstance(figure.graphic, Chart):
-        return chart_svg(figure.graphic, f"f{number}", figure.alternative)
+def drawing_source(drawing: Drawing) -> str:
+    """A drawing as the source of an image inside the page: lines, or dots in print resolution where these are shorter."""
     # Matplotlib, which takes its time to load, is for drawings alone.
-    from labpipe.document.saving import canvas_of, svg_text
+    from labpipe.document.charts import canvas_of, png_bytes, svg_text
 
-    text = svg_text(canvas_of(figure.graphic))
-    text = re.sub(r"<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<!--.*?-->", "", text, flags=re.DOTALL)
-    text = smaller(text)
-    text = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>f{number}-", text)
-    return text.replace("<svg", f'<svg role="img" aria-label="{escape(figure.alternative)}"', 1)
+    canvas = canvas_of(drawing)
+    # A hundredth of a point is less than a screen shows.
+    kinds = {"svg+xml": LONG_FRACTION.sub(r"\1", svg_text(canvas)).encode(), "png": png_bytes(canvas)}
+    kind, content = min(kinds.items(), key=lambda entry: len(entry[1]))
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
 def _contents(document: Document) -> str:
@@ -120,16 +123,25 @@ def _block(block: Block, counter: _Figures) -> str:
 
 
 def _table(table: Table) -> str:
+    """A table, a long one behind a summary."""
+    whole = _whole(table)
+    return whole if len(table.rows) <= LONG_TABLE else _folded(table, escape(_name(table)), whole)
+
+
+def _name(table: Table) -> str:
+    return table.caption or ", ".join(table.header)
+
+
+def _whole(table: Table) -> str:
     """Rows under a header; a first cell with text is the row's header."""
     caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
     heads = "".join(f'<th scope="col"{_mark(table, n)}>{escape(cell)}</th>' for n, cell in enumerate(table.header))
     body = "\n".join("<tr>" + "".join(_cell(table, n, cell) for n, cell in enumerate(cells)) + "</tr>" for cells in table.rows)
-    name = escape(table.caption or ", ".join(table.header))
+    name = escape(_name(table))
     blank = ' class="signature"' if table.rows and not any(cell.strip() for row in table.rows for cell in row) else ""
     named = "" if table.caption else f' aria-label="{name}"'
     whole = f"<table{blank}{named}>{caption}<thead><tr>{heads}</tr></thead>\n<tbody>{body}</tbody></table>"
-    wide = f'<div class="wide" tabindex="0" role="region" aria-label="{name}">{whole}</div>'
-    return wide if len(table.rows) <= LONG_TABLE else _folded(table, name, wide)
+    return f'<div class="wide" tabindex="0" role="region" aria-label="{name}">{whole}</div>'
 
 
 def _folded(table: Table, name: str, whole: str) -> str:

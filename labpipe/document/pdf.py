@@ -12,7 +12,7 @@ from fpdf import FPDF
 from fpdf.enums import TableBordersLayout
 from fpdf.fonts import FontFace
 
-from labpipe.document.saving import canvas_of, png_bytes, svg_text
+from labpipe.document.charts import canvas_of, png_bytes, svg_text
 from labpipe.records.identification import Identification
 from labpipe.report.build import build
 from labpipe.report.chart import Chart

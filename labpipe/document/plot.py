@@ -7,7 +7,7 @@ from typing import Any
 
 from matplotlib.figure import Figure as Canvas
 
-from labpipe.document.saving import canvas_of
+from labpipe.document.charts import canvas_of
 from labpipe.errors import DataError
 from labpipe.records.comparison import Comparison
 from labpipe.records.identification import Fit, Identification

@@ -1,4 +1,4 @@
-"""A report in the format of a file. RENDERERS by format: each turns an identification into the bytes of a file."""
+"""A report in the format of a file, Markdown among them. RENDERERS by format: identification -> the bytes of a file."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from labpipe.document.html_page import render_html
 from labpipe.records.identification import Identification
 from labpipe.registry import Registry
 from labpipe.report.build import build
-from labpipe.report.document import Document
+from labpipe.report.document import Block, Code, Document, Figure, Paragraph
 
 RENDERERS = Registry(
     "report format",
@@ -34,10 +34,12 @@ def html_document(document: Document) -> bytes:
 
 
 def markdown_document(document: Document) -> bytes:
-    """A document as the bytes of a Markdown file; drawings are named by their captions."""
-    from labpipe.document.markdown import render_markdown
-
-    return render_markdown(document).encode()
+    """A document as the bytes of a Markdown file; figures are named by their captions, and none of them is drawn."""
+    parts = [f"# {_plain(document.title)}", _plain(document.subtitle)]
+    for section in document.signed:
+        parts.append(f"## {_plain(section.heading)}")
+        parts.extend(_markdown(block) for block in section.blocks)
+    return ("\n\n".join(parts) + "\n").encode()
 
 
 def html_report(identification: Identification) -> bytes:
@@ -48,3 +50,22 @@ def html_report(identification: Identification) -> bytes:
 def markdown_report(identification: Identification) -> bytes:
     """The same report as Markdown."""
     return markdown_document(build(identification))
+
+
+def _markdown(block: Block) -> str:
+    if isinstance(block, Paragraph):
+        return f"> **{block.kind}**: {_plain(block.text)}" if block.kind else _plain(block.text)
+    if isinstance(block, Code):
+        return "```json\n" + block.text + "\n```"
+    if isinstance(block, Figure):
+        return f"*Figure (drawn in the HTML report):* {_plain(block.caption)}"
+    rows = [block.header, tuple("---:" if n in block.numeric else "---" for n in range(len(block.header))), *block.rows]
+    lines = ["| " + " | ".join(cell if set(cell) <= set("-:") else _plain(cell) for cell in row) + " |" for row in rows]
+    return (f"*{_plain(block.caption)}*\n\n" if block.caption else "") + "\n".join(lines)
+
+
+def _plain(text: str) -> str:
+    """Text in which nothing is markup."""
+    for sign in "\\`*_[]<>|#":
+        text = text.replace(sign, f"\\{sign}")
+    return text.replace("\n", " ")

@@ -20,8 +20,7 @@ from labpipe.errors import DataError
 from labpipe.formats.frf_csv import write_frf_csv
 from labpipe.formats.mat_frf import write_frf_mat, write_recording_mat
 from labpipe.formats.rows_csv import write_table_csv
-from labpipe.formats.uff_shapes import write_shapes_uff
-from labpipe.formats.uff_write import write_frf_uff, write_recording_uff
+from labpipe.formats.uff_write import write_frf_uff, write_recording_uff, write_shapes_uff
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Fit
 from labpipe.registry import Registry

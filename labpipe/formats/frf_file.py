@@ -16,7 +16,7 @@ FRF_READERS = Registry(
     "frf-reader",
     {
         **dict.fromkeys(TEXT_SUFFIXES, "labpipe.formats.frf_csv:read_frf_csv"),
-        **dict.fromkeys((".uff", ".unv", ".uf"), "labpipe.formats.uff_frf:read_frf_uff"),
+        **dict.fromkeys((".uff", ".unv", ".uf"), "labpipe.formats.uff_read:read_frf_uff"),
         **dict.fromkeys(MATRIX_SUFFIXES, "labpipe.formats.mat_frf:read_frf_mat"),
     },
 )

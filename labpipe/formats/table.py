@@ -19,7 +19,7 @@ READERS = Registry(
     {
         **dict.fromkeys(TEXT_SUFFIXES, "labpipe.formats.csv_table:CsvTable"),
         ".parquet": "labpipe.formats.parquet_table:ParquetTable",
-        **dict.fromkeys((".uff", ".unv", ".uf"), "labpipe.formats.uff_table:UffTable"),
+        **dict.fromkeys((".uff", ".unv", ".uf"), "labpipe.formats.uff_read:UffTable"),
         ".mat": "labpipe.formats.mat_file:mat_table",
         **dict.fromkeys((".h5", ".hdf5", ".hdf"), "labpipe.formats.hdf5_table:hdf5_table"),
         ".tdms": "labpipe.formats.tdms_table:TdmsTable",

@@ -15,7 +15,6 @@ from nptdms.log import log_manager
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.formats.names import unique
-from labpipe.formats.tdms_layout import channel_layouts
 
 CHUNK_ROWS = 1 << 17
 _UNITS = ("unit_string", "NI_UnitDescription", "unit")
@@ -65,25 +64,36 @@ class TdmsTable:
         return map(list, self._rows(columns))
 
     def _rows(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """The same, columns as rows (n_column, n)."""
+        """The same, columns as rows (n_column, n); every chunk of the file is read once, with all channels in it."""
+        places = [self._places[column] for column in columns]
+        parts: list[list[FloatArray]] = [[] for _ in places]
+        held, done = np.zeros(len(places), int), 0
         try:
             with self.path.open("rb") as stream, TdmsFile.open(stream) as file:
-                channels = [file[group][name] for group, name in (self._places[column] for column in columns)]
-                layouts = channel_layouts(file, channels)
-                for start in range(0, self.n_row, CHUNK_ROWS):
-                    rows = np.empty((len(channels), min(CHUNK_ROWS, self.n_row - start)))
-                    for number, row in enumerate(rows):
-                        if layouts is None:
-                            row[:] = channels[number].read_data(start, row.size)
-                        else:
-                            layouts[number].read_into(row, stream.fileno(), start)
-                    yield rows
+                for chunk in file.data_chunks():
+                    for n, (group, name) in enumerate(places):
+                        parts[n].append(chunk[group][name][:])
+                        held[n] += parts[n][-1].size
+                    whole = int(held.min()) // CHUNK_ROWS * CHUNK_ROWS
+                    if whole:
+                        values = [np.concatenate(pieces) for pieces in parts]
+                        yield from _blocks(values, whole)
+                        parts, held, done = [[column[whole:]] for column in values], held - whole, done + whole
+            if np.any(done + held != self.n_row):
+                raise EOFError("cut off")
+            yield from _blocks([np.concatenate(pieces) for pieces in parts], self.n_row - done)
         except _BROKEN as error:
             raise self._damaged(error) from None
 
     def _damaged(self, error: Exception) -> DataError:
         reason = (str(error).splitlines() or ["cut off"])[0].rstrip(".")
         return DataError(f"is not a readable TDMS file ({reason[:80]})", where=str(self.path))
+
+
+def _blocks(columns: Sequence[FloatArray], n_row: int) -> Iterator[FloatArray]:
+    """The first *n_row* values of columns (n,) as blocks (n_column, n)."""
+    for start in range(0, n_row, CHUNK_ROWS):
+        yield np.array([column[start : min(start + CHUNK_ROWS, n_row)] for column in columns], float)
 
 
 def _check_whole(file: TdmsFile, path: Path) -> None:

@@ -18,11 +18,8 @@ from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.registry import nearest
 from labpipe.rigs.film_family import coefficient_errors
 from labpipe.run_ups.joint_result import LOAD_SLACK
-from labpipe.run_ups.metamodels_grid import Extent, Grid
-from labpipe.run_ups.metamodels_network import Network, fit_network
-from labpipe.run_ups.metamodels_physical import PhysicalFit, physical_without
-from labpipe.run_ups.metamodels_process import GaussianProcess, fit_process
-from labpipe.run_ups.metamodels_surface import ResponseSurface, fit_surface
+from labpipe.run_ups.metamodel_kinds import Extent, Grid, PhysicalFit, ResponseSurface, fit_surface, physical_without
+from labpipe.run_ups.metamodels_learned import GaussianProcess, Network, fit_network, fit_process
 
 __all__ = [
     "METAMODELS",

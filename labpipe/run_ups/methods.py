@@ -19,7 +19,7 @@ from labpipe.run_ups.joint import fit_jointly
 from labpipe.run_ups.joint_result import EXPONENTS, JointFit
 from labpipe.run_ups.joint_result import REJECTED as LEAST_PROBABILITY
 from labpipe.run_ups.measured import column
-from labpipe.run_ups.metamodels_grid import Fitted, Queried
+from labpipe.run_ups.metamodel_kinds import Fitted, Queried
 from labpipe.run_ups.points import PointFit, fit_points
 from labpipe.run_ups.predictions import RPM, AtLoad
 from labpipe.run_ups.process import fit_with_process

@@ -123,7 +123,7 @@ def bearing_json(entry: dict[str, Any]) -> str:
 
 def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: OutputFolder) -> list[str]:
     """bearing.json, the heat map of the stiffness matrix, a film's pressure, a shaft's transfer matrix as FRF table; the files' names."""
-    from labpipe.document.svg_file import svg_file
+    from labpipe.document.charts import svg_file
     from labpipe.report.bearing_figures import stiffness_figure
     from labpipe.report.film_figure import film_figure
 
@@ -143,7 +143,7 @@ def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: Output
 
 def write_sweep(name: str, sweep: Sweep, points: list[Evaluated], output: OutputFolder) -> list[str]:
     """sweep.csv with every coefficient, and their curves; the names of the files."""
-    from labpipe.document.svg_file import svg_file
+    from labpipe.document.charts import svg_file
     from labpipe.report.bearing_figures import sweep_figures
 
     columns = sweep_columns(sweep, points)

@@ -75,7 +75,7 @@ def track_run(
 
 def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
     """orders.csv and the figures; their names."""
-    from labpipe.document.svg_file import svg_file
+    from labpipe.document.charts import svg_file
     from labpipe.report.order_figures import gap_figure, orbit_series_figure, order_figure
 
     _write_table(run, output.write_path("orders.csv"))

@@ -43,7 +43,7 @@ def write_test_report(
     identification: Identification, test: str, path: Path, figures: Path | None = None, results: Path | None = None
 ) -> None:
     """Write the pages of one test; ConfigError for a test that the result does not have. *results*: the folder that it was read from."""
-    from labpipe.document.figure_files import figure_files
+    from labpipe.document.charts import figure_files
     from labpipe.report.build import build
 
     if identification.dataset is not None:
@@ -102,7 +102,7 @@ def _renderer(table: str, report_format: str) -> Callable[[Any], bytes]:
 
 def write_campaign(results: Sequence[tuple[str, Identification]], path: Path, figures: Path | None = None) -> None:
     """Write the report of many results (name, identification) together: trends, control limits, differences."""
-    from labpipe.document.figure_files import figure_files
+    from labpipe.document.charts import figure_files
     from labpipe.report.campaign import campaign_document
 
     document = campaign_document(results)
@@ -111,7 +111,7 @@ def write_campaign(results: Sequence[tuple[str, Identification]], path: Path, fi
 
 
 def _figures_of(identification: Identification, folder: Path) -> dict[str, bytes]:
-    from labpipe.document.figure_files import figure_files
+    from labpipe.document.charts import figure_files
     from labpipe.report.build import build
 
     return figure_files(build(identification) if identification.dataset is None else _summary(identification, folder))

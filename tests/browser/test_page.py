@@ -5,15 +5,15 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from labpipe.document.page_parts import page_part
+from labpipe.document.html_page import NEEDS_SCRIPT, page_part
 from labpipe.document.render import html_document
-from labpipe.document.ticks import ticks_of
-from labpipe.report.chart import Axis, Chart, Panel, arrow, curve, level
+from labpipe.report.chart import Axis, Chart, Panel, arrow, cells, curve, level, named_ticks
 from labpipe.report.document import Document, Figure, Section
 
 CURVE = "figure.numbers .panels > svg"
@@ -82,7 +82,7 @@ def test_the_policy_stops_a_page_that_would_ask(browser: Any, report_page: Path,
 def test_every_figure_is_drawn_by_the_script(page: Any) -> None:
     assert page.run("document.querySelectorAll('figure').length") == 5
     assert page.run("document.querySelectorAll('figure.alive .panels svg .series').length") == 9
-    assert page.run("[...document.querySelectorAll('.static')].every((one) => getComputedStyle(one).display === 'none')")
+    assert page.run("document.querySelectorAll('noscript').length") == 5
 
 
 def test_a_box_zooms_the_wheel_needs_a_click_and_all_comes_back(page: Any) -> None:
@@ -141,9 +141,10 @@ def test_nothing_hangs_over_the_edge(page: Any, width: int, kind: str) -> None:
     page.size(width, 800)
     assert page.run("document.documentElement.scrollWidth") <= width
     if kind == "print":
-        assert page.run("[...document.querySelectorAll('.static')].every((one) => one.getClientRects().length === 1)")
-        assert page.run("[...document.querySelectorAll('.live')].every((one) => one.getClientRects().length === 0)")
-        edges = "[...document.querySelectorAll('table, pre, .static svg')].map((one) => one.getBoundingClientRect().right)"
+        page.run("dispatchEvent(new Event('beforeprint'))")
+        assert page.run("[...document.querySelectorAll('.live svg')].every((one) => one.getClientRects().length === 1)")
+        assert page.run("[...document.querySelectorAll('.controls > button')].every((one) => !one.getClientRects().length)")
+        edges = "[...document.querySelectorAll('table, pre, .live svg')].map((one) => one.getBoundingClientRect().right)"
         assert max(page.run(edges)) <= width + 1
     else:
         sizes = "Math.min(...[...document.querySelectorAll('.live text')].map((one) => parseFloat(getComputedStyle(one).fontSize)))"
@@ -219,16 +220,70 @@ def test_keys_go_from_measured_point_to_measured_point(page: Any) -> None:
     assert places == [40.0, 41.0, 42.0]
 
 
-@pytest.mark.parametrize("logarithmic", [False, True])
-def test_the_script_sets_the_numbers_that_print_has(browser: Any, report_page: Path, logarithmic: bool) -> None:
-    """The page's script and the drawing for print are written in two languages after one rule."""
-    ends = [(1.0, 2.0), (0.02, 9000.0), (3.0, 4.5), (10.6, 11.1), (1e-9, 3e-8), (-198.0, 198.0), (-3.0, 1e7), (1048576.5, 1048577.0)]
-    cases = [(unit, limits, most) for unit in ("N", "deg") for limits in ends for most in (2, 4, 7) if not logarithmic or limits[0] > 0]
+def test_without_script_a_page_shows_the_numbers_and_says_why(browser: Any, report_page: Path, tmp_path: Path) -> None:
+    # What a browser without script makes of the page: noscript is an element as any other, and nothing draws.
+    text = report_page.read_text(encoding="utf-8").replace("noscript>", "div>")
+    (tmp_path / "still.html").write_text(re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL), encoding="utf-8")
+    opened = browser.open(tmp_path / "still.html")
+    shown = opened.run("[...document.querySelectorAll('figure')].map((one) => one.innerText)")
+    assert all(NEEDS_SCRIPT in words and words.count("\n") > 10 for words in shown) and len(shown) == 5
+    opened.close()
+
+
+def test_every_figure_is_on_paper_however_soon_it_is_printed(browser: Any, tmp_path: Path) -> None:
+    chart = Chart((Panel(Axis("x"), Axis("y"), (curve("a", [0.0, 1.0], [0.0, 1.0]),)),))
+    figures = tuple(Figure(chart, f"Figure {n}", "a line") for n in range(40))
+    (tmp_path / "many.html").write_bytes(html_document(Document("T", "", (Section("F", figures),), to_sign=False)))
+    opened = browser.open(tmp_path / "many.html")
+    opened.run("dispatchEvent(new Event('beforeprint'))")
+    assert opened.run("document.querySelectorAll('figure.alive .series .curve').length") == 40
+    widths = opened.run("[...document.querySelectorAll('.panels > svg')].map((one) => one.viewBox.baseVal.width)")
+    assert set(widths) == {680}
+    opened.run("dispatchEvent(new Event('afterprint'))")
+    assert opened.run("document.querySelector('.panels > svg').viewBox.baseVal.width") > 680
+    opened.close()
+
+
+def test_a_heat_map_has_its_colours_words_and_scale(browser: Any, tmp_path: Path) -> None:
+    names = [f"stiffness of bearing {n}" for n in range(12)]
+    axis = Axis(ticks=named_ticks(names))
+    values = [[1.0 - abs(r - c) / 6 for c in range(12)] for r in range(12)]
+    panel = Panel(axis, axis, (cells(values, [["1\nall"] * 12] * 12, "correlation"),))
+    figure = Figure(Chart((panel,), size=(7.2, 6.0)), "Correlation", "A matrix")
+    (tmp_path / "heat.html").write_bytes(html_document(Document("T", "", (Section("F", (figure,)),), to_sign=False)))
+    opened = browser.open(tmp_path / "heat.html")
+    fills = opened.run("[...document.querySelectorAll('.series rect')].map((one) => getComputedStyle(one).fill)")
+    # The ends and the middle of ColorBrewer's PuOr.
+    assert fills[0] == "rgb(45, 0, 75)" and fills[6] == "rgb(247, 247, 247)" and len(fills) == 144
+    texts = opened.run("[...document.querySelectorAll('.panels text')].map((one) => one.textContent)")
+    assert texts.count("1") == 145 and texts.count("all") == 144 and "correlation" in texts
+    # All names stand at the axes, turned, none over another and none outside.
+    assert all(texts.count(name) == 2 for name in names)
+    boxes = "[...document.querySelectorAll('.ticks text[transform]')].map((one) => one.getBoundingClientRect())"
+    edges = opened.run(f"{boxes}.map(({{left, right, bottom}}) => [left, right, bottom])")
+    assert len(edges) == 12 and all(after[0] >= before[1] - 4 for before, after in pairwise(edges))
+    assert max(edge[2] for edge in edges) <= opened.run("document.querySelector('.panels > svg').getBoundingClientRect().bottom")
+    opened.close()
+
+
+@pytest.mark.parametrize(
+    ("limits", "unit", "logarithmic", "texts"),
+    [
+        ((1.0, 2.0), "N", False, ["1.0", "1.2", "1.4", "1.6", "1.8", "2.0"]),
+        ((-198.0, 198.0), "deg", False, ["−180", "−90", "0", "90", "180"]),
+        ((0.9, 2000.0), "N", True, ["1", "10", "100", "1000"]),
+        ((9.0, 110.0), "N", True, ["10", "20", "50", "100"]),
+        ((1e-9, 3e-8), "N", False, ["5e−9", "1e−8", "1.5e−8", "2e−8", "2.5e−8", "3e−8"]),
+        ((1048576.5, 1048577.0), "N", False, ["1048576.5", "1048576.6", "1048576.7", "1048576.8", "1048576.9", "1048577.0"]),
+    ],
+)
+def test_numbers_along_an_axis_are_round(
+    browser: Any, report_page: Path, limits: tuple[float, float], unit: str, logarithmic: bool, texts: list[str]
+) -> None:
     opened = browser.open(report_page)
-    asked = [[{"ticks": [], "log": logarithmic, "unit": unit}, limits, most] for unit, limits, most in cases]
+    axis = {"ticks": [], "log": logarithmic, "unit": unit}
     found = opened.run(
-        f"(() => {{{page_part('scale.js')}; return {json.dumps(asked)}.map((one) => ticksOf(...one).map(([, text]) => text)); }})()"
+        f"(() => {{{page_part('scale.js')}; return ticksOf({json.dumps(axis)}, {json.dumps(limits)}, 6).map((one) => one[1]); }})()"
     )
     opened.close()
-    expected = [[text for _, text in ticks_of(Axis("", unit, logarithmic=logarithmic), limits, most)] for unit, limits, most in cases]
-    assert found == expected
+    assert found == texts

@@ -12,7 +12,7 @@ import pyuff
 from scipy.io import wavfile
 
 from labpipe.formats.table import Table, open_table
-from labpipe.formats.uff_frf import read_frf_uff
+from labpipe.formats.uff_read import read_frf_uff
 from tests.validation.claims import Claim, Method, within
 from tests.validation.gaps import gaps
 from tests.validation.shipped import PACKAGE, shipped, variables

@@ -1,5 +1,5 @@
 // A figure: its panels side by side as far as the page is wide, its legend, its buttons. Each takes its numbers from the page.
-const NARROWEST = 175;
+const NARROWEST = 165;
 const AT_ONCE = 8;
 const PICK_HINT = " Click a point, or Enter on a reading, to choose it.";
 const HINT = "Drag a box to zoom; click, then wheel; arrow keys read values; 0 shows all. Touch a curve to read it.";
@@ -17,8 +17,9 @@ function start(holder, number) {
   holder.insertBefore(figure.live, holder.firstChild);
   holder.classList.add("alive");
   for (const panel of figure.panels) follow(figure, panel);
-  new ResizeObserver(() => { if (Math.abs(figure.live.clientWidth - figure.width) > 1) draw(figure); }).observe(figure.live);
+  new ResizeObserver(() => { if (Math.abs(figure.live.clientWidth - figure.room) > 1) draw(figure); }).observe(figure.live);
   draw(figure);
+  return figure;
 }
 
 function makePanel(figure, spec, id) {
@@ -53,31 +54,30 @@ function pixelsOf(panel, one, values) {
   return points;
 }
 
-function draw(figure) {
+function draw(figure, width = figure.live.clientWidth) {
   const { spec } = figure;
-  figure.width = figure.live.clientWidth;
+  figure.width = width;
+  figure.room = figure.live.clientWidth;
   const columns = Math.max(1, Math.min(spec.columns, Math.floor(figure.width / NARROWEST)));
-  const width = Math.floor((figure.width - 8 * (columns - 1)) / columns);
+  const wide = Math.floor((figure.width - 8 * (columns - 1)) / columns);
   figure.grid.style.gridTemplateColumns = `repeat(${columns}, minmax(0, 1fr))`;
   const last = (place) => columns !== spec.columns || spec.columns > 1 || !figure.panels.slice(place + 1).some((other) => other.spec.x.group === figure.panels[place].spec.x.group);
   figure.panels.forEach((panel, place) => {
     panel.lowest = last(place);
-    panel.height = heightOf(figure, panel, width);
-    panel.margins = marginsOf(figure, panel, panel.lowest);
+    panel.names = namesOf(panel, wide);
+    panel.height = heightOf(figure, panel, wide) + (panel.lowest ? panel.names.height : 0);
+    panel.margins = marginsOf(panel, panel.lowest);
   });
   const left = Math.max(...figure.panels.map((panel) => panel.margins.left));
   for (const panel of figure.panels) {
-    drawPanel(panel, width, left, panel.lowest);
+    drawPanel(panel, wide, left, panel.lowest);
     drawChosen(figure, panel);
   }
   figure.box.hidden = true;
 }
 
 function heightOf(figure, panel, width) {
-  if (panel.spec.series.some((one) => one.kind === "cells")) {
-    const { fills } = panel.spec.series.find((one) => one.kind === "cells");
-    return Math.min(40 * fills.length + 60, width);
-  }
+  if (cellsOf(panel)) return Math.min(40 * Math.max(cellsOf(panel).values.length, 3) + 60, width);
   if (panel.spec.equal) return width;
   const inches = figure.spec.columns > 1 ? figure.spec.height / figure.spec.rows : figure.spec.height * panel.spec.share;
   return Math.round(Math.max(inches * 96 * Math.min(1, 0.55 + width / 1400), 110)) + (panel.lowest ? 20 : 0);
@@ -127,12 +127,20 @@ function legendButton(figure, legend, name) {
   };
 }
 
-// The first figures at once; the others one by one, so that a long report answers meanwhile.
+// The first figures at once; the others one by one, so that a long report answers meanwhile. Paper has all, as wide as it is.
+const PAPER = 680;
 const holders = [...document.querySelectorAll("figure.numbers")];
-holders.slice(0, AT_ONCE).forEach(start);
-function startRest(number) {
-  if (number >= holders.length) return;
-  start(holders[number], number);
-  setTimeout(startRest, 0, number + 1);
+const figures = holders.slice(0, AT_ONCE).map(start);
+function startNext() {
+  if (figures.length < holders.length) figures.push(start(holders[figures.length], figures.length));
+  return figures.length < holders.length;
 }
-setTimeout(startRest, 0, AT_ONCE);
+function startRest() {
+  if (startNext()) setTimeout(startRest);
+}
+setTimeout(startRest);
+addEventListener("beforeprint", () => {
+  while (startNext());
+  for (const figure of figures) draw(figure, PAPER);
+});
+addEventListener("afterprint", () => { for (const figure of figures) draw(figure); });

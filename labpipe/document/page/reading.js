@@ -18,8 +18,8 @@ function nearestIn(panel, x, y) {
 }
 
 function nearestCell(panel, one, x, y) {
-  const row = Math.min(Math.max(Math.round(panel.scale.y.value(y)), 0), one.fills.length - 1);
-  const column = Math.min(Math.max(Math.round(panel.scale.x.value(x)), 0), one.fills[0].length - 1);
+  const row = Math.min(Math.max(Math.round(panel.scale.y.value(y)), 0), one.values.length - 1);
+  const column = Math.min(Math.max(Math.round(panel.scale.x.value(x)), 0), one.values[0].length - 1);
   return { one, row, column, x: column };
 }
 
@@ -125,7 +125,7 @@ function stepAlong(figure, panel, first, here, by) {
 
 function stepCell(figure, panel, one, here, by) {
   const bound = (value, most) => Math.min(Math.max(value, 0), most - 1);
-  const row = here ? bound(here.row + by[1], one.fills.length) : 0;
-  const column = here ? bound(here.column + by[0], one.fills[0].length) : 0;
+  const row = here ? bound(here.row + by[1], one.values.length) : 0;
+  const column = here ? bound(here.column + by[0], one.values[0].length) : 0;
   showReading(figure, panel, { one, row, column, x: column });
 }

@@ -14,8 +14,7 @@ from labpipe.config.run_up_rotor import files_of, load_run_up_rotor
 from labpipe.config.virtual_rig import load_virtual_rig
 from labpipe.errors import ConfigError
 from labpipe.rigs.film_family import as_eight
-from labpipe.run_ups.metamodels_grid import Grid
-from labpipe.run_ups.metamodels_surface import ResponseSurface, fit_surface
+from labpipe.run_ups.metamodel_kinds import Grid, ResponseSurface, fit_surface
 
 
 @pytest.fixture

@@ -6,7 +6,8 @@ import csv
 import io
 from pathlib import Path
 
-from labpipe.document.figure_files import COLUMNS, figure_csv, figure_files
+from labpipe.document.charts import figure_files
+from labpipe.document.figure_numbers import COLUMNS, figure_csv
 from labpipe.report.chart import Chart, Drawing
 from labpipe.report.document import Document, Figure, Section
 

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.document.figure_numbers import RULE, figure_json
-from labpipe.document.palette import HEAT
+from labpipe.document.figure_numbers import MOST_ROWS, RULE, figure_json, figure_table
 from labpipe.report.chart import Axis, Chart, Panel, curve, stacked
 
 X = np.array([1.0, 2.0, 4.0])
@@ -52,12 +51,12 @@ def test_axes_say_what_they_are_and_move_together(every_kind: Chart) -> None:
     assert (entry["rows"], entry["columns"], entry["height"], above["title"]) == (2, 1, 4.0, "stiffness")
 
 
-def test_a_heat_map_has_texts_and_fills(heat_map: Chart) -> None:
+def test_a_heat_map_has_texts_and_values(heat_map: Chart) -> None:
     (panel,) = entry_of(heat_map)["panels"]
     (cells,) = panel["series"]
-    assert cells["texts"] == [["1", "half"], ["-half", "1"]] and cells["fills"][0][0] == cells["fills"][1][1] == HEAT[-1]
+    assert cells["texts"] == [["1", "half"], ["-half", "1"]] and cells["values"] == [[1, 0.5], [-0.5, 1]]
     # A scale beside it is no series that could be hidden.
-    assert cells["name"] == "" and panel["x"]["ticks"] == [[0, "k"], [1, "c"]]
+    assert (cells["name"], cells["scale"]) == ("", "correlation") and panel["x"]["ticks"] == [[0, "k"], [1, "c"]]
 
 
 def test_no_text_of_a_figure_ends_the_element_it_stands_in() -> None:
@@ -72,3 +71,14 @@ def test_curves_of_one_figure_share_their_abscissa_and_digits_end_where_nothing_
     assert len(entry["numbers"]) == 5 and entry["numbers"][1][0] == 0.33333
     assert entry["numbers"][3][0] == 0.3333333 and entry["numbers"][4][0] == 333.3343
     assert entry_of(Chart(()))["panels"] == []
+
+
+def test_the_table_for_pages_without_script_has_all_points_or_says_how_many(every_kind: Chart) -> None:
+    whole = figure_table(every_kind)
+    assert whole.header[:4] == ("panel", "series", "x axis", "x") and whole.caption == ""
+    assert [row[3:6] for row in whole.rows if row[1] == "gap"] == [("1", "k [kN/m]", "1"), ("2", "k [kN/m]", ""), ("4", "k [kN/m]", "100")]
+    x = np.arange(1000.0)
+    long = figure_table(stacked([Panel(Axis("x"), Axis("y"), (curve("a", x, x**2), curve("b", x, x)))], 3.0))
+    assert len(long.rows) == MOST_ROWS and long.caption == f"{MOST_ROWS} of 2000 points"
+    rows = [row for row in long.rows if row[1] == "a"]
+    assert (rows[0][3], rows[-1][3], rows[-1][5]) == ("0", "999", "9.98e+05")

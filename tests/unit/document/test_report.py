@@ -118,8 +118,8 @@ def test_the_page_asks_for_nothing_from_elsewhere() -> None:
 def test_every_figure_tells_what_it_shows() -> None:
     tags = Tags()
     tags.feed(html_report(result()))
-    drawings = [attributes for tag, attributes in tags.tags if tag == "svg"]
-    assert len(drawings) == 2 and all(attributes.get("role") == "img" and attributes.get("aria-label") for attributes in drawings)
+    figures = [attributes for tag, attributes in tags.tags if tag == "figure"]
+    assert len(figures) == 2 and all(attributes.get("role") == "group" and attributes.get("aria-label") for attributes in figures)
 
 
 def test_sliding_fits_are_drawn_over_frequency_and_stay_small() -> None:

@@ -12,7 +12,7 @@ import pyuff
 from labpipe.errors import DataError
 from labpipe.formats.exports import shape_table
 from labpipe.formats.geometry import read_geometry
-from labpipe.formats.uff_shapes import write_shapes_uff
+from labpipe.formats.uff_write import write_shapes_uff
 from labpipe.identify.fitting import identify
 from labpipe.identify.settings import FitSettings
 from labpipe.modal.settings import ModalSettings

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from labpipe.artefacts.identification_file import write_identification
 from labpipe.cli.report import report
-from labpipe.document.figure_files import figure_files
+from labpipe.document.charts import figure_files
 from labpipe.document.render import DOCUMENTS
 from labpipe.errors import DataError
 from labpipe.records.identification import Fit, Goodness, Identification, Parameter

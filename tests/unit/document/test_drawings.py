@@ -11,8 +11,8 @@ from labpipe.artefacts.writing import output_folder
 from labpipe.bearings.coefficients import PressureField
 from labpipe.bearings.journal_kind import JournalFile, journal_coefficients
 from labpipe.config.bearing import open_bearing
-from labpipe.document.film_drawing import contour_levels
-from labpipe.document.saving import canvas_of
+from labpipe.document.charts import canvas_of
+from labpipe.document.drawings import contour_levels
 from labpipe.report.film_figure import film_figure
 from labpipe.stages.bearing import evaluated, write_bearing
 

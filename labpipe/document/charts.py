@@ -1,0 +1,392 @@
+"""Charts and drawings by matplotlib: for PDF, PNG and SVG files, and for notebooks."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable, Sequence
+from typing import IO, Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import Formatter, Locator, LogLocator, MaxNLocator, MultipleLocator, NullLocator
+
+from labpipe.document.figure_numbers import figure_csv, short_name
+from labpipe.registry import Registry
+from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Graphic, Panel, Series
+from labpipe.report.document import Document, Figure
+
+# Okabe and Ito's colours, distinguishable for colour-blind readers and in grey print; amber and sky darker, so
+# that thin lines reach a contrast of 3:1 with white (WCAG 2.1, criterion 1.4.11).
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#B97F00", "#3A94D0", "#000000")
+GREY_TONE = "#808080"
+# From -1 to 1: orange, white, violet, of one lightness at both ends.
+HEAT = "PuOr"
+STYLE: Any = {
+    "svg.hashsalt": "labpipe",
+    "svg.fonttype": "none",
+    # Names from files must not become mathematical markup.
+    "text.parse_math": False,
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "axes.grid": True,
+    "grid.alpha": 0.35,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+}
+PROLOGUE = '<?xml version="1.0" encoding="utf-8"?>\n'
+PRINT_DPI = 200
+TITLE, SMALL_TITLE, SMALL = 9.0, 8.0, 7.0
+# Bars of markers smaller than this [pt] have no caps: there are too many of them.
+LEAST_CAPPED, CAP = 3.0, 2.0
+# Letters that fit into an inch of an ordinate; names of places with more to the inch of the figure are turned [deg].
+LETTERS_UPWARDS, MOST_LEVEL = 13, 9
+UPRIGHT, SLANTED = 90.0, 25.0
+# Letters that fit into a legend as wide as the page, and those of the sample beside each name.
+LEGEND_LETTERS, SAMPLE, MOST_COLUMNS = 112, 11, 5
+# Points beyond which a legend stands in a corner: matplotlib looks at each of them to find the best place.
+MOST_SEEN = 20_000
+# Steps between numbers; many degrees have parts of a turn. A logarithmic axis of fewer decades than the first has
+# numbers in equal steps, of fewer than the second numbers within its decades.
+STEPS, TURNS, MANY_DEGREES = (1, 2, 2.5, 5, 10), (15, 30, 45, 90, 180, 360), 60.0
+LEAST_DECADES, FEW_DECADES, WITHIN = 0.7, 2.2, (1.0, 2.0, 5.0)
+# Numbers from here on, and below the other, are written with an exponent.
+LARGE, SMALLEST = 1e6, 1e-4
+# What is not numbers over axes, by kind: each draws its subject on a canvas of a size.
+DRAWINGS = Registry(
+    "drawing",
+    {
+        "film": "labpipe.document.drawings:film_canvas",
+        "surfaces": "labpipe.document.drawings:surface_canvas",
+        "mode-shapes": "labpipe.document.drawings:shape_canvas",
+    },
+)
+
+
+def styled(grid: bool = True) -> Any:
+    """The style of the house as a context."""
+    return mpl.rc_context({**STYLE, "axes.grid": grid})
+
+
+def canvas_of(graphic: Graphic) -> Canvas:
+    """A chart or a drawing on a canvas of its size."""
+    if isinstance(graphic, Chart):
+        return chart_canvas(graphic)
+    canvas: Canvas = DRAWINGS.load(graphic.kind)(graphic.subject, graphic.size)
+    return canvas
+
+
+def svg_text(canvas: Canvas, outlined: bool = False) -> str:
+    """The canvas as SVG without its XML prologue, no clock in it. *outlined*: letters as outlines."""
+    stream = io.StringIO()
+    with mpl.rc_context({**STYLE, "svg.fonttype": "path" if outlined else "none"}):
+        _save(canvas, stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = stream.getvalue()
+    return text[text.index("<svg") :]
+
+
+def svg_file(figure: Figure) -> str:
+    """The figure as an SVG file that stands alone."""
+    return PROLOGUE + svg_text(canvas_of(figure.graphic))
+
+
+def png_bytes(canvas: Canvas) -> bytes:
+    """The canvas as PNG in print resolution."""
+    stream = io.BytesIO()
+    with mpl.rc_context(STYLE):
+        _save(canvas, stream, format="png", dpi=PRINT_DPI, metadata={"Software": None})
+    return stream.getvalue()
+
+
+def _save(canvas: Canvas, stream: IO[Any], **options: Any) -> None:
+    """Lay out once, and save: by itself matplotlib would go through all artists once more for the layout."""
+    engine = canvas.get_layout_engine()
+    if engine is not None:
+        engine.execute(canvas)
+        # Not "none": a canvas with any engine, that one too, is drawn twice.
+        canvas.set_layout_engine(None)
+    canvas.savefig(stream, **options)
+
+
+def figure_files(document: Document) -> dict[str, bytes]:
+    """name -> content: figure-01-... .svg, .png and .csv of every figure, numbered as in the report."""
+    figures = [block for section in document.sections for block in section.blocks if isinstance(block, Figure)]
+    contents: dict[str, bytes] = {}
+    for number, figure in enumerate(figures, 1):
+        stem = f"figure-{number:02d}-{short_name(figure.caption)}".rstrip("-")
+        canvas = canvas_of(figure.graphic)
+        contents[f"{stem}.svg"] = (PROLOGUE + svg_text(canvas)).encode()
+        contents[f"{stem}.png"] = png_bytes(canvas)
+        if isinstance(figure.graphic, Chart):
+            contents[f"{stem}.csv"] = figure_csv(figure.graphic, figure.caption).encode()
+    return contents
+
+
+def chart_canvas(chart: Chart) -> Canvas:
+    """The chart on a canvas of its size."""
+    with styled(grid=not any(series.kind == "cells" for panel in chart.panels for series in panel.series)):
+        canvas = Canvas(figsize=chart.size, layout="constrained")
+        grid = canvas.add_gridspec(chart.rows, chart.columns, height_ratios=chart.heights)
+        drawn: list[Axes] = []
+        handles: dict[int, Artist] = {}
+        for number, panel in enumerate(chart.panels):
+            first = drawn[0] if drawn else None
+            together = {f"share{which}": first for which in "xy" if which in chart.shared}
+            axes = canvas.add_subplot(grid[divmod(number, chart.columns)], **together)
+            drawn.append(axes)
+            handles |= _painted(axes, panel)
+            _scales(axes, chart, number)
+        _titles(canvas, drawn, chart)
+        _legends(canvas, drawn, chart, handles)
+    return canvas
+
+
+def _painted(axes: Axes, panel: Panel) -> dict[int, Artist]:
+    """What the series of a panel and its note look like; the drawn artists by the id of their series."""
+    artists = {id(series): PAINTERS[series.kind](axes, series) for series in panel.series}
+    if panel.note:
+        axes.text(0.5, 0.5, panel.note, transform=axes.transAxes, ha="center", va="center")
+    return {key: artist for key, artist in artists.items() if artist is not None}
+
+
+def _scales(axes: Axes, chart: Chart, number: int) -> None:
+    """Scales, ends and numbers of both axes; where panels move together only the outer ones have numbers."""
+    panel = chart.panels[number]
+    for which, axis in (("x", panel.x), ("y", panel.y)):
+        limits = chart.limits(number, which)
+        if axis.logarithmic:
+            axes.set(**{f"{which}scale": "log"})
+        # Of two axes with one scale matplotlib may move an end outwards.
+        (axes.set_xlim if which == "x" else axes.set_ylim)(*limits, auto=panel.equal)
+        _numbered(axes.xaxis if which == "x" else axes.yaxis, axis, limits)
+    axes.tick_params(labelbottom=_is_lowest(chart, number), labelleft=_is_leftmost(chart, number))
+    if panel.equal:
+        axes.set_aspect("equal", adjustable="box" if chart.shared else "datalim")
+    if sum(len(name) + 1 for _, name in panel.x.ticks) > MOST_LEVEL * chart.size[0]:
+        upright = any(series.kind == "cells" for series in panel.series)
+        axes.tick_params(axis="x", labelrotation=UPRIGHT if upright else SLANTED, labelsize=SMALL)
+        for label in axes.get_xticklabels():
+            label.set_horizontalalignment("center" if upright else "right")
+
+
+def _is_lowest(chart: Chart, number: int) -> bool:
+    """Whether the abscissa of a panel has its numbers: it moves alone, or no panel of the chart stands below."""
+    return "x" not in chart.shared or number + chart.columns >= len(chart.panels)
+
+
+def _is_leftmost(chart: Chart, number: int) -> bool:
+    """Whether the ordinate of a panel has its numbers: it moves alone, or no panel stands to its left."""
+    return "y" not in chart.shared or number % chart.columns == 0
+
+
+def _titles(canvas: Canvas, drawn: Sequence[Axes], chart: Chart) -> None:
+    """Titles of panels and axes; one that all panels of a grid have in common is written once."""
+    once = {
+        "x": chart.columns > 1 and chart.rows > 1 and len({panel.x.label for panel in chart.panels}) == 1,
+        "y": chart.columns > 1 and len({panel.y.label for panel in chart.panels}) == 1,
+    }
+    for number, (axes, panel) in enumerate(zip(drawn, chart.panels, strict=True)):
+        if panel.title:
+            axes.set_title(panel.title, fontsize=SMALL_TITLE if chart.columns > 1 else TITLE)
+        if not once["x"] and _is_lowest(chart, number):
+            axes.set_xlabel(panel.x.label)
+        if not once["y"]:
+            # A title that is longer than its panel is high has its unit on a second line.
+            room = LETTERS_UPWARDS * chart.size[1] * chart.heights[number // chart.columns]
+            axes.set_ylabel(panel.y.label.replace(" [", "\n[") if len(panel.y.label) > room else panel.y.label)
+    if once["x"]:
+        canvas.supxlabel(chart.panels[0].x.label, fontsize=TITLE)
+    if once["y"]:
+        canvas.supylabel(chart.panels[0].y.label, fontsize=TITLE)
+
+
+def _legends(canvas: Canvas, drawn: Sequence[Axes], chart: Chart, handles: dict[int, Artist]) -> None:
+    """Names once for each colour: in the first panel that has them, or all of them above."""
+    listed: dict[tuple[str, int], list[Series]] = {}
+    for axes, panel in zip(drawn, chart.panels, strict=True):
+        entries: dict[tuple[str, int], list[Series]] = {}
+        for series in panel.series:
+            if series.listed and id(series) in handles:
+                entries.setdefault((series.listed, series.colour), []).append(series)
+        fresh = {entry: series for entry, series in entries.items() if entry not in listed}
+        listed |= fresh
+        if chart.legend == "panels" and fresh:
+            crowded = sum(series.x.size for series in panel.series) > MOST_SEEN
+            place: dict[str, Any] = {"loc": "upper right" if crowded else "best", "ncols": _columns(fresh, chart.columns)}
+            axes.legend(*_samples(fresh, handles), **place)
+    if chart.legend == "above" and listed:
+        canvas.legend(*_samples(listed, handles), ncols=_columns(listed, 1), loc="outside upper center")
+
+
+def _samples(entries: dict[tuple[str, int], list[Series]], handles: dict[int, Artist]) -> tuple[list[Any], list[str]]:
+    """Samples and names: of an entry its first line and its first marks, one on the other."""
+    samples: list[Any] = []
+    for series in entries.values():
+        lined = next((curve for curve in series if curve.line), series[0])
+        marked = next((curve for curve in series if curve.marker), lined)
+        drawn = tuple(dict.fromkeys(handles[id(shown)] for shown in (lined, marked)))
+        samples.append(drawn if len(drawn) > 1 else drawn[0])
+    return samples, [name for name, _ in entries]
+
+
+def _columns(entries: dict[tuple[str, int], list[Series]], side_by_side: int) -> int:
+    """Number of names per row of a legend, by the width."""
+    longest = max(len(name) for name, _ in entries) + SAMPLE
+    return max(1, min(len(entries), MOST_COLUMNS, int(LEGEND_LETTERS / side_by_side / longest)))
+
+
+def _numbered(drawn: Any, axis: Axis, limits: tuple[float, float]) -> None:
+    """Names of places, or round numbers, along an axis."""
+    drawn.set_minor_locator(NullLocator())
+    if axis.ticks:
+        drawn.set_ticks([place for place, _ in axis.ticks], [name for _, name in axis.ticks])
+        return
+    decades = math.log10(max(limits) / min(limits)) if axis.logarithmic else 0.0
+    if decades >= LEAST_DECADES:
+        drawn.set_major_locator(LogLocator(subs=WITHIN if decades < FEW_DECADES else (1.0,)))
+    else:
+        drawn.set_major_locator(Degrees() if axis.unit == "deg" else MaxNLocator("auto", steps=STEPS, min_n_ticks=3))
+    drawn.set_major_formatter(NumberTexts(even=decades < LEAST_DECADES))
+
+
+class Degrees(Locator):
+    """Parts of a turn along many degrees, else round numbers."""
+
+    # Matplotlib sets it; it has no more to say of its type.
+    axis: Any = None
+
+    def __call__(self) -> Any:
+        """Where the numbers stand."""
+        return self.tick_values(*sorted(self.axis.get_view_interval()))
+
+    def tick_values(self, vmin: float, vmax: float) -> Any:
+        """The same for given ends [deg]."""
+        most = int(np.clip(self.axis.get_tick_space(), 2, 6))
+        step = next((turn for turn in TURNS if vmax - vmin <= most * turn), TURNS[-1])
+        parts = MultipleLocator(step) if vmax - vmin > MANY_DEGREES else MaxNLocator(most, steps=STEPS)
+        return parts.tick_values(vmin, vmax)
+
+
+class NumberTexts(Formatter):
+    """Numbers with a true minus; *even*: all with as many decimals as the finest of them needs."""
+
+    def __init__(self, even: bool) -> None:
+        self._even = even
+
+    def __call__(self, x: float, pos: int | None = None) -> str:  # noqa: ARG002
+        """The digits that a number has, and an exponent where it is very large or small."""
+        size = abs(x)
+        if size and (size >= LARGE or size < SMALLEST):
+            mantissa, exponent = f"{x:.4e}".split("e")
+            text = f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
+        else:
+            text = f"{x + 0.0:.10g}"
+        return text.replace("-", "\N{MINUS SIGN}")
+
+    def format_ticks(self, values: Any) -> list[str]:
+        """The texts of all numbers of an axis."""
+        # A step's own rounding is no digit of it.
+        step = min(np.diff(np.sort(values)), default=0.0)
+        exact = [0.0 if abs(value) < 1e-9 * step else float(value) for value in values]
+        texts = [self(value) for value in exact]
+        if not self._even or any("e" in text for text in texts):
+            return texts
+        decimals = max((len(text.partition(".")[2]) for text in texts), default=0)
+        return [f"{value:.{decimals}f}".replace("-", "\N{MINUS SIGN}") for value in exact]
+
+
+def tone(colour: int) -> str:
+    """The colour of a series by its number as #rrggbb."""
+    return PALETTE[colour % PALETTE_SIZE] if colour >= 0 else GREY_TONE
+
+
+def _line(axes: Axes, series: Series) -> Artist:
+    """Points joined or not, with the interval around them."""
+    colour = tone(series.colour)
+    if series.low is not None and series.high is not None:
+        if series.interval == "shaded":
+            shade: dict[str, Any] = {"color": colour, "alpha": series.opacity, "linewidth": 0}
+            axes.fill_between(series.x, series.low, series.high, **shade)
+        else:
+            cap = CAP if series.size >= LEAST_CAPPED else 0.0
+            reach = np.nan_to_num(np.abs(np.array([series.low, series.high]) - series.y))
+            axes.errorbar(series.x, series.y, reach, fmt="none", ecolor=colour, elinewidth=0.8, capsize=cap)
+    look: dict[str, Any] = {"color": colour, "linestyle": series.line or "none", "linewidth": series.width}
+    if series.marker:
+        look |= {"marker": series.marker, "markersize": series.size * (2 if series.marker == "." else 1)}
+        look |= {"markerfacecolor": "none"} if series.hollow else {}
+    # Matplotlib leaves out of a legend what begins with an underscore.
+    (drawn,) = axes.plot(series.x, series.y, label=series.name or "_", **look)
+    return drawn
+
+
+def _area(axes: Axes, series: Series) -> Artist:
+    face = (tone(series.colour), series.opacity)
+    edge: dict[str, Any] = {"edgecolor": GREY_TONE, "linewidth": series.width}
+    (drawn,) = axes.fill(series.x, series.y, facecolor=face, label=series.name or "_", **edge)
+    return drawn
+
+
+def _level(axes: Axes, series: Series) -> None:
+    """A line across with its name at its end."""
+    (y,) = series.y
+    axes.axhline(y, color=tone(series.colour), linewidth=series.width, linestyle=series.line)
+    if series.name:
+        place: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "ha": "right", "va": "bottom"}
+        axes.text(0.99, y, series.name, fontsize=SMALL, color="0.3", clip_on=True, **place)
+
+
+def _upright(axes: Axes, series: Series) -> None:
+    (x,) = series.x
+    axes.axvline(x, color=tone(series.colour), linewidth=series.width, linestyle=series.line)
+
+
+def _level_span(axes: Axes, series: Series) -> None:
+    axes.axhspan(*series.y, color=tone(series.colour), alpha=series.opacity, linewidth=0)
+
+
+def _upright_span(axes: Axes, series: Series) -> None:
+    axes.axvspan(*series.x, color=tone(series.colour), alpha=series.opacity, linewidth=0)
+
+
+def _cells(axes: Axes, series: Series) -> None:
+    """A heat map with the text of every cell and the scale beside it."""
+    image = axes.imshow(series.y, cmap=HEAT, vmin=-1, vmax=1, aspect="auto")
+    scale = axes.figure.colorbar(image, ax=axes, ticks=[-1, -0.5, 0, 0.5, 1], aspect=30, pad=0.03)
+    scale.set_label(series.name, fontsize=SMALL + 1)
+    scale.ax.tick_params(labelsize=SMALL, length=0)
+    for (row, column), value in np.ndenumerate(series.y):
+        red, green, blue, _ = image.cmap((value + 1) / 2)
+        ink = "#ffffff" if 0.3 * red + 0.59 * green + 0.11 * blue < 0.5 and np.isfinite(value) else "#000000"
+        axes.text(column, row, series.texts[row][column], ha="center", va="center", fontsize=SMALL, color=ink)
+
+
+def _arrow(axes: Axes, series: Series) -> None:
+    tail, head = np.column_stack([series.x, series.y])
+    arrow = axes.annotate("", head, tail, arrowprops={"arrowstyle": "-|>", "color": tone(series.colour)}, annotation_clip=True)
+    arrow.set_in_layout(False)
+
+
+def _text(axes: Axes, series: Series) -> None:
+    """Words with their middle at the points; those outside the panel are not shown, as curves are not."""
+    look: dict[str, Any] = {"fontsize": series.size, "color": tone(series.colour), "clip_on": True}
+    for x, y, text in zip(series.x, series.y, series.texts[0], strict=True):
+        axes.text(x, y, text, ha="center", va="center", **look)
+
+
+PAINTERS: dict[str, Callable[[Axes, Series], Artist | None]] = {
+    "line": _line,
+    "area": _area,
+    "hline": _level,
+    "vline": _upright,
+    "hspan": _level_span,
+    "vspan": _upright_span,
+    "cells": _cells,
+    "arrow": _arrow,
+    "text": _text,
+}
